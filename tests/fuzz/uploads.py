@@ -18,7 +18,7 @@ from fuzz.reader import Reader
 from grasp_refine.geometry.mesh import load_mesh
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.hands.hand import load_hand
-from grasp_refine_apps.viewer.uploads import received
+from grasp_refine_apps.viewer.uploads import store_upload
 
 NAMES = ("../outside/x.obj", "/etc/x.obj", "a\\..\\b.obj", "C:/x.obj", "a/../b.obj", "\x1b.obj", "a\0.obj", "x" * 300)
 NAMES += ("claw/meshes/CUBE.OBJ", "claw/hand.toml", "claw/claw.urdf", "a/" * 30 + "b.obj", ".obj", "link.obj")
@@ -70,7 +70,7 @@ def read(path: Path) -> Hashable:
     folder = path.parent / "uploaded"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    upload = received(path.name, path.read_bytes(), folder)
+    upload = store_upload(path.name, path.read_bytes(), folder)
     for file in folder.rglob("*"):
         assert not file.is_symlink() and file.resolve().is_relative_to(folder), file
     if upload.kind == "hand":

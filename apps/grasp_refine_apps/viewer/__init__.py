@@ -1,1 +1,1 @@
-"""The viewer: a page where grasps are seen, refined, steered, proved, browsed and taken away."""
+"""The viewer: a page where grasps are displayed, refined, edited, validated, browsed and exported."""

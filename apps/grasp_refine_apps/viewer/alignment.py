@@ -1,4 +1,4 @@
-"""The page of a saved task of `bench align`: what each method did with two bodies, iterate by iterate."""
+"""Page of a saved task of `bench align`: the iterates of each method for two bodies."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from grasp_refine_apps.viewer import alignment_words as words
 from grasp_refine_apps.viewer.alignment_chart import Against, Chart
 from grasp_refine_apps.viewer.alignment_scene import AlignmentScene, Layers
 
-PLAYED = 10.0
-"""Seconds that a whole trajectory takes to be played, unless it is short."""
-FASTEST, SLOWEST = 0.04, 0.4
-"""Seconds between two pictures that are played."""
-CHART_EVERY = 0.25
-"""Seconds between two drawings of the chart while something is scrubbed or played."""
-BUTTONS = ("start", "best", "end")
-"""Where one can jump to."""
+PLAY_DURATION_S = 10.0
+"""Duration of a played trajectory in seconds; short ones take less."""
+MIN_FRAME_S, MAX_FRAME_S = 0.04, 0.4
+"""Shortest and longest time between two played iterates, seconds."""
+CHART_PERIOD_S = 0.25
+"""Seconds between two updates of the chart while the page scrubs or plays."""
+JUMP_LABELS = ("start", "best", "end")
+"""Labels of the jump buttons."""
 LAYERS = tuple(one.name for one in fields(Layers))
-"""Names of the widgets that say what is seen, too."""
+"""Fields of `Layers`, and attributes of their widgets on the page."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What the page shows."""
+    """State of the page."""
 
     method: int
-    """Which trajectory."""
+    """Index of the trajectory."""
     iteration: int = 0
-    """Number of the iterate; between two that were kept, the earlier one is shown."""
+    """Number of the iterate; between two recorded ones, the earlier is shown."""
     playing: bool = False
-    """Whether it goes on by itself."""
+    """Whether the trajectory plays."""
     against: Against = "iterations"
     """Horizontal axis of the chart."""
     layers: Layers = field(default_factory=Layers)
-    """What is seen beside the bodies."""
+    """Layers shown beside the bodies."""
 
 
 class AlignmentPage:
@@ -51,8 +51,8 @@ class AlignmentPage:
         """Make everything and show the start of the method that did best.
 
         Args:
-            server: Has nothing else to show.
-            task: What is shown.
+            server: A server that shows nothing else.
+            task: The task to show.
         """
         self.server, self.task = server, task
         errors = np.nan_to_num([run.error[run.result] for run in task.trajectories], nan=np.inf)
@@ -71,7 +71,7 @@ class AlignmentPage:
         self._thread.start()
 
     def change(self, **changes: Any) -> None:
-        """Show something else, fields of `Shown`; drawn soon, and only the newest."""
+        """Change fields of `Shown`; the newest state is drawn soon after."""
         with self._changed:
             self.shown = replace(self.shown, **changes)
             self._changed.notify()
@@ -84,7 +84,7 @@ class AlignmentPage:
         self._thread.join()
 
     def frame(self, shown: Shown) -> int:
-        """Which of the kept iterates is shown."""
+        """Return the index of the recorded iterate that is shown."""
         iteration = self.task.trajectories[shown.method].iteration
         return max(int(np.searchsorted(iteration, shown.iteration, side="right")) - 1, 0)
 
@@ -92,14 +92,17 @@ class AlignmentPage:
         gui, labels = self.server.gui, self._labels()
         gui.add_html(words.STYLE + words.intro(self.task))
         self.method = gui.add_dropdown(
-            "Method", labels, initial_value=labels[self.shown.method], hint="Whose run is shown: how body B is moved."
+            "Method",
+            labels,
+            initial_value=labels[self.shown.method],
+            hint="Method whose run is shown: how it moves body B.",
         )
         self.slider = gui.add_slider(
             "Iteration", 0, max(self._last(self.shown), 1), 1, 0, hint="Drag to see each step of the run."
         )
-        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="Let the run go on by itself, or stop it.")
+        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="Play the run, or stop it.")
         self.jump = gui.add_button_group(
-            "Go to", BUTTONS, hint="The first iterate, the one that the method gave back, or the last one."
+            "Go to", JUMP_LABELS, hint="The first iterate, the one that the method returned, or the last one."
         )
         self.where = gui.add_html("")
         self.against = gui.add_dropdown(
@@ -120,35 +123,33 @@ class AlignmentPage:
         self.results = gui.add_html(words.results(self.task, self.shown.method))
         with gui.add_folder("Scene"):
             layers = self.shown.layers
-            self.see_through = gui.add_checkbox(
-                "See through", layers.see_through, hint="Let the bodies not hide what is behind them."
-            )
+            self.see_through = gui.add_checkbox("See through", layers.see_through, hint="Make the bodies transparent.")
             self.path = gui.add_checkbox(
-                "Way of B", layers.path, hint="The way that the target on body B went in the last steps."
+                "Path of B", layers.path, hint="Path of the target on body B over the last steps."
             )
             self.others = gui.add_checkbox(
-                "Other methods", layers.others, hint="Where the other methods left body B, in their colours."
+                "Other methods", layers.others, hint="Result of the other methods for body B, in their colours."
             )
-        with gui.add_folder("What the colours mean"):
+        with gui.add_folder("Legend"):
             gui.add_html(words.legend())
 
     def _listen(self) -> None:
-        def told(handle: Any, change: Any) -> None:
-            def heard(event: viser.GuiEvent) -> None:
-                # What the page itself sets is no wish of somebody.
+        def connect(handle: Any, change: Any) -> None:
+            def on_update(event: viser.GuiEvent) -> None:
+                # Values that the page sets itself come without a client.
                 if event.client is not None:
                     change(event.target.value)
 
-            handle.on_update(heard)
+            handle.on_update(on_update)
 
         def layer(name: str) -> Any:
             return lambda value: self.change(layers=replace(self.shown.layers, **{name: value}))
 
-        told(self.method, lambda label: self.change(method=self._labels().index(label)))
-        told(self.slider, lambda value: self.change(iteration=int(value), playing=False))
-        told(self.against, lambda value: self.change(against=value))
+        connect(self.method, lambda label: self.change(method=self._labels().index(label)))
+        connect(self.slider, lambda value: self.change(iteration=int(value), playing=False))
+        connect(self.against, lambda value: self.change(against=value))
         for name in LAYERS:
-            told(getattr(self, name), layer(name))
+            connect(getattr(self, name), layer(name))
         self.play.on_click(lambda event: self._play_or_stop())
         self.jump.on_click(lambda event: self._jump(event.target.value))
 
@@ -163,7 +164,7 @@ class AlignmentPage:
         self.change(iteration=int(run.iteration[frame]), playing=False)
 
     def _keep_drawing(self) -> None:
-        """Draw whatever is newest, until the page is closed."""
+        """Draw the newest state until the page is closed."""
         while True:
             with self._changed:
                 if self.shown is self._drawn:
@@ -176,17 +177,17 @@ class AlignmentPage:
             try:
                 if shown is not self._drawn:
                     self._draw(shown)
-                if shown is not self._charted and time.monotonic() - self._charted_at >= CHART_EVERY:
+                if shown is not self._charted and time.monotonic() - self._charted_at >= CHART_PERIOD_S:
                     self._draw_chart(shown)
             except Exception:  # noqa: BLE001 - one state that cannot be drawn must not be the last
                 traceback.print_exc()
                 self._drawn = self._charted = shown
 
     def _patience(self) -> float | None:
-        """Seconds until something is to be drawn if nothing changes; None: nothing is."""
+        """Seconds until the next drawing if nothing changes; None: no drawing is due."""
         if self.shown.playing:
             return self._pause()
-        return None if self._charted is self._drawn else CHART_EVERY
+        return None if self._charted is self._drawn else CHART_PERIOD_S
 
     def _draw(self, shown: Shown) -> None:
         before, frame = self._drawn, self.frame(shown)
@@ -207,7 +208,7 @@ class AlignmentPage:
         self._drawn = shown
 
     def _values(self, shown: Shown) -> list[tuple[Any, Any]]:
-        """Widgets with what they say."""
+        """Widgets, each with its value."""
         layers = [(getattr(self, name), getattr(shown.layers, name)) for name in LAYERS]
         iteration = min(shown.iteration, self._last(shown))
         return [
@@ -229,13 +230,13 @@ class AlignmentPage:
         self._charted, self._charted_at = shown, time.monotonic()
 
     def _pause(self) -> float:
-        """Seconds between two pictures that are played."""
-        return float(np.clip(PLAYED / max(self._last(self.shown), 1), FASTEST, SLOWEST))
+        """Seconds between two played iterates."""
+        return float(np.clip(PLAY_DURATION_S / max(self._last(self.shown), 1), MIN_FRAME_S, MAX_FRAME_S))
 
     def _next(self, shown: Shown) -> Shown:
-        """What comes next while it plays; at the end it stops."""
+        """Return the state of the next played iterate; the last one stops playing."""
         last = self._last(shown)
-        iteration = min(shown.iteration + max(1, round(last * FASTEST / PLAYED)), last)
+        iteration = min(shown.iteration + max(1, round(last * MIN_FRAME_S / PLAY_DURATION_S)), last)
         return replace(shown, iteration=iteration, playing=iteration < last)
 
     def _last(self, shown: Shown) -> int:
@@ -243,7 +244,7 @@ class AlignmentPage:
         return int(self.task.trajectories[shown.method].iteration[-1])
 
     def _labels(self) -> tuple[str, ...]:
-        """Names of the methods, no two alike."""
+        """Distinct labels of the methods."""
         labels = [run.label for run in self.task.trajectories]
         return tuple(
             label if labels.count(label) == 1 else f"{label} ({number + 1})" for number, label in enumerate(labels)

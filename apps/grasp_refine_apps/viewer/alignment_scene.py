@@ -1,4 +1,4 @@
-"""An alignment task in 3D: two bodies, their targets and closest points, and where other methods put body B."""
+"""3D scene of an alignment task: two bodies, their targets and closest points, and results of other methods."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ BODY_COLORS: tuple[Color, Color] = ((143, 184, 237), (245, 173, 92))
 """Bodies A and B."""
 POINT_COLORS: tuple[Color, Color] = ((11, 79, 156), (166, 60, 0))
 """Their targets and closest points."""
-SEE_THROUGH = 0.65
-"""Opacity of bodies that do not hide what is behind them."""
-GHOST = 0.25
-"""Opacity of what other methods did."""
-CREASE = 25.0
-"""Edges sharper than this (degrees) are shown as edges."""
-DOT, BALL = 0.011, 0.026
-"""Radii of closest points and of the balls around targets, in mean diagonals of the bodies."""
-REACH = 0.3
-"""The camera is chosen as if the bodies together were this large (metres)."""
-POINTS = 400
-"""So many vertices of a body stand for it where the camera is chosen."""
-NEAREST = 1e-2
-"""How near to the camera things may be and still be seen, in mean diagonals."""
-LATELY = 30
-"""So many steps of the way of body B are shown."""
+SEE_THROUGH_OPACITY = 0.65
+"""Opacity of transparent bodies."""
+GHOST_OPACITY = 0.25
+"""Opacity of body B at the results of other methods."""
+CREASE_ANGLE_DEG = 25.0
+"""Angle in degrees above which an edge is drawn sharp."""
+CLOSEST_RADIUS, TARGET_RADIUS = 0.011, 0.026
+"""Radii of the spheres at closest points and around targets, in mean diagonals of the bodies."""
+CAMERA_EXTENT_M = 0.3
+"""Extent of both bodies together, in metres, to which they are scaled when the camera is chosen."""
+POINTS_PER_BODY = 400
+"""Approximate number of vertices per body with which the camera is chosen."""
+NEAR_PLANE = 1e-2
+"""Distance of the near clipping plane, in mean diagonals of the bodies."""
+PATH_STEPS = 30
+"""Number of last steps shown of the path of body B."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """What is shown beside the bodies of the present iterate."""
+    """Layers shown beside the bodies of the present iterate."""
 
     see_through: bool = True
-    """Whether bodies hide what is behind them."""
+    """Whether the bodies are transparent."""
     path: bool = True
-    """The way that the target on body B went lately."""
+    """Whether the recent path of the target on body B is shown."""
     others: bool = False
-    """Where the other methods left body B."""
+    """Whether the results of other methods for body B are shown."""
 
 
 def method_color(number: int) -> Color:
@@ -59,11 +59,11 @@ class AlignmentScene:
     """The scene nodes of a task; `draw` moves them."""
 
     def __init__(self, server: viser.ViserServer, task: AlignmentTask) -> None:
-        """Make the nodes, and set where the camera stands first.
+        """Make the nodes, and set the initial camera.
 
         Args:
-            server: All its pages see the same.
-            task: What is shown.
+            server: The server; all its pages show the same.
+            task: The task to show.
         """
         self.task, self.scene = task, server.scene
         meshes = [_mesh(solid) for solid in task.bodies]
@@ -72,15 +72,15 @@ class AlignmentScene:
         R = self._upright(meshes)
         self.root = self.scene.add_frame("/task", show_axes=False, wxyz=quaternion_from_matrix(R))
         self.bodies = [
-            self._add_mesh(f"/task/{name}", mesh, color, SEE_THROUGH)
+            self._add_mesh(f"/task/{name}", mesh, color, SEE_THROUGH_OPACITY)
             for name, mesh, color in zip("ab", meshes, BODY_COLORS, strict=True)
         ]
         for name, point, color, mesh in zip("ab", task.targets, POINT_COLORS, meshes, strict=True):
-            radius = BALL * self.size
+            radius = TARGET_RADIUS * self.size
             self.scene.add_icosphere(f"/task/{name}/target", radius=radius, color=color, opacity=0.3, position=point)
             self.scene.add_label(f"/task/{name}/name", name.upper(), position=mesh.bounds.mean(axis=0))
         self.dots = [
-            self.scene.add_icosphere(f"/task/closest_{name}", radius=DOT * self.size, color=color)
+            self.scene.add_icosphere(f"/task/closest_{name}", radius=CLOSEST_RADIUS * self.size, color=color)
             for name, color in zip("ab", POINT_COLORS, strict=True)
         ]
         self.lines = self.scene.add_line_segments(
@@ -90,19 +90,19 @@ class AlignmentScene:
             "/task/path", np.zeros((1, 2, 3)), (0, 0, 0), thickness=1.5, thickness_units="screen", visible=False
         )
         self.ghosts = [
-            self._add_mesh(f"/task/others/{number}", meshes[1], method_color(number), GHOST)
+            self._add_mesh(f"/task/others/{number}", meshes[1], method_color(number), GHOST_OPACITY)
             for number in range(len(task.trajectories))
         ]
         for ghost, run in zip(self.ghosts, task.trajectories, strict=True):
-            _place(ghost, run.poses[run.result, 1])
+            _set_pose(ghost, run.poses[run.result, 1])
             ghost.visible = False
-        self._look(server, meshes, R)
+        self._set_camera(server, meshes, R)
 
     def draw(self, method: int, frame: int, layers: Layers) -> None:
         """Show an iterate of a method."""
         run = self.task.trajectories[method]
         for handle, T in zip(self.bodies, run.poses[frame], strict=True):
-            _place(handle, T)
+            _set_pose(handle, T)
         points = run.witness[frame]
         known = bool(np.isfinite(points).all())
         for dot, point in zip(self.dots, points, strict=True):
@@ -118,13 +118,13 @@ class AlignmentScene:
             self.lines.colors = np.repeat(colors[:, None], 2, axis=1)
         self.path.visible = layers.path and frame > 0
         if self.path.visible:
-            lately = run.poses[max(frame - LATELY, 0) : frame + 1, 1]
+            lately = run.poses[max(frame - PATH_STEPS, 0) : frame + 1, 1]
             way = transform_points(lately, np.broadcast_to(self.task.targets[1], (len(lately), 3)))
             self.path.points = np.stack([way[:-1], way[1:]], axis=1).astype(np.float32)
         if (method, layers) != self._before:
             self.path.colors = np.array(method_color(method), dtype=np.uint8)
             for body in self.bodies:
-                body.opacity = SEE_THROUGH if layers.see_through else None
+                body.opacity = SEE_THROUGH_OPACITY if layers.see_through else None
             for number, ghost in enumerate(self.ghosts):
                 ghost.visible = layers.others and number != method
         self._before = method, layers
@@ -135,13 +135,13 @@ class AlignmentScene:
         )
 
     def _best(self) -> Float[np.ndarray, "2 4 4"]:
-        """Both poses of the smallest error of all methods."""
+        """Poses of both bodies at the smallest error of all methods."""
         errors = [run.error[run.result] for run in self.task.trajectories]
         run = self.task.trajectories[int(np.nan_to_num(errors, nan=np.inf).argmin())]
         return run.poses[run.result]
 
     def _upright(self, meshes: list[trimesh.Trimesh]) -> Float[np.ndarray, "3 3"]:
-        """A rotation that turns the world so that body B comes to lie on body A."""
+        """Rotation of the world that puts body B on top of body A."""
         a, b = (transform_points(T, m.bounds.mean(axis=0)) for T, m in zip(self._best(), meshes, strict=True))
         up = b - a if np.linalg.norm(b - a) > 1e-9 else np.array([0.0, 0.0, 1.0])
         z = up / np.linalg.norm(up)
@@ -149,10 +149,12 @@ class AlignmentScene:
         x /= np.linalg.norm(x)
         return np.stack([x, np.cross(z, x), z])
 
-    def _look(self, server: viser.ViserServer, meshes: list[trimesh.Trimesh], R: Float[np.ndarray, "3 3"]) -> None:
-        """Put the camera where both bodies, before and after, are seen, and the targets are not behind body B."""
+    def _set_camera(
+        self, server: viser.ViserServer, meshes: list[trimesh.Trimesh], R: Float[np.ndarray, "3 3"]
+    ) -> None:
+        """Place the camera so that both bodies, before and after, are in view and body B hides no target."""
         best = self._best()
-        few = [mesh.vertices[:: max(1, len(mesh.vertices) // POINTS)] for mesh in meshes]
+        few = [mesh.vertices[:: max(1, len(mesh.vertices) // POINTS_PER_BODY)] for mesh in meshes]
         a = np.concatenate([transform_points(T, few[0]) for T in (self.task.start[0], best[0])]) @ R.T
         b = np.concatenate([transform_points(T, few[1]) for T in (self.task.start[1], best[1])]) @ R.T
         goals = np.stack(
@@ -161,17 +163,17 @@ class AlignmentScene:
                 transform_points(self.task.start[1], self.task.targets[1]),
             ]
         )
-        scale = REACH / np.ptp(np.concatenate([a, b]), axis=0).max()
+        scale = CAMERA_EXTENT_M / np.ptp(np.concatenate([a, b]), axis=0).max()
         camera = first_camera(scale * b, scale * a, scale * goals @ R.T)
         view = server.initial_camera
         view.position, view.look_at = camera.position / scale, camera.look_at / scale
-        view.up, view.fov, view.near = camera.up, camera.field_of_view, NEAREST * self.size
+        view.up, view.fov, view.near = camera.up, camera.field_of_view, NEAR_PLANE * self.size
 
 
 def _mesh(solid: Solid) -> trimesh.Trimesh:
-    """A body with its sharp edges sharp."""
-    return trimesh.graph.smooth_shade(solid.mesh(), angle=np.radians(CREASE))
+    """Mesh of a body, smooth-shaded except at sharp edges."""
+    return trimesh.graph.smooth_shade(solid.mesh(), angle=np.radians(CREASE_ANGLE_DEG))
 
 
-def _place(handle: viser.SceneNodeHandle, T: Float[np.ndarray, "4 4"]) -> None:
+def _set_pose(handle: viser.SceneNodeHandle, T: Float[np.ndarray, "4 4"]) -> None:
     handle.position, handle.wxyz = T[:3, 3], quaternion_from_matrix(T[:3, :3])

@@ -1,4 +1,4 @@
-"""What a page says of an alignment task: what it is, where it stands, and what came of each method."""
+"""HTML texts of an alignment task: introduction, present iterate, and result of each method."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_refine.core.se3 import transform_points
 from grasp_refine_apps.bench.align.saved import AlignmentTask
-from grasp_refine_apps.viewer.alignment_chart import SOLVED, css
+from grasp_refine_apps.viewer.alignment_chart import SOLVED_DISTANCE_M, css
 from grasp_refine_apps.viewer.alignment_scene import BODY_COLORS, POINT_COLORS, method_color
 from grasp_refine_apps.viewer.colors import distance_legend
 
@@ -26,11 +26,11 @@ STYLE = """<style>
 .ga i.bar{height:.25em;vertical-align:middle;width:1.1em}
 .ga .yes{color:#1a7f37;font-weight:600}.ga .no{color:#c2410c;font-weight:600}
 </style>"""
-"""How it looks, on light and dark pages; stands once on a page, for browsers take their time over it."""
+"""Style sheet for light and dark pages; included once per page, since browsers are slow to apply it."""
 
 
 def intro(task: AlignmentTask) -> str:
-    """What is seen, for somebody who has never heard of it."""
+    """Introduction to the task for newcomers."""
     on_a, _, on_b = task.target_class.partition("-")
     a, b = (
         f"{_swatch('', color)}{letter} ({escape(body.name)})"
@@ -38,22 +38,22 @@ def intro(task: AlignmentTask) -> str:
     )
     return _page(
         f"<b>Two bodies are to touch at a given point of each.</b> Body {a} rests. Each method moves body {b} until "
-        f"the points where the bodies are closest (dots) lie in the targets (balls): on a {escape(on_a)} of A, and a "
+        f"the points where the bodies are closest (dots) lie in the targets (spheres): on a {escape(on_a)} of A, and a "
         f"{escape(on_b)} of B."
     )
 
 
 def where(task: AlignmentTask, method: int, frame: int) -> str:
-    """Where an iterate stands."""
+    """Distance, misses and error of one iterate."""
     run = task.trajectories[method]
     head = f"<b>Iteration {run.iteration[frame]}</b> of {run.iteration[-1]}, after {_time(run.cpu_s[frame])} of CPU"
     if not np.isfinite(run.error[frame]):
-        return _page(f"{head}<br>The collision query has no answer for these poses.")
+        return _page(f"{head}<br>The collision query has no result for these poses.")
     misses = np.linalg.norm(run.witness[frame] - transform_points(run.poses[frame], task.targets), axis=1)
     d = run.distance[frame]
-    wanted = f" ({mm(run.margin)} wanted)" if run.margin else ""
+    goal = f" (goal: {mm(run.margin)})" if run.margin else ""
     rows = [
-        ("B is inside A by" if d < 0 else "Gap between A and B", f"{mm(abs(d))}{wanted}"),
+        ("B is inside A by" if d < 0 else "Gap between A and B", f"{mm(abs(d))}{goal}"),
         ("A: closest point to target", mm(misses[0])),
         ("B: closest point to target", mm(misses[1])),
         ("Error, all three together", f"{mm(np.sqrt(run.error[frame]))} {_verdict(run.error[frame])}"),
@@ -73,12 +73,12 @@ def results(task: AlignmentTask, method: int) -> str:
             f"<td>{_time(run.cpu_s[-1])}</td></tr>"
         )
     head = "<tr><th>Method</th><th>Best error</th><th>at</th><th>CPU</th></tr>"
-    said = "Thick: the method that is shown; pale: each of its iterates. Below 1 mm (dashed) a task counts as solved."
-    return _page(f"<p>{said}</p><table>{head}{''.join(rows)}</table>")
+    note = "Thick: the method that is shown; pale: each of its iterates. Below 1 mm (dashed) a task counts as solved."
+    return _page(f"<p>{note}</p><table>{head}{''.join(rows)}</table>")
 
 
 def legend() -> str:
-    """What colours and shapes in the scene mean."""
+    """Legend of colours and shapes in the scene."""
     rows = [
         (_swatch("", BODY_COLORS[0]) + _swatch("", BODY_COLORS[1]), "bodies A and B"),
         (_swatch("ball", POINT_COLORS[0]) + _swatch("ball", POINT_COLORS[1]), "targets on A and on B"),
@@ -92,7 +92,7 @@ def legend() -> str:
 
 
 def mm(metres: float) -> str:
-    """Metres as a person reads them, with more digits when it is little."""
+    """Length in mm as text, with more digits for small values; `metres` in metres."""
     value = 1e3 * metres
     if value >= 9.95:
         return f"{value:.0f} mm" if value >= 99.5 else f"{value:.1f} mm"
@@ -104,7 +104,7 @@ def _error(error: float) -> str:
 
 
 def _verdict(error: float) -> str:
-    solved = error < SOLVED**2
+    solved = error < SOLVED_DISTANCE_M**2
     return f'<span class="{"yes" if solved else "no"}">{"solved" if solved else "not solved"}</span>'
 
 

@@ -1,4 +1,4 @@
-"""A film as one HTML file that plays in any browser, without a server and without the network."""
+"""Export of a film as one HTML file that plays in any browser, without server and network."""
 
 from __future__ import annotations
 
@@ -14,70 +14,70 @@ from grasp_refine_apps.viewer.film import Film, Frame
 from grasp_refine_apps.viewer.nodes import Lines, Meshes, place
 from grasp_refine_apps.viewer.pose import Pose
 
-SECONDS = 6.0
-"""How long a film plays."""
+FILM_DURATION_S = 6.0
+"""Duration of a film in seconds, without the pauses at both ends."""
 
-SLOWEST = 0.25
-"""Most seconds from one frame to the next: a film of few frames is shorter."""
+MAX_FRAME_S = 0.25
+"""Longest time between two frames in seconds: a film of few frames is shorter."""
 
-FIRST, LAST = 0.8, 1.6
-"""Seconds for which the first and the last frame stand; then it begins again."""
+FIRST_FRAME_S, LAST_FRAME_S = 0.8, 1.6
+"""Durations of the first and the last frame in seconds; then the film repeats."""
 
 OPACITY, GHOST_OPACITY, GHOST_COLOR = 0.55, 0.22, (110, 130, 170)
-"""Of the object, and of the hand as it was in the first frame."""
+"""Opacity of the object; opacity and colour of the copy of the hand in the first frame."""
 
-WORDS = "/caption"
-"""The node that carries the caption; it is never seen itself, since in the scene it would hide or be hidden."""
+CAPTION_NODE = "/caption"
+"""Hidden node that carries the caption; a visible label could hide parts of the scene, or be hidden by them."""
 
 HEADING = f"""<div style="position:fixed; left:1.2em; top:1em; z-index:2; pointer-events:none; white-space:pre-line; \
 font:15px/1.5 system-ui, sans-serif; color:#333"><b>TITLE</b>
 <span id="caption"></span>
 <span style="color:#999">drag to turn, wheel to zoom, space bar to pause</span></div>
 <script>setInterval(() => {{
-    const node = window.__viserSceneTree && window.__viserSceneTree.getState()["{WORDS}"];
+    const node = window.__viserSceneTree && window.__viserSceneTree.getState()["{CAPTION_NODE}"];
     if (node) document.getElementById("caption").textContent = node.message.props.text;
 }}, 100);</script>"""
-"""What stands above the scene: the title, the caption of the frame, and what a person can do."""
+"""HTML above the scene: title, caption of the frame, and hints on mouse and keys."""
 
 
-def animation_html(film: Film, seconds: float = SECONDS) -> str:
-    """The HTML of a film: viser's page with the scene inside; it plays again and again.
+def animation_html(film: Film, seconds: float = FILM_DURATION_S) -> str:
+    """Return the HTML of a film: viser's page with the scene inside, played in a loop.
 
-    A server of its own, on a free port of this machine, collects the scene for a moment; nobody else's is touched.
+    A temporary server on a free port of this machine collects the scene; no other server is touched.
 
     Args:
-        film: What to show.
-        seconds: How long all frames take, without the pauses at both ends.
+        film: The film.
+        seconds: Duration of all frames, without the pauses at both ends.
     """
-    # Servers greet on the terminal.
+    # Servers print a greeting on the terminal.
     console = rich.get_console()
     quiet, console.quiet = console.quiet, True
     try:
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
-            return _titled(_played(server, film, seconds), film.title)
+            return _with_title(_recorded_html(server, film, seconds), film.title)
         finally:
             server.stop()
     finally:
         console.quiet = quiet
 
 
-def _played(server: viser.ViserServer, film: Film, seconds: float) -> str:
+def _recorded_html(server: viser.ViserServer, film: Film, seconds: float) -> str:
     _light(server, film)
-    cast = _Cast(server.scene, film)
+    cast = _FilmNodes(server.scene, film)
     first, *others = film.frames
     cast.show(first)
     recording = server.get_scene_serializer()
-    recording.insert_sleep(FIRST)
+    recording.insert_sleep(FIRST_FRAME_S)
     for frame in others:
         cast.show(frame)
-        recording.insert_sleep(min(seconds / len(others), SLOWEST))
-    recording.insert_sleep(LAST)
+        recording.insert_sleep(min(seconds / len(others), MAX_FRAME_S))
+    recording.insert_sleep(LAST_FRAME_S)
     return recording.as_html()
 
 
 def _light(server: viser.ViserServer, film: Film) -> None:
-    """Light and camera."""
+    """Set light and camera."""
     scene, camera, view = server.scene, server.initial_camera, film.camera
     scene.configure_environment_map(None)
     scene.configure_default_lights(True, cast_shadow=False)
@@ -87,11 +87,11 @@ def _light(server: viser.ViserServer, film: Film) -> None:
     camera.position, camera.look_at = view.position, view.look_at
 
 
-class _Cast:
-    """What appears in a film; only what changes from one frame to the next is told."""
+class _FilmNodes:
+    """Scene nodes of a film; only changes between frames are sent."""
 
     def __init__(self, scene: viser.SceneApi, film: Film) -> None:
-        """Put everything on the stage."""
+        """Make all nodes, at their poses in the first frame."""
         first = film.frames[0]
         self._film = film
         self._object = scene.add_frame("/object", show_axes=False)
@@ -101,11 +101,11 @@ class _Cast:
         for node, T in zip(ghost, self._places(first.pose), strict=True):
             place(node, T)
         self._lines = Lines(scene, "/contacts", 3.0)
-        self._caption = scene.add_label(WORDS, first.caption, visible=False)
+        self._caption = scene.add_label(CAPTION_NODE, first.caption, visible=False)
         self._at: dict[str, np.ndarray] = {}
 
     def show(self, frame: Frame) -> None:
-        """Move everything to where it is in a frame."""
+        """Move all nodes to their poses in a frame."""
         for node, T in zip(self._links, self._places(frame.pose), strict=True):
             self._move(node, T)
         self._move(self._object, frame.T_object)
@@ -122,8 +122,8 @@ class _Cast:
             place(node, T)
 
 
-def _titled(html: str, title: str) -> str:
-    """The page with its title in the window's bar and above the scene."""
+def _with_title(html: str, title: str) -> str:
+    """Return the page with its title in the window's title bar and above the scene."""
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     end = html.rindex("</body>")
     return html[:end] + HEADING.replace("TITLE", escape(title)) + html[end:]

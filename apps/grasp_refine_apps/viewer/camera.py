@@ -1,4 +1,4 @@
-"""Where the camera stands first: hand and object whole in the picture, and the contacts not behind the hand."""
+"""Initial camera: hand and object fully in view, and contacts not hidden by the hand."""
 
 from __future__ import annotations
 
@@ -12,47 +12,47 @@ from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine_apps.viewer.contacts import Contacts
 
-ELEVATIONS = (20.0, 35.0, 50.0)
-"""How far above the horizon the camera may stand, degrees, the preferred one first."""
+ELEVATIONS_DEG = (20.0, 35.0, 50.0)
+"""Candidate elevations of the camera above the horizon in degrees, the preferred one first."""
 
-AZIMUTHS = tuple(range(0, 360, 20))
-"""Seen from above, on which sides, degrees from the x axis counterclockwise."""
+AZIMUTHS_DEG = tuple(range(0, 360, 20))
+"""Candidate azimuths of the camera in degrees from the x axis, counterclockwise seen from above."""
 
-BESIDE = 0.008
-"""What passes the line of sight of a contact by less than this (metres) hides it."""
+OCCLUSION_RADIUS_M = 0.008
+"""Distance in metres from the line of sight of a contact below which a point hides it."""
 
-IN_FRONT = 0.004
-"""What is nearer to the camera than the contact by less than this (metres) does not."""
+OCCLUSION_DEPTH_M = 0.004
+"""Distance in metres in front of a contact below which a point does not hide it."""
 
-OBJECT_HIDES = 0.35
-"""How much the object hides, compared with the hand: it is drawn a little transparent, and seen it should be too."""
+OBJECT_OCCLUSION_WEIGHT = 0.35
+"""Weight of occlusion by the object, relative to the hand: it is drawn transparent, and should be in view, too."""
 
-STEEP = 0.05
-"""What a step of `ELEVATIONS` costs, as a share of the contacts hidden."""
+ELEVATION_COST = 0.05
+"""Cost of each step along `ELEVATIONS_DEG`, as a share of hidden contacts."""
 
-FAR = 0.5
-"""What it costs, likewise, where the camera must be twice as far from the contacts as it can be to see the whole."""
+DISTANCE_COST = 0.5
+"""Cost, likewise, of a camera twice as far from the contacts as the nearest one with everything in view."""
 
-SPACING = 0.006
-"""Metres between the points that stand for surfaces, about: less than what hides something is wide."""
+POINT_SPACING_M = 0.006
+"""Approximate spacing of surface points in metres: less than the width that hides a contact."""
 
-MARGIN = 0.9
+FILLED_SHARE = 0.9
 """Share of the picture that is filled."""
 
-FIELD_OF_VIEW = np.radians(45.0)
+FIELD_OF_VIEW_RAD = np.radians(45.0)
 """Vertical opening of the camera in radians."""
 
 
 @dataclass(frozen=True, eq=False)
 class FirstCamera:
-    """Where a camera stands and looks."""
+    """Pose and field of view of a camera."""
 
     position: Float[np.ndarray, " 3"]
-    """Where it stands (3,), metres."""
+    """Position (3,), metres."""
     look_at: Float[np.ndarray, " 3"]
     """The point in the middle of the picture (3,), metres."""
     up: Float[np.ndarray, " 3"]
-    """What is up in the picture (3,): z."""
+    """Up direction of the picture (3,): z."""
     field_of_view: float
     """Vertical opening in radians."""
 
@@ -63,28 +63,28 @@ def first_camera(
     contacts: Float[np.ndarray, "K 3"],
     *,
     aspect: float = 1.4,
-    field_of_view: float = FIELD_OF_VIEW,
+    field_of_view: float = FIELD_OF_VIEW_RAD,
 ) -> FirstCamera:
-    """The camera that sees most of the contacts, from slightly above, with hand and object whole in the picture.
+    """Return the camera that sees most contacts, from slightly above, with hand and object fully in view.
 
     Args:
         hand: Points all over the hand's surface, in the frame of the scene, z up.
         obj: Points all over the object's surface.
-        contacts: Where they touch or nearly do; none: the object's points stand for them.
+        contacts: Points where they touch or nearly do; empty: points of the object are used.
         aspect: Width of the picture over its height.
         field_of_view: Vertical opening in radians.
     """
     wanted = contacts if len(contacts) else obj[:: max(1, len(obj) // 16)]
     every, middle = np.concatenate([hand, obj]), wanted.mean(axis=0)
     cameras, cost = [], []
-    for (step, elevation), azimuth in product(enumerate(ELEVATIONS), AZIMUTHS):
+    for (step, elevation), azimuth in product(enumerate(ELEVATIONS_DEG), AZIMUTHS_DEG):
         towards = _direction(azimuth, elevation)
-        hidden = _hidden(wanted, hand, towards) + OBJECT_HIDES * _hidden(wanted, obj, towards)
-        cameras.append(fitted(every, middle, towards, aspect, field_of_view))
-        cost.append(hidden.mean() + STEEP * step)
+        hidden = _occlusion(wanted, hand, towards) + OBJECT_OCCLUSION_WEIGHT * _occlusion(wanted, obj, towards)
+        cameras.append(fit_camera(every, middle, towards, aspect, field_of_view))
+        cost.append(hidden.mean() + ELEVATION_COST * step)
     distance = np.array([np.linalg.norm(camera.position - middle) for camera in cameras])
-    total = np.array(cost) + FAR * (distance / distance.min() - 1.0)
-    # Rounding decides nothing.
+    total = np.array(cost) + DISTANCE_COST * (distance / distance.min() - 1.0)
+    # Rounded, so that rounding errors do not break ties.
     return cameras[int(total.round(9).argmin())]
 
 
@@ -93,9 +93,9 @@ def first_camera_of(
     T_world_object: Float[np.ndarray, "4 4"] | None = None,
     *,
     aspect: float = 1.4,
-    field_of_view: float = FIELD_OF_VIEW,
+    field_of_view: float = FIELD_OF_VIEW_RAD,
 ) -> FirstCamera:
-    """`first_camera` of a grasp, the object standing at `T_world_object` (4, 4) in the scene; None: at its origin."""
+    """Return `first_camera` of a grasp, the object at `T_world_object` (4, 4) in the scene; None: at its origin."""
     T = np.eye(4) if T_world_object is None else T_world_object
     bodies, T_link = contacts.prepared.bodies, contacts.frames.T_world_link[0]
     hand = [transform_points(pose, _points(body)) for pose, body in zip(T_link, bodies, strict=True)]
@@ -110,7 +110,7 @@ def first_camera_of(
 
 def _points(body: Body) -> Float[np.ndarray, "N 3"]:
     """Points all over the surface of a body."""
-    return body.candidates.points[: max(16, round(body.area / SPACING**2))]
+    return body.candidates.points[: max(16, round(body.area / POINT_SPACING_M**2))]
 
 
 def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, " 3"]:
@@ -119,24 +119,24 @@ def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, " 3"]:
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
-def _hidden(
+def _occlusion(
     contacts: Float[np.ndarray, "K 3"], things: Float[np.ndarray, "N 3"], towards: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " K"]:
-    """How much each contact is hidden (K,), 0 to 1, by what lies near its line of sight."""
+    """Occlusion of each contact (K,), 0 to 1, by points near its line of sight."""
     axes = np.concatenate([tangents(towards), towards[:, None]], axis=1)
     away = (things @ axes).T[:, None] - (contacts @ axes).T[..., None]
-    near = np.maximum(1.0 - np.hypot(away[0], away[1]) / BESIDE, 0.0)
-    return np.minimum((near * (away[2] > IN_FRONT)).sum(axis=1), 1.0)
+    near = np.maximum(1.0 - np.hypot(away[0], away[1]) / OCCLUSION_RADIUS_M, 0.0)
+    return np.minimum((near * (away[2] > OCCLUSION_DEPTH_M)).sum(axis=1), 1.0)
 
 
-def fitted(
+def fit_camera(
     points: Float[np.ndarray, "N 3"],
     middle: Float[np.ndarray, " 3"],
     towards: Float[np.ndarray, " 3"],
     aspect: float,
     field_of_view: float,
 ) -> FirstCamera:
-    """From where points (N, 3) just fill the picture of a camera that looks against `towards`, at `middle`'s depth.
+    """Fit a camera that looks against `towards` so that points (N, 3) just fill its picture, at `middle`'s depth.
 
     `towards` (3,) is a unit vector that is not vertical.
     """
@@ -144,7 +144,7 @@ def fitted(
     right /= np.linalg.norm(right)
     above = np.cross(towards, right)
     seen = points @ np.stack([right, above, towards], axis=1)
-    slope = MARGIN * np.tan(field_of_view / 2) * np.array([aspect, 1.0])
+    slope = FILLED_SHARE * np.tan(field_of_view / 2) * np.array([aspect, 1.0])
     # In each of the two directions, the two sides of the field of view just hold all points.
     low, high = (seen[:, :2] - slope * seen[:, 2:]), (seen[:, :2] + slope * seen[:, 2:])
     low, high = low.min(axis=0), high.max(axis=0)

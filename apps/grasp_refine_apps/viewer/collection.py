@@ -1,4 +1,4 @@
-"""What is open in the viewer: grasps of one hand on one or several objects, and what is known of each."""
+"""Grasps open in the viewer, of one hand on one or several objects, with their measures and marks."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import Motion
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
 from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
-from grasp_refine_apps.viewer.recorded import recorded
+from grasp_refine_apps.viewer.recorded import read_records
 
 
 @dataclass(frozen=True, eq=False)
 class Collection:
-    """N grasps, numbered in the order in which they were asked for."""
+    """N grasps, numbered in the requested order."""
 
     problem: Problem
     """The grasps, by object and scale."""
@@ -30,25 +30,25 @@ class Collection:
     member: Int[np.ndarray, " N"]
     """Row of each grasp in its group (N,)."""
     files: tuple[Path, ...]
-    """The files that the grasps lie in: one, or those of a folder; none if they were sampled."""
+    """Files of the grasps: one, or those of a folder; empty if they were sampled."""
     file_of: Int[np.ndarray, " N"]
     """Number of each grasp's file in `files` (N,)."""
     row: Int[np.ndarray, " N"]
-    """Its row there (N,)."""
+    """Row of each grasp in its file (N,)."""
     T_initial: Float[np.ndarray, "N 4 4"]
-    """Poses of the base link before refinement (N, 4, 4), object frame; where none is recorded, as it is."""
+    """Poses of the base link before refinement (N, 4, 4), object frame; the present pose where none is recorded."""
     q_initial: Float[np.ndarray, "N n"]
     """Joint values before refinement (N, n)."""
     refined: Bool[np.ndarray, " N"]
-    """Of which grasps the file tells where they were before refinement (N,)."""
+    """True for grasps whose pose before refinement is recorded (N,)."""
     columns: Mapping[str, Column]
-    """What is known of the grasps: key -> column."""
+    """Measures of the grasps: key -> column."""
     marks: tuple[Marks, ...]
-    """What people thought of the grasps of each of `files`; where there are none, of all."""
+    """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
 
     @staticmethod
     def of(problem: Problem) -> Collection:
-        """The grasps of a problem, with what their files record and how they were marked.
+        """Return the grasps of a problem, with recorded measures and marks.
 
         Raises:
             GraspFileError: a result file, or the file of marks beside it, is damaged.
@@ -59,7 +59,7 @@ class Collection:
         rows = np.concatenate([group.rows for group in groups])[order]
         T = np.concatenate([group.scene.T_world_root for group in groups])[order]
         q = np.concatenate([group.scene.q for group in groups])[order]
-        found = recorded(problem)
+        found = read_records(problem)
         first = problem.files[:1] if not problem.sampled else ()
         files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
         refined, columns = np.zeros(len(problem), dtype=bool), {}
@@ -92,12 +92,12 @@ class Collection:
         return self.problem.groups[self.group_of[number]]
 
     def label(self, number: int) -> str:
-        """What people call a grasp, such as "mug 3"."""
+        """Label of a grasp for users, such as "mug 3"."""
         group = self.group(number)
         return f"{group.object} {group.index[self.member[number]]}"
 
     def scene(self, number: int) -> Scene:
-        """A scene of this grasp alone, as the file has it, with its targets and the table."""
+        """Scene of this grasp alone, as in its file, with its targets and the table."""
         scene, rows = self.group(number).scene, self.member[number : number + 1]
         return replace(
             scene,
@@ -113,10 +113,10 @@ class Collection:
         return self.T_initial[number], self.q_initial[number]
 
     def motion(self, number: int, source: StageSource = "auto") -> Motion:
-        """How the hand closes to this one grasp, as `Group.motion`.
+        """Closing motion of the hand to this one grasp, as `Group.motion`.
 
         Raises:
-            GraspFileError: pregrasp and squeeze are to be those of the file, which lacks some.
+            GraspFileError: pregrasp and squeeze are requested from the file, where some are missing.
         """
         group, rows = self.group(number), self.member[number : number + 1]
         alone = Group(
@@ -131,36 +131,36 @@ class Collection:
         return alone.motion(source)
 
     def with_columns(self, *columns: Column) -> Collection:
-        """The same grasps, of which more is known."""
+        """Return the collection with additional or replaced columns."""
         return replace(self, columns={**self.columns, **{column.key: column for column in columns}})
 
     def mark(self, number: int) -> Mark:
-        """What somebody thought of a grasp."""
+        """Mark of a grasp."""
         return self.marks[self.file_of[number]].of(int(self.row[number]))
 
     def with_mark(self, number: int, mark: Mark) -> Collection:
-        """The same grasps, one of them marked; nothing is written, see `save_marks`."""
+        """Return the collection with one grasp marked; nothing is written, see `save_marks`."""
         at, group = self.file_of[number], self.group(number)
         index = int(group.index[self.member[number]])
-        marks = self.marks[at].marked(int(self.row[number]), mark, object=group.object, index=index)
+        marks = self.marks[at].with_mark(int(self.row[number]), mark, object=group.object, index=index)
         return replace(self, marks=(*self.marks[:at], marks, *self.marks[at + 1 :]))
 
     def save_marks(self, number: int) -> None:
-        """Write the marks of the file that a grasp lies in beside it.
+        """Write the marks of a grasp's file beside that file.
 
         Raises:
-            GraspFileError: they cannot be written there; they are still here.
+            GraspFileError: they cannot be written there; they stay in memory.
         """
         self.marks[self.file_of[number]].save()
 
     def with_simulation(
         self, success: Bool[np.ndarray, " N"], reason: Shaped[np.ndarray, " N"], known: Bool[np.ndarray, " N"]
     ) -> Collection:
-        """The same grasps with what simulation says of those that are `known` (N,): whether they held, and why not."""
+        """Return the collection with simulation results where `known` (N,): held or failed, and why it failed."""
         old = self.columns.get(HELD.key, HELD.with_values(np.full(len(self), ""))).values
         why = self.columns.get(REASON.key, REASON.with_values(np.full(len(self), ""))).values
-        said = np.where(success, HELD_TEXT, FAILED_TEXT)
+        verdict = np.where(success, HELD_TEXT, FAILED_TEXT)
         return self.with_columns(
-            HELD.with_values(np.where(known, said, old)),
+            HELD.with_values(np.where(known, verdict, old)),
             REASON.with_values(np.where(known, np.where(success, "", reason.astype(str)), why)),
         )

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
-SCALE: tuple[tuple[float, Color], ...] = (
+COLOR_STOPS_MM: tuple[tuple[float, Color], ...] = (
     (-5.0, (170, 20, 72)),
     (-1.0, (222, 70, 30)),
     (-0.3, (240, 130, 30)),
@@ -21,29 +21,29 @@ SCALE: tuple[tuple[float, Color], ...] = (
 )
 """Signed distances in mm, and their colours; between them they are mixed.
 
-All show on white and on black, and people who see fewer colours tell inside, touching and outside apart.
+All are visible on white and on black; colour-blind viewers can distinguish inside, touching and outside, too.
 """
 
-UNKNOWN: Color = (140, 140, 140)
-"""Where there is no distance."""
+UNKNOWN_COLOR: Color = (140, 140, 140)
+"""Colour of an unknown distance."""
 
-LEGEND = ((-5.0, "5 mm inside"), (-1.0, "1 mm inside"), (0.0, "touching"), (0.3, "0.3 mm off"), (3.0, "3 mm off"))
-"""Distances in mm that a legend explains."""
+LEGEND_MM = ((-5.0, "5 mm inside"), (-1.0, "1 mm inside"), (0.0, "touching"), (0.3, "0.3 mm off"), (3.0, "3 mm off"))
+"""Distances in mm and texts of the legend."""
 
 
 def distance_colors(distance: Float[np.ndarray, " K"]) -> UInt8[np.ndarray, "K 3"]:
     """Colours (K, 3) of signed distances (K,) in metres, negative inside; grey where one is NaN."""
     millimetres = 1e3 * np.asarray(distance, dtype=np.float64)
     known = np.isfinite(millimetres)
-    stops = [stop for stop, _ in SCALE]
+    stops = [stop for stop, _ in COLOR_STOPS_MM]
     channels = [
-        np.interp(np.where(known, millimetres, 0.0), stops, [color[channel] for _, color in SCALE])
+        np.interp(np.where(known, millimetres, 0.0), stops, [color[channel] for _, color in COLOR_STOPS_MM])
         for channel in range(3)
     ]
-    return np.where(known[:, None], np.stack(channels, axis=-1).round(), UNKNOWN).astype(np.uint8)
+    return np.where(known[:, None], np.stack(channels, axis=-1).round(), UNKNOWN_COLOR).astype(np.uint8)
 
 
 def distance_legend() -> list[tuple[str, Color]]:
-    """What the colours mean: words and a colour, from deepest inside to farthest off."""
-    colors = distance_colors(1e-3 * np.array([distance for distance, _ in LEGEND]))
-    return [(text, (int(r), int(g), int(b))) for (_, text), (r, g, b) in zip(LEGEND, colors, strict=True)]
+    """Return the legend: texts and colours, from deepest inside to farthest off."""
+    colors = distance_colors(1e-3 * np.array([distance for distance, _ in LEGEND_MM]))
+    return [(text, (int(r), int(g), int(b))) for (_, text), (r, g, b) in zip(LEGEND_MM, colors, strict=True)]

@@ -1,4 +1,4 @@
-"""What is known of every grasp of a collection, one column a measure."""
+"""Measures of the grasps of a collection, one column per measure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
 Better = Literal["higher", "lower", ""]
-"""Which values of a measure are the good ones; empty: neither."""
+"""Direction in which a measure is better; empty: neither."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,21 +17,21 @@ class Column:
     """One measure of N grasps."""
 
     key: str
-    """Its name in files."""
+    """Name of the measure in files."""
     label: str
-    """What a table calls it."""
+    """Header in tables."""
     hint: str
-    """What it means, for people."""
+    """Explanation for users."""
     values: Shaped[np.ndarray, " N"]
     """Numbers in SI units (N,), NaN where unknown; or texts, empty where unknown."""
     unit: str = ""
-    """In which unit it is read."""
+    """Displayed unit."""
     factor: float = 1.0
-    """Takes SI to that unit."""
+    """Factor from SI to the displayed unit."""
     format: str = ".2f"
-    """How a number is written."""
+    """Format specification of displayed numbers."""
     better: Better = ""
-    """Which values are the good ones."""
+    """Direction in which the measure is better."""
 
     @property
     def is_text(self) -> bool:
@@ -40,7 +40,7 @@ class Column:
 
     @property
     def known(self) -> Bool[np.ndarray, " N"]:
-        """Where there is a value (N,)."""
+        """True where there is a value (N,)."""
         return self.values != "" if self.is_text else ~np.isnan(self.values)
 
     @property
@@ -49,18 +49,18 @@ class Column:
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
     def text(self, number: int) -> str:
-        """The value of a grasp as it is read, without its unit; empty where it is unknown."""
+        """Displayed value of a grasp, without its unit; empty where it is unknown."""
         if not self.known[number]:
             return ""
         value = self.values[number]
         return str(value) if self.is_text else format(value * self.factor, self.format)
 
     def with_values(self, values: Shaped[np.ndarray, " N"]) -> Column:
-        """The same measure of other grasps."""
+        """Return the column with other values."""
         return replace(self, values=values)
 
     def order(self, *, descending: bool = False) -> Int[np.ndarray, " N"]:
-        """The numbers of the grasps (N,) sorted by this column; equal ones stay in order, unknown ones come last."""
+        """Numbers of the grasps (N,) sorted by this column; equal ones stay in order, unknown ones come last."""
         known = np.flatnonzero(self.known)
         _, rank = np.unique(self.values[known], return_inverse=True)
         found = known[np.argsort(-rank if descending else rank, kind="stable")]
@@ -89,16 +89,20 @@ NUMBERS = (
         "self_penetration", "Self-penetration", "of links in each other", "mm", better="lower", format=".2f"
     ),
     *_before_and_after(
-        "wrench_residual", "Imbalance", "what contact forces leave unbalanced, 0 to 1", better="lower", format=".3f"
+        "wrench_residual",
+        "Imbalance",
+        "wrench that contact forces leave unbalanced, 0 to 1",
+        better="lower",
+        format=".3f",
     ),
     _of("finger_gap", "Finger gap", "mean over the fingers, 10 mm at most", "mm", better="lower"),
     _of("contact_number", "Contacts", "links within 2 mm of the object", better="higher", format=".0f"),
     _of("limits_violated", "Beyond limits", "joints beyond their limits", better="lower", format=".0f"),
-    _of("starts", "Starts", "from how many starts it was tried", format=".0f"),
+    _of("starts", "Starts", "number of starts of the refinement", format=".0f"),
     _of("iterations", "Iterations", "of all starts together", better="lower", format=".0f"),
-    _of("loss", "Loss", "what refinement made small", "mm²", better="lower", format=".3g"),
+    _of("loss", "Loss", "value that refinement minimises", "mm²", better="lower", format=".3g"),
 )
-"""Columns of numbers, still without values, by what result files and measuring call them."""
+"""Numeric columns without values, by their keys in result files and measuring."""
 
 STATUS = _of("status", "Status", "how the refinement ended").with_values(np.zeros(0, dtype=str))
 """The column of how refinements ended."""
@@ -107,4 +111,4 @@ HELD = _of("held", "Simulation", "whether the grasp held in MuJoCo").with_values
 REASON = _of("reason", "Reason", "why it did not hold").with_values(np.zeros(0, dtype=str))
 """The column of why grasps failed."""
 HELD_TEXT, FAILED_TEXT = "held", "failed"
-"""What `HELD` says."""
+"""Values of `HELD`."""

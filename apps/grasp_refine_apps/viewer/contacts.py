@@ -1,4 +1,4 @@
-"""The contacts of one grasp as a person wants to see them: where links touch, how far off they are, what they do."""
+"""Contacts of one grasp for display: witness points, distances, errors and forces."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.target import Target
 
-TOUCHING = ContactSelection()
-"""Which links should touch where nobody says."""
+DEFAULT_SELECTION = ContactSelection()
+"""Contact selection where none is specified."""
 
-NEARLY = 1e-4
-"""Gaps below this (metres) count as touching, penetrations above it as deep."""
+CONTACT_TOLERANCE_M = 1e-4
+"""Distance in metres: smaller gaps count as touching, larger penetrations as deep."""
 
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """What C contacts do at best, per unit of total pressure, in the object's frame."""
+    """Best balancing forces of C contacts, per unit of total pressure, in the object's frame."""
 
     link: tuple[str, ...]
     """Name of the link of each contact (C,)."""
@@ -39,11 +39,11 @@ class Forces:
     force: Float[np.ndarray, "C 3"]
     """Force (C, 3) of each link on the object; 0 where none is known."""
     pressure: Float[np.ndarray, " C"]
-    """Its part along the normal (C,), at least 0; the pressures sum to 1."""
+    """Normal component of each force (C,), at least 0; the pressures sum to 1."""
     residual: float
-    """Norm of what of forces and torques is left over, without unit; NaN where no forces are known."""
+    """Norm of the unbalanced forces and torques, without unit; NaN where no forces are known."""
     friction: float
-    """Coefficient of friction within which the forces are."""
+    """Coefficient of friction of the cones that contain the forces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Contacts:
     """K links of one grasp that touch the object or should, none twice; all in the object's frame, metres."""
 
     link: tuple[str, ...]
-    """Their names (K,)."""
+    """Names of the links (K,)."""
     point_link: Float[np.ndarray, "K 3"]
     """Witness points (K, 3) on the links: nearest to the object, or deepest in it."""
     point_object: Float[np.ndarray, "K 3"]
@@ -61,30 +61,30 @@ class Contacts:
     distance: Float[np.ndarray, " K"]
     """Signed distances (K,); negative where a link penetrates."""
     should: Bool[np.ndarray, " K"]
-    """Which of them (K,) should touch."""
+    """True for links that should touch (K,)."""
     error: Float[np.ndarray, " K"]
     """Largest of gap and target misses (K,), as `validation.geometry` measures it; NaN of those that need not touch."""
     target_link: Float[np.ndarray, "G 3"]
-    """Where the link's point of each of the G targets is now; NaN: that link cannot touch."""
+    """Present position of the point on the link of each of the G targets; NaN: that link cannot touch."""
     target_object: Float[np.ndarray, "G 3"]
-    """Where it should be."""
+    """Position on the object where it should be."""
     penetration: float
-    """The deepest of all links; NaN where the pose is not finite."""
+    """Deepest penetration of all links; NaN where the pose is not finite."""
     witness: Witness
     """Witness points (1, L) of all links that were near enough, columns as `prepared.chain.links`."""
     prepared: HandObject
     """The hand and the object."""
     frames: Frames
-    """Where the links are."""
+    """Poses of the links."""
 
     @property
     def deep(self) -> Bool[np.ndarray, " K"]:
-        """Which links (K,) penetrate the object noticeably; all that do so are here."""
-        return self.distance < -NEARLY
+        """True for links (K,) deeper in the object than `CONTACT_TOLERANCE_M`; all such links are included."""
+        return self.distance < -CONTACT_TOLERANCE_M
 
     @property
     def deepest(self) -> int | None:
-        """Which of the K links penetrates most; None if none does so noticeably."""
+        """Index among the K links of the deepest one; None if none is `deep`."""
         return int(self.distance.argmin()) if self.deep.any() else None
 
     @property
@@ -95,7 +95,7 @@ class Contacts:
 
     @cached_property
     def forces(self) -> Forces:
-        """What the contacts do at best: those that `grasp_forces` counts, which need not be those that should touch."""
+        """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
         hand, links = self.prepared.hand, self.prepared.chain.links
         point, normal = contacts(hand, links, self.witness)
         found = contact_forces(point, normal, center_of_mass(self.prepared.object))
@@ -126,7 +126,7 @@ def contacts_of(
     targets: Sequence[Target] = (),
     margin: float = 0.0,
 ) -> Contacts:
-    """The contacts of a grasp.
+    """Return the contacts of a grasp.
 
     Args:
         prepared: The hand and the object.
@@ -134,29 +134,31 @@ def contacts_of(
         q: Joint values.
         touching: Links that should touch, columns as `Scene.links`; None: those with a target or, without targets,
             those that a refinement would choose.
-        targets: Where links should touch.
+        targets: Target points of links on the object.
         margin: Gap in metres that these links should keep.
     """
     hand, links = prepared.hand, prepared.chain.links
     first = np.array([links.index(link) for link in links])
     frames = prepared.chain(T_object_root[None], q[None])
     T_link = frames.T_world_link
-    aimed = np.array([links.index(target.link) if target.link in links else -1 for target in targets], dtype=np.int64)
+    target_columns = np.array(
+        [links.index(target.link) if target.link in links else -1 for target in targets], dtype=np.int64
+    )
     should: np.ndarray | None = None
     if touching is not None or targets:
         should = np.zeros(len(links), dtype=bool)
-        should[first[touching] if touching is not None else aimed[aimed >= 0]] = True
-    cutoff = np.where(first == np.arange(len(links)), TOUCHING.cutoff(hand, links), -np.inf)
+        should[first[touching] if touching is not None else target_columns[target_columns >= 0]] = True
+    cutoff = np.where(first == np.arange(len(links)), DEFAULT_SELECTION.cutoff(hand, links), -np.inf)
     if should is not None:
         cutoff[should] = np.inf
-    cutoff[aimed[aimed >= 0]] = np.inf
+    cutoff[target_columns[target_columns >= 0]] = np.inf
     witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=cutoff)
     if should is None:
-        should = TOUCHING.choose(hand, links, witness)[0]
+        should = DEFAULT_SELECTION.choose(hand, links, witness)[0]
     valid, distance = witness.valid[0], np.where(witness.valid[0], witness.distance[0], np.inf)
-    target_link, target_object, miss = _targets(targets, aimed, T_link[0], witness)
+    target_link, target_object, miss = _targets(targets, target_columns, T_link[0], witness)
     error = np.maximum(np.abs(distance - margin), miss)
-    shown = np.flatnonzero(valid & (should | (distance < NEARLY)) & (first == np.arange(len(links))))
+    shown = np.flatnonzero(valid & (should | (distance < CONTACT_TOLERANCE_M)) & (first == np.arange(len(links))))
     return Contacts(
         link=tuple(links[column] for column in shown),
         point_link=witness.point_a[0, shown],
@@ -176,7 +178,7 @@ def contacts_of(
 
 def _targets(
     targets: Sequence[Target],
-    aimed: np.ndarray,
+    target_columns: np.ndarray,
     T_object_link: Float[np.ndarray, "L 4 4"],
     witness: Witness,
 ) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, "G 3"], Float[np.ndarray, " L"]]:
@@ -184,7 +186,7 @@ def _targets(
     on_link = np.full((len(targets), 3), np.nan)
     on_object = np.array([target.point_object for target in targets], dtype=np.float64).reshape(-1, 3)
     miss = np.zeros(len(T_object_link))
-    for number, (target, column) in enumerate(zip(targets, aimed, strict=True)):
+    for number, (target, column) in enumerate(zip(targets, target_columns, strict=True)):
         if column >= 0:
             on_link[number] = transform_points(T_object_link[column], np.asarray(target.point_link, dtype=np.float64))
             ends = ((witness.point_a, on_link), (witness.point_b, on_object))

@@ -1,7 +1,7 @@
-"""The controller: commands in, states out. It knows no viser.
+"""Controller: turns commands into states, without viser.
 
-Commands return at once, can come from any thread and never raise for what a user does: they set a notice. What takes
-long is done by one worker thread; whoever listens is told of every new state.
+Commands return at once, can come from any thread and never raise for user errors: they set a notice. Long jobs run in
+one worker thread; listeners are called with every new state.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.editing import Editing
 from grasp_refine_apps.viewer.jobs import Change
 from grasp_refine_apps.viewer.marks import Mark
-from grasp_refine_apps.viewer.measuring import measured, unmeasured
+from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.refining import refined, targets_of
+from grasp_refine_apps.viewer.refining import refine_grasp, targets_of
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace
 from grasp_refine_apps.viewer.validated import TrialResult
-from grasp_refine_apps.viewer.validating import Validator, protocol_of, run_trial, watch
+from grasp_refine_apps.viewer.validating import Validator, protocol_of, record_direction, run_trial
 from grasp_refine_apps.viewer.worker import Control, Stopped
 
 
 class Controller(Editing):
-    """What can be done with what is open."""
+    """Commands on the open grasps."""
 
     def __init__(
         self, collection: Collection, settings: Any, trials_by_grasp: Mapping[int, TrialResult] | None = None
@@ -37,21 +37,23 @@ class Controller(Editing):
         """Show the first grasp.
 
         Args:
-            collection: What is open.
+            collection: The open grasps.
             settings: The options of refinement (`State.settings`).
-            trials_by_grasp: What simulation said of the grasps, by number.
+            trials_by_grasp: Simulation results of the grasps, by number.
         """
         super().__init__(
-            _opened(State(collection, 0, *_grasp(collection, 0), settings, trials_by_grasp=trials_by_grasp or {}), 0)
+            _state_with_grasp(
+                State(collection, 0, *_grasp(collection, 0), settings, trials_by_grasp=trials_by_grasp or {}), 0
+            )
         )
-        self._prover = Validator()
+        self._validator = Validator()
         self._measuring = False
-        """Whether there are grasps to be measured when nothing else is to be done."""
+        """Whether measuring resumes when the worker is free."""
 
-    # what is shown
+    # display
 
     def change_collection(self, collection: Collection, number: int = 0) -> None:
-        """Show something else: after an upload, or when more is known of the same grasps."""
+        """Show another collection: after an upload, or with more columns of the same grasps."""
         with self._lock:
             same_grasps = collection.problem is self._state.collection.problem
             if same_grasps and number == self._state.number:
@@ -66,7 +68,7 @@ class Controller(Editing):
             now = replace(
                 self._state, collection=collection, trials_by_grasp=self._state.trials_by_grasp if same_grasps else {}
             )
-            self._become(_opened(now, number))
+            self._become(_state_with_grasp(now, number))
 
     def show(self, number: int) -> None:
         """Show another grasp."""
@@ -80,11 +82,11 @@ class Controller(Editing):
             self._set(showing=replace(self._state.showing, **changes))
 
     def set_side_by_side(self, beside: bool) -> None:
-        """Draw the grasp as it came beside that which is shown, or not."""
+        """Draw the input grasp beside the shown one, or not."""
         self._set(side_by_side=beside)
 
     def mark(self, number: int, mark: Mark) -> None:
-        """Say what one thinks of a grasp: "good", "bad" or "" for nothing; kept beside the file."""
+        """Mark a grasp "good", "bad" or "" for no mark; saved beside its file."""
         with self._lock:
             collection = self._state.collection.with_mark(number, mark)
             self._set(collection=collection)
@@ -94,17 +96,17 @@ class Controller(Editing):
                 self.say(f"{error}; the mark is kept until the viewer ends", bad=True)
 
     def measure(self) -> None:
-        """Find out what the grasps are worth of which no file tells; whatever the user wants done comes first."""
+        """Measure the grasps whose files have no measures; jobs of the user come first."""
         with self._lock:
             collection = self._state.collection
             if not unmeasured(collection).any():
                 return
 
             def work(control: Control) -> None:
-                # What was stopped goes on later; what fails now would fail again.
+                # Stopped measuring resumes later; failed measuring would fail again.
                 again = False
                 try:
-                    measured(collection, control.tell, control.check, self._know)
+                    with_measures(collection, control.report, control.check, self._keep_measures)
                 except Stopped:
                     again = True
                     raise
@@ -115,7 +117,7 @@ class Controller(Editing):
             self.run_job("measure", "measuring grasps", work)
 
     def stop(self) -> None:
-        """End what is being done; what it has come to stays."""
+        """Stop the running job; its intermediate result stays."""
         with self._lock:
             job = self._state.job
             self._measuring &= job is None or job.kind != "measure"
@@ -125,21 +127,21 @@ class Controller(Editing):
         if self._measuring:
             self.measure()
 
-    def _know(self, found: Collection) -> None:
-        """Keep what was measured, also when measuring was stopped."""
+    def _keep_measures(self, found: Collection) -> None:
+        """Keep new measures, also when measuring was stopped."""
         with self._lock:
             now = self._state.collection
             if now.problem is found.problem:
                 self._set(collection=now.with_columns(*found.columns.values()))
 
-    # refining
+    # refinement
 
     def set_settings(self, settings: Any) -> None:
-        """Refine with other options from the next start on."""
+        """Set the options of refinement, from the next start on."""
         self._set(settings=settings)
 
     def start(self, paused: bool = False) -> None:
-        """Refine what is shown; go on if that is paused."""
+        """Refine the shown grasp; resume if its refinement is paused."""
         with self._lock:
             job = self._state.job
             if job is not None and job.kind == "refine":
@@ -149,7 +151,7 @@ class Controller(Editing):
             if job is not None and job.kind != "measure":
                 return
             try:
-                # Options that cannot be are refused before anything begins.
+                # Invalid options are refused before anything starts.
                 config = self._state.settings.config()
             except GraspRefineError as error:
                 self.say(str(error), bad=True)
@@ -162,9 +164,9 @@ class Controller(Editing):
 
             def work(control: Control) -> Change:
                 def show(trace: Trace) -> None:
-                    self._if_wanted(control, pose=trace.pose(len(trace) - 1), trace=trace)
+                    self._update_from_job(control, pose=trace.pose(len(trace) - 1), trace=trace)
 
-                found = refined(self._hand_object(scene), scene, pose, targets, config, control, show, name)
+                found = refine_grasp(self._hand_object(scene), scene, pose, targets, config, control, show, name)
                 return lambda state: replace(state, pose=found.pose, trace=found.trace, outcome=found.outcome)
 
             self.run_job("refine", "refining", work)
@@ -172,14 +174,14 @@ class Controller(Editing):
                 self._hold(True)
 
     def pause(self) -> None:
-        """Hold the refinement, or let it go on."""
+        """Pause the refinement, or resume it."""
         with self._lock:
             job = self._state.job
             if job is not None and job.kind == "refine":
                 self._hold(not job.paused)
 
     def step_once(self) -> None:
-        """One iteration: begins a refinement that waits after each of them, or lets a waiting one do the next."""
+        """Do one iteration: start a refinement that pauses after each one, or let a paused one do the next."""
         with self._lock:
             if self._state.job is None or self._state.job.kind != "refine":
                 self.start(paused=True)
@@ -189,17 +191,17 @@ class Controller(Editing):
                 self._control.step()
 
     def scrub(self, frame: int | None) -> None:
-        """Look at an iteration; None: at where the hand is now."""
+        """Show an iteration; None: the present pose of the hand."""
         with self._lock:
             trace = self._state.trace
             if trace is not None:
                 frame = None if frame is None else min(max(frame, 0), len(trace) - 1)
                 self._set(frame=frame, motion=None)
 
-    # proving
+    # validation
 
     def run_trial(self, setting: str = "force-closure", friction: float | None = None) -> None:
-        """Test the grasp that is shown in MuJoCo."""
+        """Simulate the shown grasp in MuJoCo."""
         with self._lock:
             try:
                 protocol = protocol_of(setting, friction)
@@ -207,75 +209,90 @@ class Controller(Editing):
                 self.say(str(error), bad=True)
                 return
             now = self._state
-            pose, scene, came, number = now.standing, now.scene, _came(now), now.number
+            pose, scene, file_grasp, number = now.standing, now.scene, _file_grasp(now), now.number
 
             def work(control: Control) -> Change:
-                prepared, tell, check = self._hand_object(scene), control.tell, control.check
+                prepared, report, check = self._hand_object(scene), control.report, control.check
                 found = run_trial(
-                    self._prover, scene, pose, protocol, came=came, prepared=prepared, tell=tell, check=check
+                    self._validator,
+                    scene,
+                    pose,
+                    protocol,
+                    file_grasp=file_grasp,
+                    prepared=prepared,
+                    report=report,
+                    check=check,
                 )
                 return lambda state: replace(
-                    state, trial=found, trials_by_grasp=self._proofs(state, number, pose, found)
+                    state, trial=found, trials_by_grasp=self._updated_trials(state, number, pose, found)
                 )
 
-            if self.run_job("prove", "testing in MuJoCo", work):
-                # What is proved is what was shown, and stays so.
+            if self.run_job("validate", "testing in MuJoCo", work):
+                # The simulated pose is the shown one, and stays shown.
                 self._set(pose=pose, frame=None, motion=None, trial=None)
 
-    def _proofs(self, state: State, number: int, pose: Pose, found: TrialResult) -> Mapping[int, TrialResult]:
-        """What is known of the grasps as their file has them, with what was found of one."""
-        _, _, as_it_came = _grasp(state.collection, number)
-        return {**state.trials_by_grasp, number: found} if pose.same(as_it_came) else state.trials_by_grasp
+    def _updated_trials(self, state: State, number: int, pose: Pose, found: TrialResult) -> Mapping[int, TrialResult]:
+        """Return the simulation results of the grasps as in their file, updated by that of one grasp."""
+        _, _, file_pose = _grasp(state.collection, number)
+        return {**state.trials_by_grasp, number: found} if pose.same(file_pose) else state.trials_by_grasp
 
     def watch(self, direction: str) -> None:
-        """Simulate one direction of the proof once more, to be looked at."""
+        """Simulate one direction of the trial again, recorded for replay."""
         with self._lock:
             now, trial = self._state, self._state.trial
             if trial is None or direction not in trial.directions:
                 return
-            pose, scene, came = now.pose, now.scene, _came(now)
+            pose, scene, file_grasp = now.pose, now.scene, _file_grasp(now)
 
             def work(control: Control) -> Change:
-                prepared, tell, check = self._hand_object(scene), control.tell, control.check
-                found = watch(
-                    self._prover, scene, pose, trial, direction, came=came, prepared=prepared, tell=tell, check=check
+                prepared, report, check = self._hand_object(scene), control.report, control.check
+                found = record_direction(
+                    self._validator,
+                    scene,
+                    pose,
+                    trial,
+                    direction,
+                    file_grasp=file_grasp,
+                    prepared=prepared,
+                    report=report,
+                    check=check,
                 )
                 return lambda state: replace(state, motion=found, motion_frame=0)
 
             self.run_job("replay", f"recording the push along {direction}", work)
 
     def show_motion_frame(self, frame: int) -> None:
-        """Look at a frame of the simulation."""
+        """Show a frame of the simulation."""
         with self._lock:
             motion = self._state.motion
             if motion is not None:
                 self._set(motion_frame=min(max(frame, 0), len(motion) - 1))
 
     def show_motion(self, motion: ShownMotion) -> None:
-        """Look at a simulation, from its start."""
+        """Show a simulation from its start."""
         self._set(motion=motion, motion_frame=0)
 
     def end_motion(self) -> None:
-        """Look at the grasp again."""
+        """Show the grasp again."""
         self._set(motion=None, motion_frame=0)
 
 
-def _came(state: State) -> GraspSet:
-    """The grasp that is shown, as its file has it, with pregrasp and squeeze."""
+def _file_grasp(state: State) -> GraspSet:
+    """Return the shown grasp as in its file, with pregrasp and squeeze."""
     collection, number = state.collection, state.number
     return collection.group(number).grasps.select(collection.member[number : number + 1])
 
 
 def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
-    """Scene, hand as it came, and hand as the file has it, of a grasp."""
+    """Scene, input pose and pose in the file of a grasp."""
     scene = collection.scene(number)
     return scene, Pose(*collection.initial(number)), Pose(scene.T_world_root[0], scene.q[0])
 
 
-def _opened(state: State, number: int) -> State:
-    """The state when a grasp of the same collection is opened; how things are looked at, and what is done, stays."""
+def _state_with_grasp(state: State, number: int) -> State:
+    """Return the state with another grasp of the same collection; display options and the running job stay."""
     scene, initial, pose = _grasp(state.collection, number)
-    looks = ("settings", "trials_by_grasp", "job", "gizmo", "showing", "side_by_side", "notice", "change")
+    kept = ("settings", "trials_by_grasp", "job", "gizmo", "showing", "side_by_side", "notice", "change")
     return State(
         collection=state.collection,
         number=number,
@@ -284,5 +301,5 @@ def _opened(state: State, number: int) -> State:
         pose=pose,
         targets=targets_of(scene),
         trial=state.trials_by_grasp.get(number),
-        **{name: getattr(state, name) for name in looks},
+        **{name: getattr(state, name) for name in kept},
     )

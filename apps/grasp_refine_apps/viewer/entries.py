@@ -1,6 +1,6 @@
-"""How the fields of a dataclass are shown: labels from names, hints from docstrings, widgets by types.
+"""Form entries of a dataclass: labels from names, hints from docstrings, widgets by types.
 
-The command line makes options of the same dataclasses, so that both have the same words.
+The command line makes options of the same dataclasses, so that both have the same texts.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ _OPTION = re.compile(r"--([a-z][a-z0-9-]*)(?:\.([a-z][a-z0-9-]*))?")
 
 @dataclass(frozen=True)
 class Entry:
-    """How one field is shown and read."""
+    """Display and parsing of one field."""
 
     name: str
-    """Its name, those of the dataclasses around it before it: `weights.contact`."""
+    """Name of the field, after those of its parent dataclasses: `weights.contact`."""
     label: str
-    """What stands before the widget."""
+    """Label before the widget."""
     hint: str
-    """What is said when the mouse rests on it."""
+    """Tooltip."""
     widget: Literal["choice", "tick", "number", "text"]
-    """What kind it is."""
+    """Kind of the widget."""
     read: Callable[[Any], Any]
-    """The field's value from the widget's.
+    """Conversion from the widget's value to the field's.
 
     Raises:
-        ValueError: it is none; the message says what is needed.
+        ValueError: the value is invalid; the message names what is needed.
     """
     write: Callable[[Any], Any]
-    """The widget's value from the field's."""
+    """Conversion from the field's value to the widget's."""
     choices: tuple[str, ...] = ()
-    """What can be chosen."""
+    """Choices of a dropdown."""
 
 
 @dataclass(frozen=True)
@@ -53,20 +53,20 @@ class Section:
     label: str
     """The folder's title."""
     parts: tuple[Entry | Section, ...]
-    """What is in it."""
+    """Entries and sections in the folder."""
     chosen_by: str = ""
-    """Name of the field that chooses this one among others; empty: none does."""
+    """Name of the field that selects this section among others; empty: none does."""
     choice: str = ""
-    """What that field is when it chooses this one."""
+    """Value of that field that selects this section."""
 
 
 def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Section, ...]:
-    """How the fields of a dataclass are shown, in their order; those that tyro leaves out are left out.
+    """Return the entries of the fields of a dataclass in order, without those that tyro suppresses.
 
     Args:
         kind: The dataclass.
-        prefix: What stands before the names of its fields.
-        about: Words before the hint of each field.
+        prefix: Prefix of the names of its fields.
+        about: Text before the hint of each field.
 
     Raises:
         TypeError: a field is of a type that no widget can show.
@@ -111,25 +111,25 @@ def docs_of(kind: type) -> dict[str, str]:
 
 
 def label_of(name: str) -> str:
-    """What people call a field: `max_move` is "Max move"."""
+    """Label of a field: `max_move` is "Max move"."""
     words = name.replace("_", " ")
     return words[:1].upper() + words[1:]
 
 
 def plain(text: str) -> str:
-    """Words about options as they are called in a form: `--weights.stay-near` is "weights: stay near"."""
+    """Return a text with options named as in a form: `--weights.stay-near` is "weights: stay near"."""
     return _OPTION.sub(lambda found: ": ".join(filter(None, found.groups())).replace("-", " "), text)
 
 
 def value_of(whole: Any, name: str) -> Any:
-    """The field of a dataclass that is called `name`, such as `weights.contact`."""
+    """Return the value of the field `name` of a dataclass, such as `weights.contact`."""
     for step in name.split("."):
         whole = getattr(whole, step)
     return whole
 
 
 def with_value(whole: Any, name: str, value: Any) -> Any:
-    """The dataclass with another value in the field that is called `name`.
+    """Return the dataclass with another value of the field `name`.
 
     Raises:
         GraspRefineError: a dataclass refuses the value.
@@ -139,20 +139,20 @@ def with_value(whole: Any, name: str, value: Any) -> Any:
 
 
 def _unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type without, and its annotations with, what `Annotated` adds."""
+    """Split a type from the metadata that `Annotated` adds."""
     return (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
 
 
 def _may_be_none(kind: Any) -> bool:
-    """Whether a type is another one or None."""
+    """Return whether a type is the union of one type and None."""
     return get_origin(kind) in (Union, types.UnionType) and _NONE in get_args(kind) and len(get_args(kind)) == 2
 
 
 def _default_words(one: Field[Any], extras: Sequence[Any]) -> str:
-    """What a field is when nobody says: in the words of the command line, where it has some."""
+    """Text of the default value of a field; that of the command line where it has one."""
     for extra in extras:
-        if isinstance(said := getattr(extra, "help_behavior_hint", None), str):
-            return said
+        if isinstance(text := getattr(extra, "help_behavior_hint", None), str):
+            return text
     default = one.default if one.default_factory is MISSING else one.default_factory()
     return "" if default is MISSING or isinstance(default, bool) else f"(default: {as_text(default) or 'empty'})"
 
@@ -180,15 +180,15 @@ def _widget(name: str, kind: Any, extras: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def _reader(name: str, kind: Any) -> Callable[[str], Any]:
-    """What makes a value of a type from text.
+    """Return the parser of a type from text.
 
     Raises:
-        TypeError: nothing can.
+        TypeError: there is none.
     """
     if kind is str:
         return str.strip
     if kind is int:
-        return lambda text: _number(int, "a whole number", text)
+        return lambda text: _number(int, "an integer", text)
     if kind is float:
         return lambda text: _number(float, "a number", text)
     if get_origin(kind) is tuple:
@@ -200,15 +200,15 @@ def _reader(name: str, kind: Any) -> Callable[[str], Any]:
 
 
 def _words_reader(how: PrimitiveConstructorSpec) -> Callable[[str], Any]:
-    """What makes a value from words as tyro does."""
+    """Return the parser of tyro, for a text of words."""
     return lambda text: how.instance_from_str(text.split())
 
 
 def _number(kind: type, called: str, text: str) -> Any:
-    """The number that a text says.
+    """Parse a number.
 
     Raises:
-        ValueError: it says none.
+        ValueError: the text is none.
     """
     try:
         return kind(text)
@@ -217,12 +217,12 @@ def _number(kind: type, called: str, text: str) -> Any:
 
 
 def _optional(read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """The same, where text that is empty means None."""
+    """Return the parser extended to empty text, which means None."""
     return lambda text: read(text) if text.strip() else None
 
 
 def as_text(value: Any) -> str:
-    """A value as it can be typed: the shortest number that is read back as the same."""
+    """Return a value as text to type: the shortest number that is read back as the same."""
     if value is None:
         return ""
     if isinstance(value, tuple):

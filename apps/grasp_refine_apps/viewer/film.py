@@ -1,4 +1,4 @@
-"""A film: a hand and an object in frames, each with a caption; what an animation plays."""
+"""Film of a hand and an object for animations: frames with captions."""
 
 from __future__ import annotations
 
@@ -23,46 +23,46 @@ from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.target import Target
 from grasp_refine_apps.viewer.trace import Trace
 
-MOST = 200
-"""Most frames of a film."""
+MAX_FRAMES = 200
+"""Maximum number of frames of a film."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of a film."""
+    """One frame of a film."""
 
     pose: Pose
-    """Where the hand is."""
+    """Pose of the hand."""
     caption: str
-    """What is seen."""
+    """Caption of the frame."""
     lines: Float[np.ndarray, "N 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
     """Line segments (N, 2, 3), metres."""
     colors: UInt8[np.ndarray, "N 3"] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
-    """Their colours (N, 3), 0 to 255."""
+    """Colours of the segments (N, 3), 0 to 255."""
     T_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Where the object is (4, 4)."""
+    """Pose of the object (4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """At least one frame of a hand and an object; all in the frame in which the object stands first, metres."""
+    """At least one frame of a hand and an object; all in the initial frame of the object, metres."""
 
     title: str
-    """What it is about."""
+    """Title."""
     hand: Sequence[LinkShape]
-    """What the links look like."""
+    """Shapes of the links."""
     poses: LinkPoses
-    """Where they are."""
+    """Kinematics of the links."""
     object: Sequence[Shape]
-    """What the object looks like."""
+    """Shapes of the object."""
     frames: Sequence[Frame]
-    """The pictures, evenly spaced in time."""
+    """Frames, evenly spaced in time."""
     camera: FirstCamera
-    """From where it is seen first."""
+    """Initial camera."""
 
 
 def film_of(state: State) -> Film:
-    """What a state lets one watch: the simulation that is looked at, else the last refinement.
+    """Return the film of a state: of the shown simulation, else of the last refinement.
 
     Raises:
         GraspRefineError: there is neither.
@@ -76,10 +76,10 @@ def film_of(state: State) -> Film:
 
 
 def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Target] = ()) -> Film:
-    """The iterations of a refinement, at most `MOST` of them, with lines between links and object where they touch."""
+    """Return the film of at most `MAX_FRAMES` iterations of a refinement, with lines where links and object touch."""
     prepared = HandObject(hand, obj)
     frames, found = [], None
-    for k in thinned(len(trace)):
+    for k in subsample(len(trace)):
         pose = trace.pose(k)
         found = contacts_of(prepared, pose.T_object_root, pose.q, touching=trace.touching[k], targets=targets)
         caption = (
@@ -96,9 +96,9 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
 
 
 def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
-    """The frames of a simulation, at most `MOST` of them."""
+    """Return the film of at most `MAX_FRAMES` frames of a simulation."""
     frames = [
-        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k]) for k in map(int, thinned(len(motion)))
+        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k]) for k in map(int, subsample(len(motion)))
     ]
     first = contacts_of(HandObject(hand, obj), frames[0].pose.T_object_root, frames[0].pose.q)
     title = f"{hand.name} and {obj.name}: simulation, {motion.direction}, {motion.reason}"
@@ -107,6 +107,6 @@ def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
     )
 
 
-def thinned(count: int, most: int = MOST) -> Int[np.ndarray, " k"]:
-    """At most `most` of `count` numbers from 0, evenly spaced, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+def subsample(count: int, limit: int = MAX_FRAMES) -> Int[np.ndarray, " k"]:
+    """Return at most `limit` of `count` indices from 0, evenly spaced, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))

@@ -1,4 +1,4 @@
-"""A form for any dataclass: widgets that show it and change it, with the words of the command line."""
+"""Form for any dataclass: widgets that show and change it, with the texts of the command line."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import viser
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.entries import Entry, Section, parts_of, plain, value_of, with_value
 
-PATIENCE = 1.5
-"""Seconds without a key after which text that cannot be read is refused: until then it may be half typed."""
+REFUSAL_DELAY_S = 1.5
+"""Seconds after the last key until invalid text is refused: until then it may be half typed."""
 
 
 @dataclass(eq=False)
@@ -22,21 +22,21 @@ class Form:
 
     gui: viser.GuiApi
     value: Any
-    """The dataclass as the widgets say it, unused fields at their defaults."""
+    """Dataclass with the values of the widgets, unused fields at their defaults."""
     on_change: Callable[[Any], None]
     """Called with the new dataclass when a user changed something."""
     on_error: Callable[[str], None]
-    """Called with words for people when something typed cannot be used; the widget is as before again."""
+    """Called with a message when a typed value is invalid; the widget is then restored."""
     check: Callable[[Any], None] = lambda value: None
-    """Raises a GraspRefineError when a dataclass cannot be used."""
+    """Check of a dataclass; raises a GraspRefineError if it is invalid."""
     unused: Callable[[Any], Collection[str]] = lambda value: ()
-    """Names of the fields that mean nothing beside the others: they are hidden, and at their defaults."""
+    """Names of the fields without effect given the others: they are hidden, and at their defaults."""
     first: Sequence[str] = ()
     """Names of the fields that come first, in this order; the others are in a folder."""
     left_out: Collection[str] = ()
     """Names of fields without a widget."""
-    patience: float = PATIENCE
-    """Seconds until unreadable text is refused."""
+    patience: float = REFUSAL_DELAY_S
+    """Seconds until invalid text is refused."""
 
     _handles: dict[str, Any] = field(init=False, default_factory=dict)
     _entries: dict[str, Entry] = field(init=False, default_factory=dict)
@@ -55,12 +55,12 @@ class Form:
         if rest:
             with self.gui.add_folder("More options", expand_by_default=False):
                 self._make(rest)
-        self._set_visible(self._meant(self.value)[1])
+        self._set_visible(self._without_unused(self.value)[1])
 
     def show(self, value: Any) -> None:
-        """Show a dataclass, without telling that anything changed.
+        """Show a dataclass, without calling `on_change`.
 
-        What this form told itself is shown already, also when states come back later than a user types.
+        Values that this form sent itself are shown already, also when states come back later than a user types.
         """
         with self._lock:
             if value is self._shown:
@@ -74,12 +74,12 @@ class Form:
             self._sent.clear()
             self._wanted = self.value = value
             for name, entry in self._entries.items():
-                self._no_longer_wait(name)
+                self._cancel_refusal(name)
                 self._handles[name].value = entry.write(value_of(value, name))
-            self._set_visible(self._meant(value)[1])
+            self._set_visible(self._without_unused(value)[1])
 
     def _make(self, parts: Iterator[Entry | Section] | Sequence[Entry | Section]) -> None:
-        """Widgets and folders, in the container that is open."""
+        """Make widgets and folders, in the container that is open."""
         for part in parts:
             if isinstance(part, Section):
                 self._sections[part.name] = part
@@ -88,10 +88,10 @@ class Form:
                     self._make(part.parts)
             else:
                 self._entries[part.name] = part
-                self._handles[part.name] = self._made(part)
+                self._handles[part.name] = self._make_widget(part)
 
-    def _made(self, entry: Entry) -> Any:
-        """The widget of a field."""
+    def _make_widget(self, entry: Entry) -> Any:
+        """Make the widget of a field."""
         shown = entry.write(value_of(self.value, entry.name))
         handle: Any
         if entry.widget == "choice":
@@ -106,12 +106,12 @@ class Form:
         return handle
 
     def _changed(self, entry: Entry) -> None:
-        """Tell the new dataclass when a user changed a widget; nothing, or a refusal, when it cannot be used."""
+        """Call `on_change` after a user changed a widget, or refuse an invalid value."""
         with self._lock:
-            self._no_longer_wait(entry.name)
+            self._cancel_refusal(entry.name)
             try:
                 wanted = with_value(self._wanted, entry.name, entry.read(self._handles[entry.name].value))
-                value, hidden = self._meant(wanted)
+                value, hidden = self._without_unused(wanted)
                 self.check(value)
             except (GraspRefineError, ValueError) as error:
                 self._refuse_later(
@@ -126,8 +126,8 @@ class Form:
             self._set_visible(hidden)
             self.on_change(value)
 
-    def _meant(self, wanted: Any) -> tuple[Any, set[str]]:
-        """What is wanted with unused fields at their defaults, and the names of these."""
+    def _without_unused(self, wanted: Any) -> tuple[Any, set[str]]:
+        """Return the dataclass with unused fields at their defaults, and the names of these."""
         value = wanted
         hidden: set[str] = set()
         while more := self._hidden(value, hidden) - hidden:
@@ -137,7 +137,7 @@ class Form:
         return value, hidden
 
     def _hidden(self, value: Any, hidden: Collection[str]) -> set[str]:
-        """Names of the fields that mean nothing beside the others, some of which are hidden already."""
+        """Names of the fields without effect given the others, some of which are hidden already."""
         others = {
             name
             for name, section in self._sections.items()
@@ -152,7 +152,7 @@ class Form:
             handle.visible = name not in hidden
 
     def _refuse_later(self, entry: Entry, words: str) -> None:
-        """Refuse what was typed unless it is typed on; what was chosen, at once."""
+        """Refuse typed text unless typing continues; a choice, at once."""
         seconds = self.patience if entry.widget in ("text", "number") else 0.0
         timer = Timer(seconds, lambda: self._refuse(entry, timer, words))
         timer.daemon = True
@@ -160,7 +160,7 @@ class Form:
         timer.start()
 
     def _refuse(self, entry: Entry, timer: Timer, words: str) -> None:
-        """Show what was there before, and say why."""
+        """Restore the previous value, and report the reason."""
         with self._lock:
             if self._waiting.get(entry.name) is not timer:
                 return
@@ -168,7 +168,7 @@ class Form:
             self._handles[entry.name].value = entry.write(value_of(self._wanted, entry.name))
         self.on_error(words)
 
-    def _no_longer_wait(self, name: str) -> None:
-        """Forget what was about to be refused."""
+    def _cancel_refusal(self, name: str) -> None:
+        """Cancel a pending refusal."""
         if timer := self._waiting.pop(name, None):
             timer.cancel()

@@ -1,4 +1,4 @@
-"""Lines, arrows and cones of contacts as arrays, in the object's frame; whoever draws only hands them on."""
+"""Lines, arrows and cones of contacts as arrays, in the object's frame."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from jaxtyping import Float, Float32, UInt32
 from grasp_refine.core.se3 import tangents
 from grasp_refine.geometry.body import Body
 
-FORCE_LENGTH = 0.5
-"""Length of the arrow of a force of 1, the pressure of all contacts, as a share of the object's diagonal."""
+UNIT_FORCE_LENGTH = 0.5
+"""Arrow length of a force of 1, the total pressure of all contacts, as a share of the object's diagonal."""
 
 CONE_HEIGHT = 0.12
 """Height of a friction cone, likewise."""
 
-SIDES = 24
+CONE_SIDES = 24
 """Sides of the pyramids that are drawn for cones."""
 
 
 def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> Float32[np.ndarray, "S 2 3"]:
-    """Both ends (S, 2, 3) of lines between points one to one, without those that have a NaN."""
+    """End points (S, 2, 3) of lines between paired points, without those that have a NaN."""
     both = np.stack([start, end], axis=1)
     return both[np.isfinite(both).all(axis=(1, 2))].astype(np.float32)
 
@@ -29,9 +29,9 @@ def force_arrows(
 ) -> Float32[np.ndarray, "S 2 3"]:
     """Start and end (S, 2, 3) of arrows from contact points into the object; forces that vanish have none.
 
-    They lie in the friction cones. A force is as long in one grasp of an object as in another.
+    They lie in the friction cones. Their scale is the same for all grasps of an object.
     """
-    arrow = FORCE_LENGTH * obj.diagonal * np.asarray(force)
+    arrow = UNIT_FORCE_LENGTH * obj.diagonal * np.asarray(force)
     pushing = np.linalg.norm(force, axis=1) > 1e-6
     return segments(np.asarray(point)[pushing], (point + arrow)[pushing])
 
@@ -44,15 +44,15 @@ def friction_cones(
     The half angle is atan(friction). The forces that friction allows are those in the cone.
     """
     height = CONE_HEIGHT * obj.diagonal
-    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    angle = 2.0 * np.pi * np.arange(CONE_SIDES) / CONE_SIDES
     circle = np.stack([np.cos(angle), np.sin(angle)])
     normal, point = np.asarray(normal, dtype=np.float64), np.asarray(point, dtype=np.float64)
     rim = point[:, None] + height * (normal[:, None] + friction * (tangents(normal) @ circle).mT)
     lid = point[:, None] + height * normal[:, None]
-    # Of each cone its tip, the middle of its lid, its rim.
+    # For each cone: its apex, the centre of its cap, its rim.
     vertices = np.concatenate([point[:, None], lid, rim], axis=1)
-    here, following = 2 + np.arange(SIDES), 2 + (np.arange(SIDES) + 1) % SIDES
-    sides = np.stack([np.zeros(SIDES, dtype=np.int64), following, here], axis=1)
-    top = np.stack([np.ones(SIDES, dtype=np.int64), here, following], axis=1)
-    faces = np.concatenate([sides, top]) + (2 + SIDES) * np.arange(len(point))[:, None, None]
+    here, following = 2 + np.arange(CONE_SIDES), 2 + (np.arange(CONE_SIDES) + 1) % CONE_SIDES
+    sides = np.stack([np.zeros(CONE_SIDES, dtype=np.int64), following, here], axis=1)
+    top = np.stack([np.ones(CONE_SIDES, dtype=np.int64), here, following], axis=1)
+    faces = np.concatenate([sides, top]) + (2 + CONE_SIDES) * np.arange(len(point))[:, None, None]
     return vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32)

@@ -1,4 +1,4 @@
-"""A hand from anyone: its URDF and hand.toml, checked to name nothing but what came with them, before they are read."""
+"""Checks of an uploaded hand before it is read: its URDF and hand.toml may name only files of the upload."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from grasp_refine.hands.source import HAND_TOML
 from grasp_refine_apps.viewer.mesh_bounds import check_faces, check_mesh_file, safe_xml
 from grasp_refine_apps.viewer.unpacking import UploadError
 
-LARGEST_URDF = 2**22
-"""Bytes of a URDF or hand.toml; those of hands have up to 60,000."""
-MOST_LINKS = 256
-"""Links, and joints; a hand on an arm has 40. Every two links may touch each other, and each is a body to be drawn."""
+MAX_URDF_BYTES = 2**22
+"""Maximum bytes of a URDF or hand.toml; hands have up to 60,000."""
+MAX_LINKS = 256
+"""Maximum number of links, and of joints; a hand on an arm has 40. Any two links may collide, and each is drawn."""
 
 
 def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
-    """What `load_hand` is to be given: the folder of the only hand.toml, or the only URDF.
+    """Check an uploaded hand, and return its source for `load_hand`: folder of the only hand.toml, or the only URDF.
 
     Args:
-        name: What the user calls the upload, for messages.
-        folder: Where it was unpacked; nothing outside of it may be read.
-        files: What was unpacked.
+        name: Name of the upload, for messages.
+        folder: Folder of the unpacked upload; nothing outside of it may be read.
+        files: The unpacked files.
 
     Raises:
-        UploadError: there is not exactly one hand, it names files that did not come with it, or it is too large.
+        UploadError: there is not exactly one hand, it names files outside the upload, or it is too large.
     """
     tomls = [path for path in files if path.name == HAND_TOML]
     urdfs = [path for path in files if path.suffix.lower() == ".urdf"]
     for path in (*tomls, *urdfs):
-        if (size := path.stat().st_size) > LARGEST_URDF:
-            raise UploadError(f"{name}: {path.name} has {size >> 10} KiB, more than {LARGEST_URDF >> 10} KiB")
+        if (size := path.stat().st_size) > MAX_URDF_BYTES:
+            raise UploadError(f"{name}: {path.name} has {size >> 10} KiB, more than {MAX_URDF_BYTES >> 10} KiB")
     if len(tomls) > 1 or (not tomls and len(urdfs) != 1):
         found = ", ".join(path.relative_to(folder).as_posix() for path in (tomls or urdfs)) or "none"
         what = f"one {HAND_TOML}" if tomls else "one .urdf file"
@@ -52,7 +52,7 @@ def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
 
 
 def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
-    """The URDF that a hand.toml means."""
+    """Return the URDF that a hand.toml refers to."""
     try:
         raw = read_toml(toml)
     except UNREADABLE as error:
@@ -61,7 +61,7 @@ def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
     if "mjcf" in raw:
         raise UploadError(
             f"{name}: {HAND_TOML} names an MJCF file, which is not read from uploads because it can name any other "
-            f"file: take the line mjcf out, or open the hand with refine-grasp view --hand FOLDER"
+            f"file: remove the line mjcf, or open the hand with refine-grasp view --hand FOLDER"
         )
     if "urdf" in raw:
         return _inside(name, folder, toml.parent, str(raw["urdf"]), f"urdf = '{raw['urdf']}' in {HAND_TOML}")
@@ -73,13 +73,13 @@ def _named_urdf(name: str, folder: Path, toml: Path) -> Path:
 
 
 def _meshes(name: str, folder: Path, urdf: Path) -> set[Path]:
-    """The meshes in the upload that a URDF names, for collisions as well as for show."""
+    """Return the meshes of the upload that a URDF names, for collision and for display."""
     if not is_file(urdf):
         raise UploadError(f"{name}: names the URDF '{urdf.name}', which is not in it; pack it, too")
     root = safe_xml(urdf.read_bytes(), f"{name}: {urdf.name}")
     for tag in ("link", "joint"):
-        if (count := sum(1 for _ in root.iter(tag))) > MOST_LINKS:
-            raise UploadError(f"{name}: {urdf.name} has {count} {tag}s, more than {MOST_LINKS}: is it one hand?")
+        if (count := sum(1 for _ in root.iter(tag))) > MAX_LINKS:
+            raise UploadError(f"{name}: {urdf.name} has {count} {tag}s, more than {MAX_LINKS}: is it one hand?")
     found = set()
     for mesh in root.iter("{*}mesh"):
         filename = mesh.get("filename")
@@ -93,9 +93,9 @@ def _meshes(name: str, folder: Path, urdf: Path) -> set[Path]:
             try:
                 path = resolve_mesh(filename, urdf)
             except HandError:
-                # What only shows a link may be missing; of what touches, the reader of hands says so.
+                # A visual mesh may be missing; the reader of hands reports a missing collision mesh.
                 continue
-            # A package is looked for in the folders above, too.
+            # Packages are searched in the parent folders, too.
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise UploadError(f"{name}: {what} is not in the upload; pack the mesh, too")
             found.add(path)
@@ -103,7 +103,7 @@ def _meshes(name: str, folder: Path, urdf: Path) -> set[Path]:
 
 
 def _inside(name: str, folder: Path, place: Path, path: str, what: str) -> Path:
-    """The file `path` of the folder `place`, which must not lead out of `folder`."""
+    """Return the file `path` of the folder `place`, which must lie in `folder`."""
     found = Path(os.path.normpath(place / path))
     if "\0" in path or not found.is_relative_to(folder):
         raise UploadError(f"{name}: {what} lies outside of the upload; pack it, and name it relative to that file")

@@ -1,4 +1,4 @@
-"""Undo and redo: what a user steers, kept as values."""
+"""Undo and redo of a user's edits, kept as values."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy as np
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.target import Target
 
-MOST = 200
-"""Steps that can be undone."""
+MAX_STEPS = 200
+"""Maximum number of steps that can be undone."""
 
-ONE_MOVEMENT = 0.7
-"""Changes of the same thing that follow each other within so many seconds are one step: a slider that is dragged."""
+MERGE_WINDOW_S = 0.7
+"""Seconds within which successive changes of the same thing are one step, such as a dragged slider."""
 
 
 @dataclass(frozen=True, eq=False)
-class Steered:
-    """What can be undone."""
+class EditSnapshot:
+    """Snapshot of the state that can be edited."""
 
     pose: Pose
-    """Where the hand is."""
+    """Pose of the hand, object frame."""
     targets: tuple[Target, ...]
-    """Where links should touch."""
+    """Target points of links on the object."""
     T_world_object: np.ndarray
-    """Where the object is drawn (4, 4)."""
+    """Pose of the object (4, 4), world frame."""
 
 
 class History:
-    """What was before, and what was undone."""
+    """Snapshots before the present state, and undone ones."""
 
     def __init__(self) -> None:
-        """Nothing was done yet."""
-        self._before: list[Steered] = []
-        self._after: list[Steered] = []
+        """Start with an empty history."""
+        self._before: list[EditSnapshot] = []
+        self._after: list[EditSnapshot] = []
         self._last: tuple[str, float] = ("", -np.inf)
 
     @property
@@ -48,28 +48,28 @@ class History:
         """Whether there is something to do again."""
         return bool(self._after)
 
-    def push(self, now: Steered, what: str = "") -> None:
-        """Keep what is, before `what` changes; the same named thing within `ONE_MOVEMENT` goes on with one step."""
+    def push(self, now: EditSnapshot, what: str = "") -> None:
+        """Keep a snapshot before `what` changes; the same `what` within `MERGE_WINDOW_S` continues one step."""
         moment = time.monotonic()
         (name, last), self._last = self._last, (what, moment)
-        if what and what == name and moment - last < ONE_MOVEMENT and self._before:
+        if what and what == name and moment - last < MERGE_WINDOW_S and self._before:
             return
-        self._before = [*self._before[1 - MOST :], now]
+        self._before = [*self._before[1 - MAX_STEPS :], now]
         self._after = []
 
-    def undo(self, now: Steered) -> Steered | None:
-        """What was before; None: nothing."""
+    def undo(self, now: EditSnapshot) -> EditSnapshot | None:
+        """Return the snapshot before the last step; None: there is none."""
         return self._exchange(self._before, self._after, now)
 
-    def redo(self, now: Steered) -> Steered | None:
-        """What was undone last; None: nothing."""
+    def redo(self, now: EditSnapshot) -> EditSnapshot | None:
+        """Return the last undone snapshot; None: there is none."""
         return self._exchange(self._after, self._before, now)
 
     def clear(self) -> None:
-        """Forget everything: another grasp is shown."""
+        """Clear the history: another grasp is shown."""
         self._before, self._after, self._last = [], [], ("", -np.inf)
 
-    def _exchange(self, out: list[Steered], into: list[Steered], now: Steered) -> Steered | None:
+    def _exchange(self, out: list[EditSnapshot], into: list[EditSnapshot], now: EditSnapshot) -> EditSnapshot | None:
         self._last = ("", -np.inf)
         if not out:
             return None

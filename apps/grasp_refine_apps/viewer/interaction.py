@@ -1,4 +1,4 @@
-"""What the user does in the scene: clicks on links and on the object, targets and handles that are dragged."""
+"""User interaction with the scene: clicks on links and on the object, dragged targets and gizmos."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.nodes import BoundingSpheres, HandMeshes, Meshes, place
+from grasp_refine_apps.viewer.nodes import HandMeshes, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.picking import hit_mesh, nearest_on_surface
 from grasp_refine_apps.viewer.state import State
 
-HELD = 0.5
-"""Seconds for which a handle stays where the user dragged it: states that are drawn may be older."""
+GIZMO_HOLD_S = 0.5
+"""Seconds for which a gizmo stays where the user dragged it: drawn states may be older."""
 
 
 class Interaction:
-    """Makes commands of it."""
+    """Translation of clicks and drags into commands."""
 
     def __init__(
         self,
@@ -30,18 +30,18 @@ class Interaction:
         controller: Controller,
         hand: HandMeshes,
         obj: Meshes,
-        targets: BoundingSpheres,
+        targets: PointMarkers,
         length: float,
     ) -> None:
-        """Listen to nothing yet.
+        """Start without listening.
 
         Args:
-            scene: Where the handles are put.
-            controller: Gets the commands.
-            hand: The hand that is seen.
-            obj: The object that is seen.
-            targets: Points on it where links should touch.
-            length: How large the handles are, about, in metres.
+            scene: Scene of the gizmos.
+            controller: Receiver of the commands.
+            hand: Meshes of the shown hand.
+            obj: Meshes of the shown object.
+            targets: Markers of the target points on the object.
+            length: Approximate size of the gizmos in metres.
         """
         self._scene, self._controller, self._length = scene, controller, length
         self._hand, self._object, self._targets = hand, obj, targets
@@ -50,7 +50,7 @@ class Interaction:
         self._dragged = -np.inf
 
     def draw(self, state: State) -> None:
-        """Listen as a state says, and put the handles where it says."""
+        """Update listeners and gizmos to a state."""
         if state.picking != self._picking:
             self._picking = state.picking
             self._listen(state.picking)
@@ -67,10 +67,10 @@ class Interaction:
             place(node, T)
             node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
             self._gizmos[state.gizmo] = node
-        elif time.monotonic() - self._dragged > HELD and not np.allclose(_pose_of(node), T, atol=1e-9):
+        elif time.monotonic() - self._dragged > GIZMO_HOLD_S and not np.allclose(_pose_of(node), T, atol=1e-9):
             place(node, T)
 
-    # Asynchronous, so that they are called at once and in order, before anybody moves the handle.
+    # Asynchronous, so that they are called at once and in order, before the gizmo is moved again.
     async def _drag_hand(self, event: Any) -> None:
         if event.client is not None:
             self._dragged = time.monotonic()
@@ -82,13 +82,13 @@ class Interaction:
             self._controller.move_object(_pose_of(event.target))
 
     def _listen(self, picking: bool) -> None:
-        """Let links and object be clicked, or no more."""
+        """Make links and object clickable, or not."""
         links = [partial(self._clicked_link, k) for k in range(len(self._hand.shapes))]
         self._hand.on_click(links if picking else None)
         self._object.on_click([self._clicked_object] * len(self._object.shapes) if picking else None)
 
     def listen_to_targets(self, new: Iterable[int]) -> None:
-        """Let targets that were not there before be dragged along the object."""
+        """Make new targets draggable along the object."""
         for k in new:
             self._targets.nodes[k].on_drag(partial(self._drag_target, k))
 
@@ -97,10 +97,10 @@ class Interaction:
         if state.motion is not None:
             return
         T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]
-        hit = hit_mesh(*_seen_from(T, origin, direction), shape.vertices, shape.faces)
+        hit = hit_mesh(*_ray_in_frame(T, origin, direction), shape.vertices, shape.faces)
         body = state.scene.hand.links_by_name[shape.link].body
         if hit is not None:
-            # What is seen may lie beside what touches.
+            # The visual mesh may differ from the collision geometry.
             point = hit.point if body is None else nearest_on_surface(body, hit.point).point
             self._controller.pick_link(shape.link, point)
 
@@ -117,8 +117,8 @@ class Interaction:
             self._controller.move_target(k, point)
 
     def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-        """Where a ray in the world meets the object first (3,), object frame."""
-        ray = _seen_from(state.T_world_object, origin, direction)
+        """First point (3,) of the object on a ray in the world frame; object frame."""
+        ray = _ray_in_frame(state.T_world_object, origin, direction)
         hits = [hit_mesh(*ray, shape.vertices, shape.faces) for shape in self._object.shapes]
         known = [hit for hit in hits if hit is not None]
         if not known:
@@ -127,7 +127,7 @@ class Interaction:
         return nearest_on_surface(state.scene.object.body, first.point).point
 
     def remove(self) -> None:
-        """Take the handles away."""
+        """Remove the gizmos."""
         for node in self._gizmos.values():
             node.remove()
 
@@ -136,6 +136,6 @@ def _pose_of(node: Any) -> Float[np.ndarray, "4 4"]:
     return transform_from_pose(np.concatenate([node.position, node.wxyz])[None])[0]
 
 
-def _seen_from(T: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A ray in the frame whose pose (4, 4) is T."""
+def _ray_in_frame(T: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a ray in the frame whose pose (4, 4) is T."""
     return transform_points(inverse(T), origin), T[:3, :3].T @ direction

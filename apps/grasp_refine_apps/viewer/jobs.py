@@ -1,4 +1,4 @@
-"""What takes long: one job at a time in the worker, which may be paused and stopped."""
+"""Long jobs: one at a time in the worker, which may be paused and stopped."""
 
 from __future__ import annotations
 
@@ -12,51 +12,51 @@ from grasp_refine_apps.viewer.store import Store
 from grasp_refine_apps.viewer.worker import Control, Stopped, Worker
 
 Change = Callable[[State], State]
-"""Makes the next state of the present one."""
+"""Function from the present state to the next one."""
 
 
 class Jobs(Store):
     """A store with a worker."""
 
     def __init__(self, state: State) -> None:
-        """Do nothing yet."""
+        """Start without a job."""
         super().__init__(state)
         self._worker = Worker()
         self._control: Control | None = None
 
     def close(self) -> None:
-        """Stop what is being done, and the worker; what cannot be stopped at once is not waited for long."""
+        """Stop the running job and the worker; waits only briefly for a job that does not stop at once."""
         self._halt()
         self._worker.close(1.0)
 
     def run_job(self, kind: JobKind, what: str, work: Callable[[Control], Change | None]) -> bool:
-        """Do something long in the worker, unless something else is being done; measuring gives way.
+        """Start a job in the worker, unless another one is running; measuring is stopped for it.
 
-        Returns whether it will be done.
+        Returns whether it was started.
 
         Args:
-            kind: What it is for.
-            what: What is being done, for people.
-            work: Gets a `Control`, whose `check` it calls often; returns what it changes.
+            kind: Kind of the job.
+            what: Description of the job for users.
+            work: Called with a `Control`, whose `check` it calls often; returns its change of the state.
         """
         with self._lock:
             if self._state.job is not None and self._state.job.kind != "measure":
                 return False
             self._halt()
-            control = Control(lambda share, now: self._if_wanted(control, share=share, what=now))
+            control = Control(lambda share, now: self._update_from_job(control, share=share, what=now))
             self._control = control
             self._set(job=Job(kind, what))
             self._worker.do(lambda: self._work(control, work), lambda error: self._failed(control, error))
             return True
 
     def stop(self) -> None:
-        """End what is being done; what it has come to stays."""
+        """Stop the running job; its intermediate result stays."""
         with self._lock:
             self._halt()
             self._ended()
 
     def _halt(self) -> None:
-        """End what is being done, and nothing else."""
+        """Stop the running job, and nothing else."""
         with self._lock:
             control, self._control = self._control, None
             if control is not None:
@@ -81,10 +81,10 @@ class Jobs(Store):
             self._ended()
 
     def _ended(self) -> None:
-        """Nothing is being done any more; called with the lock held."""
+        """Hook for the end of a job; called with the lock held."""
 
     def _failed(self, control: Control, error: BaseException) -> None:
-        """A job could not be done."""
+        """Report a failed job."""
         with self._lock:
             if control.stopped:
                 return
@@ -94,7 +94,7 @@ class Jobs(Store):
             self.say(str(error) if known else f"this failed ({type(error).__name__}: {error}); see the terminal", True)
             self._ended()
 
-    def _if_wanted(self, control: Control, *, share: float | None = None, what: str = "", **changes: Any) -> None:
+    def _update_from_job(self, control: Control, *, share: float | None = None, what: str = "", **changes: Any) -> None:
         """Change the state on behalf of a job, unless it was stopped meanwhile."""
         with self._lock:
             job = self._state.job

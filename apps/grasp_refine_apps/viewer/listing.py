@@ -1,4 +1,4 @@
-"""Which grasps of a collection are listed, and in which order: filters, sorting, and steps through the list."""
+"""List of the grasps of a collection: filters, sorting, and steps through the list."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import HELD, STATUS, Column
 
 NUMBER, MARK, NO_MARK = "number", "mark", "no mark"
-"""Keys of what is known without any measure, and what the filter calls grasps without a mark."""
-WORST = ("quality_after", "wrench_residual_after", "penetration_after", "contact_error_after")
-"""Keys of the columns that say which grasps are the worst; the first one that is known counts."""
+"""Keys of number and mark, which need no measure, and label of the filter for grasps without a mark."""
+WORST_KEYS = ("quality_after", "wrench_residual_after", "penetration_after", "contact_error_after")
+"""Keys of the columns that rank the worst grasps; the first one that is known counts."""
 
 
 @dataclass(frozen=True)
 class Listing:
-    """What of a collection is listed, and how; empty texts mean all."""
+    """Filters and sorting of a collection; empty texts mean all."""
 
     key: str = NUMBER
-    """Key of the column that it is sorted by; `NUMBER`: as in the file."""
+    """Key of the sort column; `NUMBER`: as in the file."""
     descending: bool = False
     """Whether large values come first."""
     object: str = ""
     """Name of an object."""
     status: str = ""
-    """How the refinement ended."""
+    """Status of the refinement."""
     held: str = ""
-    """What simulation said."""
+    """Verdict of the simulation."""
     mark: str = ""
-    """How grasps were marked; `NO_MARK`: not at all."""
+    """Mark of the grasps; `NO_MARK`: none."""
 
     def numbers(self, collection: Collection) -> Int[np.ndarray, " M"]:
         """Numbers of the M grasps that are listed, in order; unknown values come last."""
@@ -54,9 +54,9 @@ class Listing:
 
 
 def column_of(collection: Collection, key: str) -> Column | None:
-    """The column that a key names, marks among them; None for `NUMBER` and for what is not known."""
+    """Return the column of a key, marks included; None for `NUMBER` and for unknown measures."""
     if key == MARK:
-        return Column(MARK, "Mark", "what you thought of it", marks_of(collection))
+        return Column(MARK, "Mark", "your mark", marks_of(collection))
     return collection.columns.get(key)
 
 
@@ -66,13 +66,13 @@ def marks_of(collection: Collection) -> np.ndarray:
 
 
 def first_descending(collection: Collection, key: str) -> bool:
-    """Which way to sort by a column at first: so that the best grasps come first."""
+    """Return whether to sort by a column in descending order at first, so that the best grasps come first."""
     column = column_of(collection, key)
     return column is not None and column.better == "higher"
 
 
 def step(numbers: Int[np.ndarray, " M"], number: int, by: int) -> int | None:
-    """The grasp that stands `by` places after another one in a list, its ends joined; None: the list is empty.
+    """Return the grasp `by` places after another one in a cyclic list; None: the list is empty.
 
     From a grasp that is not listed, a step leads to the first, or backwards to the last.
     """
@@ -84,8 +84,8 @@ def step(numbers: Int[np.ndarray, " M"], number: int, by: int) -> int | None:
     return int(numbers[(at[0] + by) % len(numbers)])
 
 
-def any_other(numbers: Int[np.ndarray, " M"], number: int, random: np.random.Generator) -> int | None:
-    """A grasp of a list at random, another than `number` if there is one; None: the list is empty."""
+def random_other(numbers: Int[np.ndarray, " M"], number: int, random: np.random.Generator) -> int | None:
+    """Draw a random grasp of a list, other than `number` if there is one; None: the list is empty."""
     others = numbers[numbers != number]
     if len(others):
         return int(random.choice(others))
@@ -93,15 +93,15 @@ def any_other(numbers: Int[np.ndarray, " M"], number: int, random: np.random.Gen
 
 
 def worst(collection: Collection, numbers: Int[np.ndarray, " M"] | None = None, key: str = "") -> int | None:
-    """The worst grasp of a list (default: of all), by a column; None where nothing is known of any.
+    """Return the worst grasp of a list (default: of all), by a column; None where no value is known.
 
     Args:
         collection: Grasps.
-        numbers: Numbers of those that count.
-        key: Key of the column; by default the first of `WORST` that is known.
+        numbers: Numbers of the grasps that count.
+        key: Key of the column; by default the first of `WORST_KEYS` that is known.
     """
     numbers = np.arange(len(collection)) if numbers is None else numbers
-    for name in (key,) if key else WORST:
+    for name in (key,) if key else WORST_KEYS:
         column = column_of(collection, name)
         if column is None or column.is_text or not column.known[numbers].any():
             continue

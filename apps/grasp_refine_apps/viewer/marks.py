@@ -1,4 +1,4 @@
-"""What people thought of grasps: good or bad, kept in a small table beside the grasp file."""
+"""User marks of grasps, good or bad, kept in a small table beside the grasp file."""
 
 from __future__ import annotations
 
@@ -16,76 +16,76 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import from_cell, to_cell
 
 Mark = Literal["", "good", "bad"]
-"""What somebody thought of a grasp; empty: nothing."""
+"""Mark of a grasp; empty: none."""
 MARKS: tuple[Mark, ...] = tuple(mark for mark in get_args(Mark) if mark)
 """Marks that can be given."""
-ENDING = ".marks.csv"
-"""What is added to the name of a grasp file for the file of its marks."""
+MARKS_SUFFIX = ".marks.csv"
+"""Suffix added to the name of a grasp file for the file of its marks."""
 HEADER = ("row", "object", "index", "mark", "time")
 """Columns of a file of marks: row in the grasp file, name of the object, number of the grasp among those of the object,
 mark, and when it was given, in UTC."""
-LARGEST = 2**26
-"""How many bytes a file of marks may have: 64 MiB, or a million marks."""
+MAX_FILE_BYTES = 2**26
+"""Maximum bytes of a file of marks: 64 MiB, or a million marks."""
 
 
 @dataclass(frozen=True)
-class Marked:
-    """One mark."""
+class MarkedGrasp:
+    """Mark of one grasp."""
 
     object: str
     """Name of the grasp's object."""
     index: int
-    """Its number among the grasps of the object."""
+    """Number of the grasp among those of the object."""
     mark: Mark
-    """What somebody thought of it."""
+    """Mark of the grasp."""
     time: str
-    """When, in UTC, as ISO 8601 writes it."""
+    """Time of the mark in UTC, as in ISO 8601."""
 
 
 @dataclass(frozen=True)
 class Marks:
-    """The marks of one grasp file."""
+    """Marks of one grasp file."""
 
     path: Path | None
-    """Where they are kept; None: nowhere, the grasps lie in no file."""
-    by_row: Mapping[int, Marked] = field(default_factory=dict)
+    """File of the marks; None: not saved, since the grasps have no file."""
+    by_row: Mapping[int, MarkedGrasp] = field(default_factory=dict)
     """Row in the grasp file -> its mark."""
 
     @staticmethod
     def read(path: Path) -> Marks:
-        """The marks in a file; none if there is no such file.
+        """Read the marks of a file; none if there is no such file.
 
         Raises:
-            GraspFileError: it cannot be read as such.
+            GraspFileError: it is no file of marks.
         """
         if not path.exists():
             return Marks(path)
         try:
-            if path.stat().st_size > LARGEST:
-                raise _damaged(path, f"it is larger than {LARGEST // 2**20} MiB")
+            if path.stat().st_size > MAX_FILE_BYTES:
+                raise _damaged(path, f"it is larger than {MAX_FILE_BYTES // 2**20} MiB")
             with path.open(encoding="utf-8", newline="") as stream:
                 lines = list(csv.reader(stream))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise _damaged(path, str(error)) from None
         if not lines or tuple(lines[0]) != HEADER:
             raise _damaged(path, f"it must begin with the line {','.join(HEADER)}")
-        return Marks(path, dict(_marked(path, at, line) for at, line in enumerate(lines[1:], 2) if line))
+        return Marks(path, dict(_parse_line(path, at, line) for at, line in enumerate(lines[1:], 2) if line))
 
     def of(self, row: int) -> Mark:
-        """The mark of a row of the grasp file."""
+        """Mark of a row of the grasp file."""
         return self.by_row[row].mark if row in self.by_row else ""
 
-    def marked(self, row: int, mark: Mark, *, object: str, index: int) -> Marks:
-        """The same with another mark of a row; an empty one takes it away."""
+    def with_mark(self, row: int, mark: Mark, *, object: str, index: int) -> Marks:
+        """Return the marks with another mark of a row; an empty one deletes it."""
         others = {key: value for key, value in self.by_row.items() if key != row}
         if mark:
             time = datetime.now(UTC).isoformat(timespec="seconds")
-            others[row] = Marked(object, index, mark, time)
+            others[row] = MarkedGrasp(object, index, mark, time)
         return replace(self, by_row=dict(sorted(others.items())))
 
     @property
     def text(self) -> str:
-        """What is written: a table of comma-separated values."""
+        """Content of the file: a table of comma-separated values."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(HEADER)
@@ -93,10 +93,10 @@ class Marks:
         return stream.getvalue()
 
     def save(self) -> None:
-        """Write them, whole or not at all.
+        """Write the marks, whole or not at all.
 
         Raises:
-            GraspFileError: they cannot be written there; they are still here.
+            GraspFileError: they cannot be written there; they stay in memory.
         """
         if self.path is None:
             raise GraspFileError(
@@ -111,27 +111,27 @@ class Marks:
 
 
 def marks_path(path: Path) -> Path:
-    """Where the marks of a grasp file, or of a folder of them, are kept: beside it, with `ENDING` added to its name.
+    """Path of the marks of a grasp file, or of a folder of them: beside it, with `MARKS_SUFFIX` added to its name.
 
     Those of grasps that come with the program are kept in the current folder.
     """
     folder = path.resolve().parent
     if folder.is_relative_to(resource_dir("robots").resolve()):
         folder = Path.cwd()
-    return folder / f"{path.resolve().name}{ENDING}"
+    return folder / f"{path.resolve().name}{MARKS_SUFFIX}"
 
 
-def _marked(path: Path, at: int, line: list[str]) -> tuple[int, Marked]:
-    """Row and mark that a line says."""
+def _parse_line(path: Path, at: int, line: list[str]) -> tuple[int, MarkedGrasp]:
+    """Parse row and mark of a line."""
     if len(line) != len(HEADER):
         raise _damaged(path, f"line {at} has {len(line)} values instead of {len(HEADER)}")
     row, name, index, mark, time = line
     if not all(text.isascii() and text.isdigit() and len(text) < 16 for text in (row, index)):
-        raise _damaged(path, f"row and index in line {at} must be whole numbers")
+        raise _damaged(path, f"row and index in line {at} must be integers")
     if mark not in MARKS:
         raise _damaged(path, f"the mark in line {at} must be {' or '.join(MARKS)}")
-    return int(row), Marked(from_cell(name), int(index), mark, time)
+    return int(row), MarkedGrasp(from_cell(name), int(index), mark, time)
 
 
 def _damaged(path: Path, reason: str) -> GraspFileError:
-    return GraspFileError(f"{path}: not a file of marks, {reason}; mend it or move it away")
+    return GraspFileError(f"{path}: not a file of marks, {reason}; fix it or move it away")

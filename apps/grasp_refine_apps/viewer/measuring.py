@@ -1,4 +1,4 @@
-"""Measures of grasps of which no file tells what they are worth."""
+"""Measures of grasps whose files have none."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import NUMBERS, Column
 
-TOGETHER = 8
-"""Grasps that are measured together; between such batches one can stop."""
+BATCH_SIZE = 8
+"""Number of grasps measured together; measuring can be stopped between batches."""
 MEASURED = {
     "quality_after": "quality",
     "penetration_after": "penetration_m",
@@ -27,7 +27,7 @@ MEASURED = {
 
 
 def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
-    """Of which grasps (N,) neither a file nor measuring has said what they are worth."""
+    """True for grasps (N,) without measures, from a file or from measuring."""
     known = np.zeros(len(collection), dtype=bool)
     for key in MEASURED:
         if key in collection.columns:
@@ -35,19 +35,19 @@ def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
     return ~known
 
 
-def measured(
+def with_measures(
     collection: Collection,
-    tell: Callable[[float, str], None],
+    report: Callable[[float, str], None],
     check: Callable[[], None],
     keep: Callable[[Collection], None] = lambda collection: None,
 ) -> Collection:
-    """The collection with the measures of all grasps that were unmeasured.
+    """Return the collection with measures of all grasps that were unmeasured.
 
     Args:
         collection: Grasps.
-        tell: Hears the share that is done, and what is being done.
+        report: Called with the completed share, 0 to 1, and a description.
         check: Called often; what it raises ends the measuring.
-        keep: Hears the collection with what is measured so far, also when measuring ends early.
+        keep: Called with the collection as measured so far, also when measuring ends early.
     """
     todo = unmeasured(collection)
     found: list[Metrics] = []
@@ -55,7 +55,7 @@ def measured(
     try:
         for group, rows, some in _batches(collection, todo):
             check()
-            tell(sum(map(len, numbers)) / todo.sum(), "measuring grasps")
+            report(sum(map(len, numbers)) / todo.sum(), "measuring grasps")
             scene = group.scene
             found.append(metrics(scene.hand, scene.object, scene.T_world_root[rows], scene.q[rows]))
             numbers.append(some)
@@ -70,11 +70,11 @@ def measured(
 def _batches(
     collection: Collection, todo: Bool[np.ndarray, " N"]
 ) -> Iterator[tuple[Group, Int[np.ndarray, " some"], Int[np.ndarray, " some"]]]:
-    """Grasps of one object and scale, a few at a time: their group, their rows in it, their numbers."""
+    """Yield batches of grasps of one object and scale: their group, their rows in it, their numbers."""
     for at, group in enumerate(collection.problem.groups):
         numbers = np.flatnonzero(todo & (collection.group_of == at))
-        for start in range(0, len(numbers), TOGETHER):
-            some = numbers[start : start + TOGETHER]
+        for start in range(0, len(numbers), BATCH_SIZE):
+            some = numbers[start : start + BATCH_SIZE]
             yield group, collection.member[some], some
 
 

@@ -1,8 +1,8 @@
-"""How large a mesh from anyone is, and whether it reaches for other files, found before a reader builds it.
+"""Checks of an uploaded mesh before a reader builds it: its size, and references to other files.
 
-The readers make of a file what it says: a number in a header, a million empty lines or a node that is drawn a million
-times can fill the memory. Here only the bytes are looked at, and what is counted is at least as much as a reader makes
-of them.
+The readers build whatever a file declares: a number in a header, a million empty lines or a node that is drawn a
+million times can fill the memory. Here only the bytes are inspected, and counts are upper bounds of what a reader
+builds.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ from typing import Any
 from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine_apps.viewer.unpacking import UploadError
 
-MOST_FACES = 300_000
-"""Triangles of a mesh, and of all meshes of a hand; scans have 16,000 to 262,000. To cut a concave one into convex
-pieces takes minutes on two cores, 1 to 3 ms per triangle, and nothing interrupts it."""
-MOST_LINES = 2_000_000
-"""Lines of a mesh as text: as many faces with vertices, normals and texture have 1.2 million."""
-LONGEST_LINE = 2**16
-"""Bytes of one of them: a polygon with five thousand corners."""
-MOST_PARTS = 2000
-"""Bodies, materials, nodes and such: readers compare each name with all others."""
-LARGEST_HEADER = 2**22
-"""Bytes of what a GLB says about itself."""
-MOST_NUMBERS = 6 * MOST_FACES
-"""Rows of the arrays of a GLB in all: faces, vertices, normals, colours and texture."""
-MOST_NODES = 16
-"""References to further nodes in a Collada file, which multiply where they are within each other."""
+MAX_FACES = 300_000
+"""Maximum triangles of a mesh, and of all meshes of a hand; scans have 16,000 to 262,000. Convex decomposition of a
+concave one takes minutes on two cores, 1 to 3 ms per triangle, and cannot be interrupted."""
+MAX_LINES = 2_000_000
+"""Maximum lines of a text mesh: `MAX_FACES` faces with vertices, normals and texture have 1.2 million."""
+MAX_LINE_BYTES = 2**16
+"""Maximum bytes of a line: a polygon with five thousand corners."""
+MAX_PARTS = 2000
+"""Maximum number of bodies, materials or nodes: readers compare each name with all others."""
+MAX_HEADER_BYTES = 2**22
+"""Maximum bytes of the header of a GLB or PLY file."""
+MAX_ARRAY_ROWS = 6 * MAX_FACES
+"""Maximum rows of all arrays of a GLB: faces, vertices, normals, colours and texture."""
+MAX_NODE_REFERENCES = 16
+"""Maximum references to further nodes in a Collada file, which multiply when nested."""
 
-PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-"""What meshes in a GLB are packed with; no reader of ours unpacks them."""
+UNSUPPORTED_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+"""Compressions of meshes in a GLB, none of which is supported."""
 ADVICE = "simplify it first (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 
 
 def check_mesh_file(path: Path, name: str) -> int:
-    """At least as many triangles as a reader would find in a mesh file.
+    """Return an upper bound of the number of triangles that a reader would find in a mesh file.
 
     Args:
-        path: The file; its ending says what it is.
-        name: What the user calls it, for messages.
+        path: The file; its suffix gives the format.
+        name: Name of the file, for messages.
 
     Raises:
-        UploadError: there are too many of anything, it is not what its ending says, or it reaches for other files.
+        UploadError: a limit is exceeded, the content does not match the suffix, or it refers to other files.
     """
     suffix, data = path.suffix.lower(), path.read_bytes()
     known = {".stl": _stl, ".glb": _glb, ".ply": _ply, ".dae": _dae, ".obj": _obj, ".off": _off}
     if suffix not in known:
-        raise UploadError(f"{name}: '{suffix}' is no mesh that is read; use one of {', '.join(SUFFIXES)}")
+        raise UploadError(f"{name}: '{suffix}' is no supported mesh format; use one of {', '.join(SUFFIXES)}")
     try:
         faces = known[suffix](data, name)
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError, struct.error) as error:
@@ -61,33 +61,35 @@ def check_mesh_file(path: Path, name: str) -> int:
 
 
 def check_faces(faces: int, name: str) -> None:
-    """Nothing, when a mesh has not too many triangles.
+    """Check the number of triangles of a mesh.
 
     Raises:
-        UploadError: it has.
+        UploadError: it exceeds the limit.
     """
-    if faces > MOST_FACES:
-        raise UploadError(f"{name}: has up to {faces} triangles, more than {MOST_FACES}: {ADVICE}")
+    if faces > MAX_FACES:
+        raise UploadError(f"{name}: has up to {faces} triangles, more than {MAX_FACES}: {ADVICE}")
 
 
 def _lines(data: bytes, name: str) -> list[bytes]:
-    """The lines of a text of bounded size."""
+    """Split a text of bounded size into lines."""
     if b"\0" in data:
-        raise UploadError(f"{name}: holds bytes that no text has, so it is not what its ending says")
-    # Readers take whatever ends a line anywhere for its end.
+        raise UploadError(f"{name}: holds NUL bytes, so it is no text file as its suffix says")
+    # Readers accept any kind of line end.
     count = data.count(b"\n") + data.count(b"\r") + data.count(b"\v") + data.count(b"\f")
-    if count > MOST_LINES:
-        raise UploadError(f"{name}: has {count} lines, more than {MOST_LINES}: {ADVICE}")
+    if count > MAX_LINES:
+        raise UploadError(f"{name}: has {count} lines, more than {MAX_LINES}: {ADVICE}")
     lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
     longest = max(map(len, lines), default=0)
-    if longest > LONGEST_LINE:
-        raise UploadError(f"{name}: has a line of {longest} letters, more than {LONGEST_LINE}; export the mesh again")
+    if longest > MAX_LINE_BYTES:
+        raise UploadError(
+            f"{name}: has a line of {longest} characters, more than {MAX_LINE_BYTES}; export the mesh again"
+        )
     return lines
 
 
 def _check_parts(parts: int, name: str) -> None:
-    if parts > MOST_PARTS:
-        raise UploadError(f"{name}: has {parts} bodies, materials or nodes, more than {MOST_PARTS}; join them first")
+    if parts > MAX_PARTS:
+        raise UploadError(f"{name}: has {parts} bodies, materials or nodes, more than {MAX_PARTS}; join them first")
 
 
 def _obj(data: bytes, name: str) -> int:
@@ -116,14 +118,14 @@ def _stl(data: bytes, name: str) -> int:
     if len(data) >= 84 and len(data) == 84 + 50 * (count := struct.unpack("<I", data[80:84])[0]):
         return count
     if not data.lstrip()[:5].lower() == b"solid":
-        raise UploadError(f"{name}: is neither an STL of the size that it says nor one as text, so it is no STL file")
+        raise UploadError(f"{name}: is neither a binary STL of the declared size nor a text STL, so it is no STL file")
     text = b"\n".join(_lines(data, name)).lower()
     _check_parts(text.count(b"solid") // 2, name)
     return text.count(b"vertex") // 3
 
 
 def _ply(data: bytes, name: str) -> int:
-    head, end, body = data[:LARGEST_HEADER].partition(b"end_header")
+    head, end, body = data[:MAX_HEADER_BYTES].partition(b"end_header")
     if data[:3].lower() != b"ply" or not end:
         raise UploadError(f"{name}: does not begin as PLY files do, so it is no PLY file")
     counts: Counter[str] = Counter()
@@ -133,10 +135,10 @@ def _ply(data: bytes, name: str) -> int:
         if line.startswith("element"):
             _, element, count = line.split()
             counts[element] += int(count)
-    if sum(counts.values()) > MOST_LINES or min(counts.values(), default=0) < 0:
-        raise UploadError(f"{name}: says that it has {sum(counts.values())} elements, more than {MOST_LINES}: {ADVICE}")
+    if sum(counts.values()) > MAX_LINES or min(counts.values(), default=0) < 0:
+        raise UploadError(f"{name}: declares {sum(counts.values())} elements, more than {MAX_LINES}: {ADVICE}")
     if "ascii" not in lines[1].lower():
-        # Polygons of a binary file all have as many corners as the first; the file is as long as all of them.
+        # All polygons of a binary file have as many corners as the first, and the file is as long as all of them.
         return max(counts["face"], counts["tristrips"])
     rows = _lines(data[len(head) :], name)[1 + counts["vertex"] :]
     return sum(max(len(row.split()) - 3, 0) for row in rows[: counts["face"]])
@@ -146,32 +148,34 @@ def _glb(data: bytes, name: str) -> int:
     if data[:4] != b"glTF":
         raise UploadError(f"{name}: does not begin with glTF, so it is no GLB file")
     size = struct.unpack("<I", data[12:16])[0]
-    if size > LARGEST_HEADER:
-        raise UploadError(f"{name}: describes itself in {size} bytes, more than {LARGEST_HEADER}; export it again")
+    if size > MAX_HEADER_BYTES:
+        raise UploadError(f"{name}: has a header of {size} bytes, more than {MAX_HEADER_BYTES}; export it again")
     header = json.loads(data[20 : 20 + size])
     used = {*header.get("extensionsUsed", []), *header.get("extensionsRequired", [])}
-    if packed := sorted(used & {*PACKED}):
-        raise UploadError(f"{name}: is packed with {packed[0]}, which is not read; export it without compression")
+    if packed := sorted(used & {*UNSUPPORTED_EXTENSIONS}):
+        raise UploadError(
+            f"{name}: is compressed with {packed[0]}, which is not supported; export it without compression"
+        )
     for buffer in header.get("buffers", []):
-        # As its reader does it: what is not in the file is taken for the name of another.
+        # As in its reader: a URI without embedded data names another file.
         if "base64," not in buffer.get("uri", "base64,"):
             raise UploadError(
-                f"{name}: keeps its numbers in another file, '{_short(buffer['uri'])}'; export it as one GLB file"
+                f"{name}: keeps its data in another file, '{_short(buffer['uri'])}'; export it as one GLB file"
             )
     nodes, meshes, rows = header.get("nodes", []), header.get("meshes", []), header.get("accessors", [])
     _check_parts(max(len(nodes), len(meshes), sum(len(mesh["primitives"]) for mesh in meshes)), name)
-    if (count := sum(abs(row["count"]) for row in rows)) > MOST_NUMBERS:
-        raise UploadError(f"{name}: says that it has arrays of {count} rows, more than {MOST_NUMBERS}: {ADVICE}")
+    if (count := sum(abs(row["count"]) for row in rows)) > MAX_ARRAY_ROWS:
+        raise UploadError(f"{name}: declares arrays of {count} rows, more than {MAX_ARRAY_ROWS}: {ADVICE}")
     used_by = [child for node in nodes for child in node.get("children", [])]
     used_by += [root for scene in header.get("scenes", []) for root in scene.get("nodes", [])]
     _check_parts(len(used_by), name)
     faces = [sum(_primitive_faces(part, rows) for part in mesh["primitives"]) for mesh in meshes]
-    # A mesh is there as often as nodes hold it, and a node as often as others name it.
+    # A mesh is drawn once for each node that holds it, and a node once for each reference to it.
     return sum(faces[nodes[child]["mesh"]] for child in used_by if "mesh" in nodes[child])
 
 
 def _primitive_faces(part: dict[str, Any], rows: list[dict[str, Any]]) -> int:
-    """Triangles of one part of a mesh in a GLB: strips have nearly as many as corners, others a third."""
+    """Number of triangles of a part of a mesh in a GLB: strips have nearly as many as corners, others a third."""
     corners = rows[part.get("indices", part["attributes"].get("POSITION"))]["count"]
     return corners if part.get("mode", 4) == 5 else corners // 3
 
@@ -180,7 +184,7 @@ def _dae(data: bytes, name: str) -> int:
     from lxml import etree
 
     if b"\0" in data or not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        raise UploadError(f"{name}: is no XML, so it is no Collada file (packed ones are not read)")
+        raise UploadError(f"{name}: is no XML, so it is no Collada file (compressed ones are not supported)")
     root = safe_xml(data, name)
     shapes: Counter[str] = Counter()
     for geometry in root.iter("{*}geometry"):
@@ -191,14 +195,16 @@ def _dae(data: bytes, name: str) -> int:
             shapes[geometry.get("id", "")] += corners // 3 if etree.QName(part).localname == "triangles" else corners
     further = sum(1 for _ in root.iter("{*}instance_node"))
     drawn = [(entry.get("url") or "").removeprefix("#") for entry in root.iter("{*}instance_geometry")]
-    if further > MOST_NODES:
-        raise UploadError(f"{name}: refers to nodes {further} times, more than {MOST_NODES}; export it as STL or OBJ")
+    if further > MAX_NODE_REFERENCES:
+        raise UploadError(
+            f"{name}: refers to nodes {further} times, more than {MAX_NODE_REFERENCES}; export it as STL or OBJ"
+        )
     _check_parts(len(drawn) + len(shapes), name)
     return sum(shapes[key] for key in drawn) * max(1, further**2)
 
 
 def safe_xml(data: bytes, name: str) -> Any:
-    """The outermost element of an XML text that declares nothing: no entities, which can grow or name other files.
+    """Return the root element of an XML text without declarations: entities can grow or name other files.
 
     Raises:
         UploadError: it is no XML, too deep, or declares a document type.
@@ -218,4 +224,4 @@ def safe_xml(data: bytes, name: str) -> Any:
 
 
 def _short(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in str(text))[:80]
+    return "".join(char if char.isprintable() else "?" for char in str(text))[:80]

@@ -1,4 +1,4 @@
-"""What one grasp is worth, before and after, as a few lines of HTML."""
+"""Measures of one grasp, before and after refinement, as a few lines of HTML."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, REASON, STATUS
 from grasp_refine_apps.viewer.measuring import unmeasured
 
-TOLD = ("quality", "contact_error", "penetration", "wrench_residual")
-"""What is told, in this order: keys without _before and _after."""
+SHOWN_MEASURES = ("quality", "contact_error", "penetration", "wrench_residual")
+"""Displayed measures, in this order: keys without _before and _after."""
 
 
 STYLE = """<style>
-.gr-worth{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
-.gr-worth table{border-collapse:collapse}
-.gr-worth td{padding:0 14px 0 0}.gr-worth td:nth-child(n+2){text-align:right}
-.gr-worth td:last-child{font-weight:600}
+.gr-metrics{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
+.gr-metrics table{border-collapse:collapse}
+.gr-metrics td{padding:0 14px 0 0}.gr-metrics td:nth-child(n+2){text-align:right}
+.gr-metrics td:last-child{font-weight:600}
 </style>"""
-"""How it looks."""
+"""Style sheet."""
 
 
-def worth_html(collection: Collection, number: int) -> str:
-    """Name, status, verdict and measures of a grasp; of a refined one, before and after."""
+def metrics_html(collection: Collection, number: int) -> str:
+    """Return name, status, verdict and measures of a grasp as HTML; of a refined one, before and after."""
     heading = [f"<b>{escape(collection.label(number))}</b> as in its file"]
     status, held, reason = (collection.columns.get(column.key) for column in (STATUS, HELD, REASON))
     if status is not None and status.known[number]:
@@ -33,14 +33,14 @@ def worth_html(collection: Collection, number: int) -> str:
         heading.append(escape(f"{'failed' if failed else 'held'} in simulation{why}"))
     if collection.mark(number):
         heading.append(f"marked {escape(collection.mark(number))}")
-    rows = [row for key in TOLD if (row := _row(collection, key, number))]
+    rows = [row for key in SHOWN_MEASURES if (row := _row(collection, key, number))]
     if not rows:
-        told = "not measured yet" if unmeasured(collection)[number] else "could not be measured"
+        text = "not measured yet" if unmeasured(collection)[number] else "could not be measured"
     else:
         refined = any(len(row) > 2 for row in rows)
         head = ("", "before", "after") if refined else ()
-        told = "<table>" + "".join(_line(row) for row in ([head] if head else []) + rows) + "</table>"
-    return f'{STYLE}<div class="gr-worth">{" · ".join(heading)}<br>{told}</div>'
+        text = "<table>" + "".join(_line(row) for row in ([head] if head else []) + rows) + "</table>"
+    return f'{STYLE}<div class="gr-metrics">{" · ".join(heading)}<br>{text}</div>'
 
 
 def _row(collection: Collection, key: str, number: int) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Plays motions in real time: calls back with one frame after the other, from a thread of its own."""
+"""Real-time player of motions: calls back with one frame after the other, from its own thread."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Callable
 
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 
-RATE = 25.0
-"""Most frames in a second that are asked for."""
+FRAME_RATE_HZ = 25.0
+"""Maximum frame rate in hertz."""
 
 
 class MotionPlayer:
-    """Plays one motion at a time, at the speed at which it happened; ends by itself."""
+    """Player of one motion at a time, at real speed, up to its last frame."""
 
     def __init__(self, show: Callable[[int], None], ended: Callable[[], None]) -> None:
-        """Nothing is played yet.
+        """Start without a motion.
 
         Args:
-            show: Gets the number of each frame; is called by the player's thread, and must return at once.
-            ended: Is called by that thread when the last frame was shown.
+            show: Called with the number of each frame by the player's thread; must return at once.
+            ended: Called by that thread after the last frame.
         """
         self._show, self._ended = show, ended
         self._lock = threading.Lock()
@@ -28,11 +28,11 @@ class MotionPlayer:
 
     @property
     def playing(self) -> bool:
-        """Whether something is played."""
+        """Whether a motion is playing."""
         return self._stop is not None
 
     def play(self, motion: ShownMotion, frame: int = 0) -> None:
-        """Play from that frame on, instead of what is played; from the first one, if that frame is the last."""
+        """Play a motion from a frame on, instead of a playing one; from the first frame, if that is the last."""
         first = frame if frame < len(motion) - 1 else 0
         stop = threading.Event()
         with self._lock:
@@ -41,7 +41,7 @@ class MotionPlayer:
         threading.Thread(target=self._run, args=(motion, first, stop), name="viewer motion", daemon=True).start()
 
     def pause(self) -> None:
-        """Stay at the present frame; no further one is shown after this."""
+        """Stop at the present frame; no further one is shown."""
         with self._lock:
             self._pause()
 
@@ -61,6 +61,6 @@ class MotionPlayer:
                 if frame == len(motion) - 1:
                     self._stop = None
                     break
-            stop.wait(1.0 / RATE)
+            stop.wait(1.0 / FRAME_RATE_HZ)
             frame = motion.frame_at(time.monotonic() - began)
         self._ended()

@@ -1,4 +1,4 @@
-"""Parts of the 3D scene: each makes its nodes once and then only moves them."""
+"""Parts of the 3D scene, which make their nodes once and then only move them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import Color, LinkPoses, LinkShape, Shape
 
 Clicked = Callable[[np.ndarray, np.ndarray], None]
-"""Gets the origin (3,) and the direction (3,) of the ray through a click, world frame."""
+"""Callback with origin (3,) and direction (3,) of the ray through a click, world frame."""
 
 
 def place(node: Any, T: Float[np.ndarray, "4 4"]) -> None:
@@ -24,8 +24,8 @@ def place(node: Any, T: Float[np.ndarray, "4 4"]) -> None:
     node.position, node.wxyz = pose[:3], pose[3:]
 
 
-def _told(clicked: Clicked, event: Any) -> None:
-    """Tell where a click came from."""
+def _report_click(clicked: Clicked, event: Any) -> None:
+    """Call `clicked` with the ray of a click."""
     clicked(np.array(event.ray_origin), np.array(event.ray_direction))
 
 
@@ -63,7 +63,7 @@ class Meshes:
         self._visible = True
 
     def show(self, visible: bool) -> None:
-        """Show or hide all of them."""
+        """Show or hide all nodes."""
         if visible != self._visible:
             self._visible = visible
             for node in self.nodes:
@@ -74,33 +74,33 @@ class Meshes:
         for k, node in enumerate(self.nodes):
             node.remove_click_callback("all")
             if clicked is not None:
-                node.on_click(partial(_told, clicked[k]))
+                node.on_click(partial(_report_click, clicked[k]))
 
     def remove(self) -> None:
-        """Take all nodes away."""
+        """Remove all nodes."""
         for node in self.nodes:
             node.remove()
 
 
 class HandMeshes(Meshes):
-    """A hand, whose links are moved to where kinematics says."""
+    """Meshes of a hand, whose links are placed by its kinematics."""
 
     def __init__(
-        self, scene: viser.SceneApi, name: str, shapes: Sequence[LinkShape], poses: LinkPoses, **looks: Any
+        self, scene: viser.SceneApi, name: str, shapes: Sequence[LinkShape], poses: LinkPoses, **style: Any
     ) -> None:
-        """Make a node for each link; `looks` as for `Meshes`."""
-        super().__init__(scene, name, shapes, **looks)
+        """Make a node for each link; `style` as for `Meshes`."""
+        super().__init__(scene, name, shapes, **style)
         self.link_shapes = tuple(shapes)
         self.links = tuple(shape.link for shape in shapes)
-        self._own = tuple(shape.color for shape in shapes)
+        self._colors = tuple(shape.color for shape in shapes)
         self.poses = poses
         self._at: Pose | None = None
 
     def tint(self, links: Collection[str], color: Color) -> None:
-        """Give some links a touch of another colour, and the others their own."""
-        for link, node, own in zip(self.links, self.nodes, self._own, strict=True):
-            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
-            wanted = own if link not in links else (red, green, blue)
+        """Tint some links with a colour, and show the others in their own."""
+        for link, node, original in zip(self.links, self.nodes, self._colors, strict=True):
+            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(original, color, strict=True))
+            wanted = original if link not in links else (red, green, blue)
             if tuple(node.color) != wanted:
                 node.color = wanted
 
@@ -115,10 +115,10 @@ class HandMeshes(Meshes):
 
 
 class Lines:
-    """Line segments that come and go."""
+    """Line segments, as many as there are at a time."""
 
     def __init__(self, scene: viser.SceneApi, name: str, thickness: float) -> None:
-        """None yet; `thickness` in pixels."""
+        """Start without segments; `thickness` in pixels."""
         self._scene, self._name, self._thickness = scene, name, thickness
         self._node: Any = None
 
@@ -137,16 +137,16 @@ class Lines:
                 self._node.points, self._node.colors = points.astype(np.float32), colors
 
 
-class BoundingSpheres:
-    """Small balls that come and go, all of one size."""
+class PointMarkers:
+    """Point markers: small spheres of one radius, as many as there are at a time."""
 
     def __init__(self, scene: viser.SceneApi, name: str, radius: float, color: Color, opacity: float | None = None):
-        """None yet; `radius` in metres."""
+        """Start without markers; `radius` in metres."""
         self._scene, self._name, self._radius, self._color, self._opacity = scene, name, radius, color, opacity
         self.nodes: list[Any] = []
 
     def draw(self, points: Float[np.ndarray, "N 3"], colors: np.ndarray | None = None) -> range:
-        """Draw them at points, in colours (N, 3) or in their own; returns the numbers of those that are new."""
+        """Draw markers at points, in colours (N, 3) or the default colour; returns the indices of new markers."""
         before = len(self.nodes)
         while len(self.nodes) > len(points):
             self.nodes.pop().remove()
@@ -172,10 +172,10 @@ class BoundingSpheres:
 
 
 class Arrows:
-    """Arrows that come and go."""
+    """Arrows, as many as there are at a time."""
 
     def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:
-        """None yet; `size` is about how long they are, in metres, and says how thick."""
+        """Start without arrows; `size` is their approximate length in metres and sets their thickness."""
         self._scene, self._name, self._size = scene, name, size
         self._node: Any = None
 

@@ -1,4 +1,4 @@
-"""What becomes of an upload: another object under the hand, another hand at the object, or other grasps."""
+"""Opening of an upload: another object under the hand, another hand at the object, or other grasps."""
 
 from __future__ import annotations
 
@@ -27,80 +27,79 @@ from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.unpacking import UploadError
 from grasp_refine_apps.viewer.uploads import Upload
 
-SAMPLED = 8
-"""How many grasps are drawn for a hand that comes without any."""
-MOST_GRASPS = 20_000
-"""Grasps of an upload; each is listed, and measured where its file does not say what it is worth."""
-MOST_OBJECTS = 32
-"""Objects and scales among them; each is loaded and cut into pieces."""
+NUM_SAMPLED_GRASPS = 8
+"""Number of grasps sampled for an uploaded hand."""
+MAX_GRASPS = 20_000
+"""Maximum grasps of an upload; each is listed, and measured unless its file has measures."""
+MAX_OBJECTS = 32
+"""Maximum objects and scales among them; each is loaded and decomposed into convex pieces."""
 
-HOLES: dict[Holes, str] = {"refuse": "refuse", "cap": "cap flat holes", "hull": "use convex hull"}
-"""What becomes of holes, and what the page calls it."""
+HOLE_LABELS: dict[Holes, str] = {"refuse": "refuse", "cap": "cap flat holes", "hull": "use convex hull"}
+"""Treatments of holes, and their labels on the page."""
 
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """How a mesh is read."""
+    """Options for reading a mesh."""
 
     unit: Unit | None = None
-    """Of its numbers; None: metres, and an error if that is unlikely."""
+    """Unit of its numbers; None: metres, and an error if that is unlikely."""
     holes: Holes = "refuse"
-    """What becomes of a mesh with holes."""
+    """Treatment of a mesh with holes."""
 
 
-def opened(
+def open_upload(
     upload: Upload,
     scene: Scene,
     pose: Pose,
     *,
     options: MeshOptions | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
     check: Callable[[], None] = lambda: None,
 ) -> Problem:
-    """The grasps that are open once an upload was opened.
+    """Open an upload, and return its grasps.
 
-    A mesh takes the place of the object, and the hand stays where it is; a hand gets grasps that are drawn on the
-    present object; grasps are opened with the hand and the objects that they name, or with the present ones. The table
-    stays.
+    A mesh replaces the object, and the hand stays where it is; for a hand, grasps are sampled on the present object;
+    grasps are opened with the hand and the objects that they name, or with the present ones. The table stays.
 
     Args:
-        upload: What was uploaded.
-        scene: What is open now.
-        pose: Where its hand is.
-        options: How a mesh is read; None: as it comes.
-        tell: Hears what is being done.
+        upload: The upload.
+        scene: The present scene.
+        pose: Pose of its hand.
+        options: Options for reading a mesh; None: the defaults.
+        report: Called with a description of each step.
         check: Called between steps; what it raises ends the opening.
 
     Raises:
-        GraspRefineError: it cannot be read, or does not fit; names no folder of this machine.
+        GraspRefineError: it cannot be read, or does not fit; the message names no folder of this machine.
     """
     try:
         if upload.kind == "mesh":
-            return _with_object(upload, scene, pose, options or MeshOptions(), tell)
+            return _with_object(upload, scene, pose, options or MeshOptions(), report)
         if upload.kind == "hand":
-            return _with_hand(upload, scene, tell, check)
-        return _with_grasps(upload, scene, tell, check)
+            return _with_hand(upload, scene, report, check)
+        return _with_grasps(upload, scene, report, check)
     except GraspRefineError as error:
-        raise UploadError(_said(str(error), upload)) from None
+        raise UploadError(_for_uploader(str(error), upload)) from None
 
 
-def _said(text: str, upload: Upload) -> str:
-    """An error of a reader, in the words of somebody who uploads: no folders of ours, no options of commands."""
+def _for_uploader(text: str, upload: Upload) -> str:
+    """Rewrite a reader's error for the uploader, without folders of this machine and options of commands."""
     for path, name in ((upload.source, upload.name), (upload.folder, "")):
         text = text.replace(str(path) + "/", "").replace(str(path), name)
     if upload.kind == "mesh":
         for unit, words in NAMES.items():
             text = text.replace(f"--unit {unit} ", f'Mesh unit "{words}" ')
-        for holes, words in HOLES.items():
+        for holes, words in HOLE_LABELS.items():
             text = text.replace(f"--holes {holes}", f'Mesh holes "{words}"')
         text = text.replace(", or another --scale", "")
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 
 def _with_object(
-    upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, tell: Callable[[str], None]
+    upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, report: Callable[[str], None]
 ) -> Problem:
-    obj = load_object(upload.source, unit=options.unit, holes=options.holes, progress=tell)
+    obj = load_object(upload.source, unit=options.unit, holes=options.holes, progress=report)
     check_faces(len(obj.mesh.faces), upload.name)
     scale = UNITS[options.unit or "m"]
     hand = scene.hand
@@ -118,38 +117,38 @@ def _with_object(
     return _problem(upload, hand, [(obj.name, scale, new, grasps, np.arange(1))], notes, sampled=True)
 
 
-def _with_hand(upload: Upload, scene: Scene, tell: Callable[[str], None], check: Callable[[], None]) -> Problem:
-    hand, obj = load_hand(upload.source, progress=tell), scene.object
+def _with_hand(upload: Upload, scene: Scene, report: Callable[[str], None], check: Callable[[], None]) -> Problem:
+    hand, obj = load_hand(upload.source, progress=report), scene.object
     check()
 
     def progress(found: int, tried: int) -> None:
         check()
-        tell(f"drawing grasps: {found} of {tried} hands hold something")
+        report(f"sampling grasps: {found} found, of {tried} hands")
 
-    grasps = sample_grasps(hand, obj, SAMPLED, table=scene.table, progress=progress)
+    grasps = sample_grasps(hand, obj, NUM_SAMPLED_GRASPS, table=scene.table, progress=progress)
     q, notes = match_joints(grasps, hand)
     new = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, table=scene.table)
     groups = [(obj.name, 1.0, new, grasps, np.arange(len(grasps)))]
     return _problem(upload, hand, groups, (*hand.notes, *notes), sampled=True)
 
 
-def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], check: Callable[[], None]) -> Problem:
+def _with_grasps(upload: Upload, scene: Scene, report: Callable[[str], None], check: Callable[[], None]) -> Problem:
     present = scene.hand
     try:
         read = reading(upload.source, within=upload.folder)
     except GraspRefineError:
-        # Files without joint names may fit several hands; the present one decides then.
+        # Files without joint names may fit several hands; the present one is assumed then.
         read = reading(upload.source, hand=present, within=upload.folder)
     grasps = read.grasps
-    if len(grasps) > MOST_GRASPS:
-        raise UploadError(f"{upload.name}: has {len(grasps)} grasps, more than {MOST_GRASPS}; upload a part of them")
+    if len(grasps) > MAX_GRASPS:
+        raise UploadError(f"{upload.name}: has {len(grasps)} grasps, more than {MAX_GRASPS}; upload a part of them")
     names = list(dict.fromkeys(grasps.object.tolist()))
     sizes = {*zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)}
-    if len(sizes) > MOST_OBJECTS:
+    if len(sizes) > MAX_OBJECTS:
         raise UploadError(
-            f"{upload.name}: has grasps on {len(sizes)} objects and scales, more than {MOST_OBJECTS}; upload a part"
+            f"{upload.name}: has grasps on {len(sizes)} objects and scales, more than {MAX_OBJECTS}; upload a part"
         )
-    hand = _hand_of(grasps, present, upload, tell)
+    hand = _hand_of(grasps, present, upload, report)
     check()
     q, notes = match_joints(grasps, hand)
     notes = (*read.notes, *hand.notes, *notes)
@@ -159,41 +158,41 @@ def _with_grasps(upload: Upload, scene: Scene, tell: Callable[[str], None], chec
         for scale in np.unique(grasps.scale[rows]):
             check()
             at = rows[grasps.scale[rows] == scale]
-            obj, note = _object_of(name, float(scale), scene.object, tell)
+            obj, note = _object_of(name, float(scale), scene.object, report)
             notes += (note,) if note else ()
             T = transform_from_pose(grasps.hand_pose[at])
-            new = _aimed(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
+            new = _with_targets(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
             groups.append((name, float(scale), new, grasps.select(at), at))
     doubts = convention_notes([group[2] for group in groups])
     problem = _problem(upload, hand, groups, (*notes, *doubts))
     objects = {(name, scale): new.object for name, scale, new, *_ in groups}
-    others = (_said(note, upload) for note in check_objects(read.files, objects, other=True))
+    others = (_for_uploader(note, upload) for note in check_objects(read.files, objects, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
     return replace(problem, files=files, notes=(*problem.notes, *others))
 
 
-def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, tell: Callable[[str], None]) -> Hand:
-    """The hand that grasps name, if it is the present one or one of ours; a name is never taken as a path."""
+def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, report: Callable[[str], None]) -> Hand:
+    """Return the hand that grasps name: the present one or an included one; a name is never taken as a path."""
     if grasps.hand == present.name:
         if grasps.base_link == present.base_link:
             return present
         urdf = None if present.toml is None else present.urdf
-        return load_hand(present.toml or present.urdf, base_link=grasps.base_link, urdf=urdf, progress=tell)
+        return load_hand(present.toml or present.urdf, base_link=grasps.base_link, urdf=urdf, progress=report)
     if grasps.hand in list_hands():
-        return load_hand(grasps.hand, base_link=grasps.base_link, progress=tell)
+        return load_hand(grasps.hand, base_link=grasps.base_link, progress=report)
     raise UploadError(
         f"{upload.name}: is for hand '{grasps.hand}', which is neither the present one ('{present.name}') nor one of "
-        f"ours ({', '.join(list_hands())}): upload that hand first"
+        f"those included ({', '.join(list_hands())}): upload that hand first"
     )
 
 
-def _object_of(name: str, scale: float, present: Object, tell: Callable[[str], None]) -> tuple[Object, str]:
-    """The object that grasps name, if it is one of ours, else the present one; a name is never taken as a path."""
+def _object_of(name: str, scale: float, present: Object, report: Callable[[str], None]) -> tuple[Object, str]:
+    """Return the object that grasps name, if it is included, else the present one; a name is never taken as a path."""
     if name in EMBEDDED or _is_primitive(name):
-        return load_object(name, scale=scale, progress=tell), ""
+        return load_object(name, scale=scale, progress=report), ""
     if name == present.name:
         return present, ""
-    return present, f"object '{name}' is not here: its grasps are shown on '{present.name}'; upload its mesh"
+    return present, f"object '{name}' is unknown: its grasps are shown on '{present.name}'; upload its mesh"
 
 
 def _is_primitive(name: str) -> bool:
@@ -204,8 +203,8 @@ def _is_primitive(name: str) -> bool:
     return True
 
 
-def _aimed(scene: Scene, grasps: GraspSet, rows: np.ndarray) -> Scene:
-    """The scene with the targets of some rows of a file, one column per link of the scene."""
+def _with_targets(scene: Scene, grasps: GraspSet, rows: np.ndarray) -> Scene:
+    """Return the scene with the targets of some rows of a file, one column per link of the scene."""
     if grasps.targets is None:
         return scene
     columns, points = list(scene.links), np.full((2, len(rows), len(scene.links), 3), np.nan)
@@ -230,9 +229,9 @@ def _problem(
 ) -> Problem:
     if not any(link.body is not None for link in hand.links):
         raise UploadError(f"{upload.name}: no link of hand '{hand.name}' has collision geometry: nothing can touch")
-    made = []
+    made: list[Group] = []
     for name, scale, scene, grasps, rows in groups:
         same = np.sort(np.concatenate([entry[4] for entry in groups if entry[0] == name]))
         made.append(Group(name, scale, scene, grasps, rows, np.searchsorted(same, rows), rows))
-    said = tuple(dict.fromkeys([*upload.notes, *notes]))
-    return Problem(hand, (upload.source,), tuple(made), said, f"upload:{upload.name}" if sampled else "")
+    all_notes = tuple(dict.fromkeys([*upload.notes, *notes]))
+    return Problem(hand, (upload.source,), tuple(made), all_notes, f"upload:{upload.name}" if sampled else "")

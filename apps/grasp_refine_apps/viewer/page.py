@@ -1,4 +1,4 @@
-"""The page: the server, what stands on it, and the thread that draws."""
+"""Server of the page, and the thread that draws."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ import websockets.asyncio.server
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.state import State
 
-RATE = 30.0
-"""Most drawings in a second."""
+DRAW_RATE_HZ = 30.0
+"""Maximum drawing rate in hertz."""
 
 TITLE = "grasp-refine"
 
-LOCAL = ("127.0.0.1", "localhost", "::1")
-"""What this machine calls itself."""
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
+"""Names of this machine."""
 
 
 @runtime_checkable
 class Drawn(Protocol):
-    """Something that shows a state."""
+    """Part of the page that shows a state."""
 
     def draw(self, state: State) -> None:
-        """Show it."""
+        """Show a state."""
 
 
 class Drawer:
-    """The thread that draws: always the newest state, never two at once."""
+    """Thread that draws: always the newest state, never two at once."""
 
     def __init__(self, parts: Sequence[Drawn], first: State) -> None:
-        """Draw the first state, then whatever comes."""
+        """Prepare to draw the first state."""
         self._parts, self._state = tuple(parts), first
         self._wanted, self._closed = threading.Event(), False
         self._wanted.set()
         self._thread = threading.Thread(target=self._run, name="viewer drawing", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def draw(self, state: State) -> None:
@@ -58,7 +58,7 @@ class Drawer:
         self._wanted.set()
 
     def close(self) -> None:
-        """End after the present drawing."""
+        """Stop the thread after the present drawing."""
         self._closed = True
         self._wanted.set()
         self._thread.join(5.0)
@@ -75,16 +75,16 @@ class Drawer:
                     part.draw(state)
                 except Exception:  # noqa: BLE001 - one part that cannot be drawn must not take the others with it
                     traceback.print_exc()
-            time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - began)))
+            time.sleep(max(0.0, 1.0 / DRAW_RATE_HZ - (time.monotonic() - began)))
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:
-    """The server, listening; a port of 0 is any that is free.
+    """Start the server; port 0 is any that is free.
 
     Raises:
         GraspRefineError: it cannot listen there.
     """
-    # viser would go on to the next port silently, or, where a host cannot be, wait for ever.
+    # viser would silently take the next port or, for an invalid host, wait for ever.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -98,7 +98,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             elif isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
                 advice = "give a --host of this machine, such as 127.0.0.1, or 0.0.0.0 for all"
             raise GraspRefineError(f"cannot listen on {host}:{port} ({reason}): {advice}") from None
-    # Whoever connects without asking for anything would be told on the terminal, with a traceback.
+    # A client that connects without a request would cause a traceback on the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
     with _silent(), _only_own_pages(host):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
@@ -107,7 +107,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
         raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or 0 for any that is free")
     _forbid_sharing(server)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-    # Beside the scene, not before it.
+    # Beside the scene, not in front of it.
     server.gui.main_panel.dock_right()
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
@@ -117,7 +117,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
 
 
 def address(server: viser.ViserServer) -> str:
-    """What to type into a browser."""
+    """Address to open in a browser."""
     host = server.get_host()
     name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{server.get_port()}"
@@ -131,7 +131,7 @@ def close_server(server: viser.ViserServer) -> None:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Viser greets, and says goodbye, on the terminal, which is ours."""
+    """Suppress the messages that viser prints at start and stop."""
     console = rich.get_console()
     quiet, console.quiet = console.quiet, True
     try:
@@ -142,16 +142,16 @@ def _silent() -> Iterator[None]:
 
 @contextmanager
 def _only_own_pages(host: str) -> Iterator[None]:
-    """A server that is started in here lets in pages that come from this machine only, if that is where it listens.
+    """Restrict a server started in this context to pages from this machine, if it listens on a local host.
 
-    Otherwise any page that is open in the same browser could talk to it.
+    Otherwise any page that is open in the same browser could connect to it.
     """
-    if host not in LOCAL:
+    if host not in LOCAL_HOSTS:
         yield
         return
     module: Any = websockets.asyncio.server
     serve = module.serve
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL_HOSTS)
     # Programs other than browsers send no origin.
     own = [None, re.compile(rf"https?://({names})(:\d+)?")]
     module.serve = partial(serve, origins=own)
@@ -162,5 +162,5 @@ def _only_own_pages(host: str) -> Iterator[None]:
 
 
 def _forbid_sharing(server: viser.ViserServer) -> None:
-    """Without this, any page that reaches the server could have it open a tunnel to the outside."""
+    """Disable share links, with which any page that reaches the server could open a tunnel to the outside."""
     server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)

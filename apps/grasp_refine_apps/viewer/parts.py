@@ -1,4 +1,4 @@
-"""The parts of the scene: one hand with one object, shown in one way; what of it moves is moved."""
+"""Scene nodes of one hand with one object and one set of display options, moved with the state."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, segments
 from grasp_refine_apps.viewer.interaction import Interaction
-from grasp_refine_apps.viewer.nodes import Arrows, BoundingSpheres, HandMeshes, Lines, Meshes, place
+from grasp_refine_apps.viewer.nodes import Arrows, HandMeshes, Lines, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.state import State
 
-GRASP = "/grasp"
-"""Everything that is told in the object's frame hangs below this node."""
+GRASP_NODE = "/grasp"
+"""Parent node of everything in the object's frame."""
 
 OPACITY, GHOST_OPACITY = 0.55, 0.16
-"""Of the object, and of the hand as it came."""
+"""Opacities of the object and of the input hand."""
 
 GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (110, 130, 170),
@@ -34,63 +34,63 @@ GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (250, 130, 20),
 )
 
-TABLE = 0.004
-"""How thick a table is drawn, metres."""
+TABLE_THICKNESS_M = 0.004
+"""Thickness of a drawn table in metres."""
 
-BESIDE = 1.3
-"""The grasp as it came stands beside at so many times the width of hand and object."""
+BESIDE_WIDTHS = 1.3
+"""Distance of the input grasp drawn beside, in widths of hand and object."""
 
 
 class Parts:
-    """The nodes of one hand with one object, shown in one way."""
+    """Scene nodes of one hand with one object and one set of display options."""
 
     def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: Parts | None) -> None:
-        """Make all nodes; what was found out `before` of the same hand and object is used again."""
+        """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
         hand, obj, showing = state.scene.hand, state.scene.object, state.showing
-        # Not the controller's: queries of two threads would give each other their warm starts.
+        # Not shared with the controller: queries of two threads would mix their warm starts.
         self.prepared: HandObject = HandObject(hand, obj) if before is None else before.prepared
         self.contacts: Contacts | None = None
         self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
-        """What is to the right when one first looks (3,), world frame."""
+        """Right direction of the initial view (3,), world frame."""
         self._scene, self._showing = scene, showing
-        self._root = scene.add_frame(GRASP, show_axes=False)
+        self._root = scene.add_frame(GRASP_NODE, show_axes=False)
         poses = LinkPoses.of(hand)
         unread: list[str] = []
         self.shapes = visual_shapes(hand, unread.append) if showing.hand == "visual" else collision_shapes(hand)
         if unread and before is None:
             controller.say("; ".join(unread))
-        self.hand = HandMeshes(scene, f"{GRASP}/hand", self.shapes, poses)
-        looks = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
-        self.ghost = HandMeshes(scene, f"{GRASP}/ghost", self.shapes, poses, **looks)
+        self.hand = HandMeshes(scene, f"{GRASP_NODE}/hand", self.shapes, poses)
+        ghost_style = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
+        self.ghost = HandMeshes(scene, f"{GRASP_NODE}/ghost", self.shapes, poses, **ghost_style)
         self.object_shapes = object_shapes(obj, "pieces" if showing.object == "pieces" else "mesh")
         solid: dict[str, Any] = {
             "opacity": OPACITY if showing.transparent and showing.object != "wireframe" else None,
             "wireframe": showing.object == "wireframe",
         }
-        self._object_frame = scene.add_frame(f"{GRASP}/object", show_axes=False)
-        self.object = Meshes(scene, f"{GRASP}/object/mesh", self.object_shapes, **solid)
+        self._object_frame = scene.add_frame(f"{GRASP_NODE}/object", show_axes=False)
+        self.object = Meshes(scene, f"{GRASP_NODE}/object/mesh", self.object_shapes, **solid)
         self._beside_frame = scene.add_frame("/beside", show_axes=False, visible=False)
         self._beside: tuple[HandMeshes, Meshes] | None = None
         self._labelled: Any = None
         self._wide: tuple[Pose, float] | None = None
-        self._beside_looks, self._poses = solid, poses
+        self._beside_style, self._poses = solid, poses
         low, high = self.prepared.box
         self.size = float(np.linalg.norm(high - low))
-        ball = float(np.clip(0.012 * self.size, 8e-4, 3e-3))
-        self._lines = Lines(scene, f"{GRASP}/contacts/lines", 3.0)
-        self._on_link = BoundingSpheres(scene, f"{GRASP}/contacts/link", ball, (0, 0, 0))
-        self._on_object = BoundingSpheres(scene, f"{GRASP}/contacts/object", ball, (0, 0, 0))
-        self._targets = BoundingSpheres(scene, f"{GRASP}/targets/object", 1.8 * ball, TARGET_COLOR, 0.75)
-        self._wanted = BoundingSpheres(scene, f"{GRASP}/targets/link", 1.3 * ball, TARGET_COLOR)
-        self._target_lines = Lines(scene, f"{GRASP}/targets/lines", 2.0)
-        self._picked = BoundingSpheres(scene, f"{GRASP}/picked", 1.8 * ball, PICKED_COLOR)
+        radius = float(np.clip(0.012 * self.size, 8e-4, 3e-3))
+        self._lines = Lines(scene, f"{GRASP_NODE}/contacts/lines", 3.0)
+        self._on_link = PointMarkers(scene, f"{GRASP_NODE}/contacts/link", radius, (0, 0, 0))
+        self._on_object = PointMarkers(scene, f"{GRASP_NODE}/contacts/object", radius, (0, 0, 0))
+        self._targets = PointMarkers(scene, f"{GRASP_NODE}/targets/object", 1.8 * radius, TARGET_COLOR, 0.75)
+        self._wanted = PointMarkers(scene, f"{GRASP_NODE}/targets/link", 1.3 * radius, TARGET_COLOR)
+        self._target_lines = Lines(scene, f"{GRASP_NODE}/targets/lines", 2.0)
+        self._picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
         length = float(np.clip(0.5 * self.size, 0.02, 0.1))
-        self._forces = Arrows(scene, f"{GRASP}/forces", length)
+        self._forces = Arrows(scene, f"{GRASP_NODE}/forces", length)
         self._length = length
-        self._push = Arrows(scene, f"{GRASP}/push", length)
+        self._push = Arrows(scene, f"{GRASP_NODE}/push", length)
         self._cones: Any = None
         self._axes = [
-            scene.add_frame(f"{GRASP}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
+            scene.add_frame(f"{GRASP_NODE}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
             for name in ("frame_of_hand", "frame_of_object")
         ]
         self._table = self._table_node(state) if showing.table else None
@@ -100,7 +100,7 @@ class Parts:
     # drawing
 
     def draw(self, state: State) -> None:
-        """Move everything to where it is in a state."""
+        """Update all nodes to a state."""
         shown, showing = state.shown, self._showing
         place(self._root, state.T_world_object)
         moving = state.motion is not None
@@ -121,7 +121,7 @@ class Parts:
         self._drawn = state
 
     def corners(self, pose: Pose) -> Float[np.ndarray, "N 3"]:
-        """Points (N, 3) on hand and object, object frame, as many as say how large they are."""
+        """Points (N, 3) on hand and object, object frame, enough to give their extent."""
         T = self._poses(pose.T_object_root, pose.q)
         points = [shape.vertices for shape in self.object_shapes]
         points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in self.shapes]
@@ -129,7 +129,7 @@ class Parts:
         return np.concatenate(points)[::every].astype(float)
 
     def _draw_contacts(self, state: State, shown: Pose) -> None:
-        """Witness points, lines between them, targets, and forces."""
+        """Draw witness points, lines between them, targets, and forces."""
         if state.motion is not None:
             self._draw_motion_contacts(state)
             return
@@ -165,7 +165,7 @@ class Parts:
             self._clear_forces()
 
     def _draw_motion_contacts(self, state: State) -> None:
-        """Where things touch in a simulation."""
+        """Draw the contact points of a simulation."""
         motion, none = state.motion, np.zeros((0, 3))
         assert motion is not None
         points = motion.contacts[state.motion_frame] if motion.contacts and self._showing.contacts else none
@@ -180,7 +180,7 @@ class Parts:
         self._clear_forces()
 
     def _draw_push(self, state: State) -> None:
-        """The push of a simulation, from the middle of the object outwards."""
+        """Draw the push of a simulation, from the middle of the object outwards."""
         motion = state.motion
         if motion is None or not motion.pushed[state.motion_frame]:
             if self._drawn is not None and self._drawn.motion is not None:
@@ -193,14 +193,14 @@ class Parts:
         self._push.draw(np.stack([middle, middle + (reach + 0.4 * self._length) * direction])[None], DEEP_COLOR)
 
     def _draw_forces(self, found: Contacts) -> None:
-        """Contact forces as arrows into the object, normals, and friction cones."""
+        """Draw contact forces as arrows into the object, and friction cones."""
         forces, body = found.forces, self.prepared.object.body
         self._forces.draw(force_arrows(forces.point, forces.force, body), FORCE_COLOR)
         vertices, faces = friction_cones(forces.point, forces.normal, forces.friction, body)
         self._clear_cones()
         if len(faces):
             self._cones = self._scene.add_mesh_simple(
-                f"{GRASP}/cones", vertices, faces, color=FORCE_COLOR, opacity=0.2, side="double",
+                f"{GRASP_NODE}/cones", vertices, faces, color=FORCE_COLOR, opacity=0.2, side="double",
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
 
@@ -214,13 +214,13 @@ class Parts:
             self._cones = None
 
     def _draw_beside(self, state: State) -> None:
-        """The grasp as it came, with an object of its own, beside."""
+        """Draw the input grasp beside, with its own object."""
         if state.side_by_side and self._beside is None:
             hand = HandMeshes(self._scene, "/beside/hand", self.shapes, self._poses)
-            self._beside = hand, Meshes(self._scene, "/beside/object", self.object_shapes, **self._beside_looks)
+            self._beside = hand, Meshes(self._scene, "/beside/object", self.object_shapes, **self._beside_style)
             above = self.corners(state.initial).max(axis=0) * np.array([0.0, 0.0, 1.0]) + 0.1 * self._length
-            self._scene.add_label("/beside/label", "as it came", position=above)
-            self._labelled = self._scene.add_label(f"{GRASP}/label", "now", position=above)
+            self._scene.add_label("/beside/label", "input", position=above)
+            self._labelled = self._scene.add_label(f"{GRASP_NODE}/label", "now", position=above)
         if self._beside is None:
             return
         self._beside_frame.visible = self._labelled.visible = state.side_by_side
@@ -229,37 +229,40 @@ class Parts:
             place(self._beside_frame, transform(np.eye(3), self.beside(state)) @ state.T_world_object)
 
     def beside(self, state: State) -> Float[np.ndarray, " 3"]:
-        """How far beside that is (3,), world frame."""
+        """Offset of the input grasp drawn beside (3,), world frame."""
         if self._wide is None or self._wide[0] is not state.initial:
             self._wide = state.initial, float(np.ptp(self.corners(state.initial), axis=0).max())
-        return -BESIDE * self._wide[1] * self.right
+        return -BESIDE_WIDTHS * self._wide[1] * self.right
 
     def _table_node(self, state: State) -> Any:
-        """A table below the object."""
+        """Make the table below the object."""
         table = state.scene.table
         if table is None:
             return None
         normal = np.asarray(table.normal, dtype=float)
         R = np.column_stack([tangents(normal), normal])
         middle = np.mean(self.prepared.box, axis=0)
-        below = middle + (table.offset - 0.5 * TABLE - normal @ middle) * normal
+        below = middle + (table.offset - 0.5 * TABLE_THICKNESS_M - normal @ middle) * normal
         T = transform(R, below)
         node = self._scene.add_box(
-            f"{GRASP}/table", dimensions=(6 * self.size, 6 * self.size, TABLE), color=(200, 190, 175), opacity=0.8,
+            f"{GRASP_NODE}/table",
+            dimensions=(6 * self.size, 6 * self.size, TABLE_THICKNESS_M),
+            color=(200, 190, 175),
+            opacity=0.8,
             cast_shadow=False,
-        )  # fmt: skip
+        )
         place(node, T)
         return node
 
     def remove(self) -> None:
-        """Take all nodes away."""
+        """Remove all nodes."""
         self._root.remove()
         self._beside_frame.remove()
         self.interaction.remove()
 
 
 def _touching(state: State) -> np.ndarray | None:
-    """Which links (L,) should touch in what is shown, by the refinement that led to it; None: none did."""
+    """True for links (L,) that should touch in the shown pose, by the refinement that led to it; None: none did."""
     trace = state.trace
     if trace is None:
         return None

@@ -1,4 +1,4 @@
-"""What a click in the scene hits, and the nearest point on the surface that can touch."""
+"""First mesh point on the ray of a click, and nearest point on a collision surface."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import CLEARANCE, internal
 
-FIRST = 16
-"""So many of the nearest points are looked at before all are."""
+NUM_CHECKED_FIRST = 16
+"""Number of the nearest points that are checked before all are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,11 +20,11 @@ class SurfacePoint:
     """A point on a surface."""
 
     point: Float[np.ndarray, " 3"]
-    """Where it is (3,), metres."""
+    """Position (3,), metres."""
     normal: Float[np.ndarray, " 3"]
-    """Unit normal (3,); of a surface that can touch it points outward, of one that was hit towards the eye."""
+    """Unit normal (3,): outward on a collision surface, towards the eye on a mesh that was hit."""
     distance: float
-    """How far it is from where the ray starts, or from the point that was asked about, metres."""
+    """Distance from the start of the ray, or from the query point, metres."""
 
 
 def hit_mesh(
@@ -33,7 +33,7 @@ def hit_mesh(
     vertices: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],
 ) -> SurfacePoint | None:
-    """The first point of a mesh on the ray from `origin` along `direction`, or None; faces count from both sides.
+    """Return the first point of a mesh on the ray from `origin` along `direction`, or None; faces are two-sided.
 
     Möller and Trumbore 1997, "Fast, minimum storage ray/triangle intersection", for all triangles at once. A hit on an
     edge is a hit.
@@ -59,15 +59,15 @@ def hit_mesh(
 
 
 def nearest_on_surface(body: Body, point: Float[np.ndarray, " 3"]) -> SurfacePoint:
-    """The point nearest to `point` on the surface of a body that can touch, with the outward normal there.
+    """Return the point nearest to `point` on the collision surface of a body, with the outward normal there.
 
-    What is shown may differ from the convex pieces that touch; targets belong on these. Surfaces of a piece that lie
+    The visual mesh may differ from the convex pieces that collide; targets lie on these. Surfaces of a piece that lie
     in another one, or on a cut between two, do not count. Spheres and capsules are exact.
     """
     points, normals, owners = _nearest(body, point)
     distance = np.linalg.norm(points - point, axis=1)
     order = np.argsort(distance, kind="stable")
-    for some in (order[:FIRST], order):
+    for some in (order[:NUM_CHECKED_FIRST], order):
         covered = internal(points[some], normals[some], owners[some], body.pieces, CLEARANCE * body.diagonal)
         if not covered.all():
             best = some[covered.argmin()]
@@ -80,10 +80,10 @@ def nearest_on_surface(body: Body, point: Float[np.ndarray, " 3"]) -> SurfacePoi
 def _nearest(
     body: Body, point: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Integer[np.ndarray, " N"]]:
-    """The nearest points (N, 3) on all faces of all pieces, outward normals (N, 3), and the numbers of the pieces."""
+    """Nearest points (N, 3) on all faces of all pieces, outward normals (N, 3), and the numbers of the pieces."""
     corners: list[np.ndarray] = [np.zeros((0, 3, 3))]
     points, normals, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)]
-    # Round pieces come last, so that all faces are asked about together.
+    # Round pieces come last, so that all faces are queried together.
     for number, piece in sorted(enumerate(body.pieces), key=lambda item: _is_round(item[1])):
         if _is_round(piece):
             nearest, outward = _round(piece, point)
@@ -110,7 +110,7 @@ def _round(piece: Piece, point: Float[np.ndarray, " 3"]) -> tuple[np.ndarray, np
     core = a + np.clip((point - a) @ axis / max(axis @ axis, np.finfo(np.float64).tiny), 0.0, 1.0) * axis
     away = point - core
     if not away.any():
-        # All directions are as near; one that is across the axis.
+        # All directions are equally near: take one across the axis.
         away = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]) if axis.any() else np.array([0.0, 0.0, 1.0])
     normal = away / np.linalg.norm(away)
     return (core + piece.radius * normal)[None], normal[None]

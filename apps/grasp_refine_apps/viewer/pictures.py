@@ -1,6 +1,6 @@
-"""Take the documentation's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
+"""Make the documentation's pictures of the viewer: a refined grasp, and a push that the hand does not withstand.
 
-Run `python -m grasp_refine_apps.viewer.pictures` after anything that changes how the viewer looks. It writes
+Run `python -m grasp_refine_apps.viewer.pictures` after changes of the viewer's appearance. It writes
 `overview.png` and `replay.png` beside this file. It needs playwright, which the extra 'test' installs, and chromium.
 """
 
@@ -22,26 +22,26 @@ FOLDER = Path(__file__).parent
 WIDTH, HEIGHT = 1400, 900
 """Pixels of the window."""
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-"""Chromium draws without a graphics card."""
+"""Options with which Chromium draws without a graphics card."""
 EXAMPLE = "1"
 """The first example grasp that holds before it is refined."""
 FRICTION = "0.15"
-"""So little that this grasp loses the object in two directions."""
+"""Coefficient of friction with which this grasp loses the object in two directions."""
 SLIPPING = "1.0"
-"""Second of the replay at which the object is turning in the hand."""
+"""Time of the replay in seconds at which the object is turning in the hand."""
 
 
 def save(page: Page, name: str) -> None:
-    """Write what is seen."""
+    """Save a picture of the page."""
     page.wait_for_timeout(3000)
     image = Image.open(io.BytesIO(page.screenshot()))
     image.convert("RGB").save(FOLDER / name, optimize=True)
     print(f"wrote {FOLDER / name}")
 
 
-def take(page: Page) -> None:
-    """Use the viewer as a person would."""
-    # Chromium tells that it draws slowly; that is not of our page.
+def make_pictures(page: Page) -> None:
+    """Use the viewer as a person would, and save both pictures."""
+    # A notification on slow graphics, which is not part of our page.
     close = page.locator(".mantine-Notification-closeButton")
     if close.count():
         close.first.click()
@@ -49,7 +49,7 @@ def take(page: Page) -> None:
     page.get_by_text("Converged", exact=True).wait_for()
     save(page, "overview.png")
     page.get_by_role("button", name="Reset").first.click()
-    page.get_by_role("tab", name="Prove").click()
+    page.get_by_role("tab", name="Validate").click()
     page.locator("xpath=//label[normalize-space(.)='Friction']/following::input[1]").fill(FRICTION)
     page.wait_for_timeout(500)
     page.get_by_role("button", name="Test in MuJoCo").click()
@@ -61,7 +61,7 @@ def take(page: Page) -> None:
     seconds = page.locator("xpath=//label[normalize-space(.)='Seconds']/following::input[@type='text'][1]").last
     seconds.fill(SLIPPING)
     seconds.blur()
-    page.mouse.move(10, 10)  # away from the button, whose hint would be seen
+    page.mouse.move(10, 10)  # away from the button, whose hint would be shown
     save(page, "replay.png")
 
 
@@ -78,7 +78,7 @@ def main() -> None:
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.goto(address)
             page.wait_for_timeout(8000)
-            take(page)
+            make_pictures(page)
             browser.close()
         finally:
             viewer.terminate()

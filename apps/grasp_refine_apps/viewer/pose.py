@@ -1,4 +1,4 @@
-"""Where a hand is."""
+"""Pose of a hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a hand is, in the object's frame."""
+    """Pose of a hand in the object's frame."""
 
     T_object_root: Float[np.ndarray, "4 4"]
     """Pose (4, 4) of the base link, metres."""
@@ -18,5 +18,5 @@ class Pose:
     """Joint values (n,) in `Hand.joint_names` order; radians, metres for prismatic joints."""
 
     def same(self, other: Pose) -> bool:
-        """Whether the other one is the very same place."""
+        """Return whether both poses are equal."""
         return np.array_equal(self.T_object_root, other.T_object_root) and np.array_equal(self.q, other.q)

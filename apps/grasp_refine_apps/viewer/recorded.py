@@ -1,4 +1,4 @@
-"""What grasp files hold beside grasps: where each came from and what it was worth, found row by row."""
+"""Records of grasp files beside the grasps: poses before refinement and measures, row by row."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
-    """What is recorded of the R rows that the files of a problem have together."""
+class Records:
+    """Records of all R rows of the files of a problem."""
 
     file: Shaped[np.ndarray, " R"]
     """Number of the file in `files` (R,)."""
     row: Shaped[np.ndarray, " R"]
     """Row in that file (R,)."""
     files: tuple[Path, ...]
-    """The files that have rows."""
+    """Files that have rows."""
     columns: dict[str, Shaped[np.ndarray, " R"]]
     """Key of a measure -> its values (R,), NaN or empty where unknown."""
     T: Float[np.ndarray, "R 4 4"]
@@ -33,8 +33,8 @@ class Recorded:
     """Joint values before refinement, in the order of the hand; NaN where none are recorded."""
 
 
-def recorded(problem: Problem) -> Recorded | None:
-    """What is recorded in the files of a problem; None where its grasps are no rows of our grasp files.
+def read_records(problem: Problem) -> Records | None:
+    """Read the records of the files of a problem; None where its grasps are no rows of our grasp files.
 
     Raises:
         GraspFileError: a result file is damaged.
@@ -48,7 +48,7 @@ def recorded(problem: Problem) -> Recorded | None:
     parts = [_of_file(file, problem) for file in loaded]
     if sum(len(part.row) for part in parts) <= max(int(group.rows.max()) for group in problem.groups):
         return None
-    return Recorded(
+    return Records(
         file=np.repeat(np.arange(len(parts)), [len(part.row) for part in parts]),
         row=np.concatenate([part.row for part in parts]),
         files=files,
@@ -59,7 +59,7 @@ def recorded(problem: Problem) -> Recorded | None:
 
 
 def row_files(problem: Problem) -> tuple[Path, ...]:
-    """The .npz files whose rows, one file after the other, are those that `Group.rows` number."""
+    """Return the .npz files whose rows, one file after the other, are numbered by `Group.rows`."""
     if problem.sampled or not problem.files:
         return ()
     first, *others = problem.files
@@ -67,38 +67,38 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
     return files if all(path.suffix == ".npz" for path in files) else ()
 
 
-def _of_file(file: NpzFile, problem: Problem) -> Recorded:
-    """What one file records; every measure has a value for each of its rows, known or not."""
+def _of_file(file: NpzFile, problem: Problem) -> Records:
+    """Read the records of one file; every measure has a value for each of its rows, known or not."""
     count = len(file.numbers("hand_pose", allowed="any"))
     columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
-    # Other entries of grasp files may be called anything.
+    # In files without provenance, entries of these names may mean anything.
     if "provenance" in file.entries:
         for key in set(columns) & set(file.entries):
             value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
     T, q = _initial(file, count, problem)
     row = np.arange(count)
-    return Recorded(np.zeros(count, dtype=int), row, (file.path,), columns, T, q)
+    return Records(np.zeros(count, dtype=int), row, (file.path,), columns, T, q)
 
 
 def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Poses (R, 4, 4) and joint values (R, n) before refinement, NaN where the file has none."""
     hand = problem.hand
-    nowhere = np.full((count, 4, 4), np.nan), np.full((count, len(hand.joint_names)), np.nan)
+    unknown = np.full((count, 4, 4), np.nan), np.full((count, len(hand.joint_names)), np.nan)
     keys = "initial_pose", "initial_q"
     if not all(key in file.entries for key in keys):
-        return nowhere
+        return unknown
     grasps = load_grasps(file.path)
-    # Told for another link, poses before refinement would need the hand below the link of the file.
+    # For another base link, poses before refinement would need the hand below the base link of the file.
     if grasps.base_link != problem.groups[0].grasps.base_link:
-        return nowhere
+        return unknown
     stage = _initial_stage(file, grasps)
     q, _ = match_joints(grasps.at(stage), hand)
     return transform_from_pose(stage.hand_pose), q
 
 
 def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
-    """The entries `initial_pose` and `initial_q`, checked."""
+    """Return the entries `initial_pose` and `initial_q`, checked."""
     pose, q = (file.numbers(key, allowed="any") for key in ("initial_pose", "initial_q"))
     if pose.shape != grasps.hand_pose.shape or q.shape != grasps.q.shape:
         raise file.error(

@@ -1,4 +1,4 @@
-"""The refinement of the grasp that is shown, watched and interruptible."""
+"""Refinement of the shown grasp, with progress and interruption."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from grasp_refine_apps.viewer.target import Target
 from grasp_refine_apps.viewer.trace import Recorder, Trace
 from grasp_refine_apps.viewer.worker import Control
 
-SHOWN_EVERY = 0.04
-"""Seconds between two states that are shown while a refinement runs."""
+SHOW_PERIOD_S = 0.04
+"""Seconds between two states shown while a refinement runs."""
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
-    """What became of a grasp."""
+class RefinedGrasp:
+    """Result of the refinement of a grasp."""
 
     pose: Pose
-    """Where the hand is."""
+    """Refined pose of the hand."""
     trace: Trace
-    """How it came there."""
+    """Iterations of the refinement."""
     outcome: Outcome
-    """Before and after, one row."""
+    """Measures before and after, one row."""
 
 
-def refined(
+def refine_grasp(
     prepared: HandObject,
     scene: Scene,
     pose: Pose,
@@ -48,57 +48,57 @@ def refined(
     control: Control,
     show: Callable[[Trace], None],
     group: Group,
-) -> Refined:
-    """Refine one grasp from where the hand is.
+) -> RefinedGrasp:
+    """Refine one grasp from a pose of the hand.
 
     Args:
         prepared: Hand and object.
         scene: The scene of this grasp.
-        pose: Where the hand is.
-        targets: Where links should touch; empty: anywhere.
+        pose: Initial pose of the hand.
+        targets: Target points of links on the object; empty: links touch anywhere.
         config: All settings.
-        control: Is told how far it is, and stops it.
-        show: Gets the iterations so far, often, and after each step of a paused refinement.
-        group: The grasps that this one belongs to, for the names in what comes out.
+        control: Receives the progress, and can stop the refinement.
+        show: Called with the iterations so far, often, and after each step of a paused refinement.
+        group: Group of this grasp, for the names in the outcome.
 
     Raises:
-        GraspRefineError: a link that should touch is not there.
-        Stopped: nobody wants it any more.
+        GraspRefineError: a link that should touch does not exist.
+        Stopped: the job was stopped.
     """
-    scene = aimed(scene, pose, targets)
+    scene = posed_scene(scene, pose, targets)
     config.contact_selection.named(scene.hand, scene.links)
     recorder = Recorder(prepared, targets, config.margin)
-    held = config.holds and not targets
-    most = most_iterations(config) if held else config.solver.iterations
+    searches = config.holds and not targets
+    max_count = most_iterations(config) if searches else config.solver.iterations
     last, count = -np.inf, 0
 
-    def watch(state: IterationState) -> None:
+    def on_iteration(state: IterationState) -> None:
         nonlocal last, count
         control.check()
-        recorder.see(state)
+        recorder.add(state)
         count += 1
         now = time.monotonic()
-        if now - last >= SHOWN_EVERY or control.paused:
+        if now - last >= SHOW_PERIOD_S or control.paused:
             last = now
-            control.tell(min(count / most, 1.0), f"{state.stage}, iteration {count}")
+            control.report(min(count / max_count, 1.0), f"{state.stage}, iteration {count}")
             trace = recorder.trace()
             if trace is not None:
                 show(trace)
 
-    control.tell(None, "preparing")
+    control.report(None, "preparing")
     alone = replace(group, scene=scene, rows=np.zeros(1, dtype=int), index=np.zeros(1, dtype=int))
     outcome = refine_group(
-        alone, config, prepared=prepared, on_iteration=watch, on_opening=lambda *done: control.check()
+        alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
     )
     end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
     recorder.keep(end, outcome.touching[0], float(outcome.loss[0, 1]), "the best of all")
     trace = recorder.trace()
     assert trace is not None
-    return Refined(end, trace, outcome)
+    return RefinedGrasp(end, trace, outcome)
 
 
-def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
-    """The scene with the hand at a pose, and with other targets."""
+def posed_scene(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
+    """Return the scene with the hand at a pose, and with other targets."""
     posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None], direction=None)
     if not targets:
         return replace(posed, target_link=None, target_object=None)
@@ -113,7 +113,7 @@ def aimed(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
 
 
 def targets_of(scene: Scene) -> tuple[Target, ...]:
-    """The targets of the one grasp of a scene."""
+    """Return the targets of the one grasp of a scene."""
     if scene.target_link is None or scene.target_object is None:
         return ()
     given = zip(scene.links, scene.target_link[0], scene.target_object[0], strict=True)
@@ -121,7 +121,7 @@ def targets_of(scene: Scene) -> tuple[Target, ...]:
 
 
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:
-    """Targets where the links that should touch are nearest to the object."""
-    scene = aimed(scene, pose, ())
+    """Return targets where the links that should touch are nearest to the object."""
+    scene = posed_scene(scene, pose, ())
     goal = goal_of(scene, config.contact_selection, prepared, nearest=True)
     return targets_of(replace(scene, target_link=goal.target_link, target_object=goal.target_object))

@@ -1,4 +1,4 @@
-"""The grasp that is shown, as a file of any format for the browser to keep."""
+"""Export of the shown grasp as a file of any format, for the browser to download."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from grasp_refine.validation.motion import closing
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.target import Target
 
-LIMIT = 1e-6
-"""How far apart fingertips may be, in metres, when what was written is read again."""
+FINGERTIP_TOLERANCE_M = 1e-6
+"""Maximum distance in metres between fingertips of the written grasp and of the one read again."""
 
-CANDIDATES = 16
-"""Surface points per link; nothing here looks at them."""
+CANDIDATES_PER_LINK = 16
+"""Surface points per link; unused here."""
 
-LONGEST = 120
-"""Characters of a file's name before its ending; file systems take 255."""
+MAX_STEM_CHARS = 120
+"""Maximum characters of a file's name before its suffix; file systems take 255."""
 
 
 @dataclass(frozen=True)
 class Saved:
-    """A file that a browser can be given."""
+    """File for download."""
 
     name: str
-    """What to call it."""
+    """Name of the file."""
     content: bytes
-    """What is in it."""
+    """Content of the file."""
     notes: tuple[str, ...] = ()
-    """What the format could not hold, in words."""
+    """Notes on what the format could not hold."""
 
 
 def grasp_set(
@@ -59,21 +59,21 @@ def grasp_set(
     targets: Sequence[Target] = (),
     prepared: HandObject | None = None,
 ) -> GraspSet:
-    """One grasp with our own pregrasp and squeeze, for it may have been steered or refined since it was read.
+    """Return one grasp with our own pregrasp and squeeze: it may have been edited or refined since it was read.
 
     Args:
         scene: Hand, object and table.
-        pose: Where the hand is.
-        name: What the grasp file is to call the object.
-        scale: What takes the object's mesh to metres.
-        targets: Where links should touch; none: nothing is said.
-        prepared: Of this hand and object, if there is one.
+        pose: Pose of the hand.
+        name: Name of the object in the grasp file.
+        scale: Factor from the units of the object's mesh to metres.
+        targets: Target points of links on the object; empty: none are written.
+        prepared: Prepared hand and object; None: built here.
 
     Raises:
         GraspFileError: the pose or the joint values are not finite.
     """
     if not (np.isfinite(pose.T_object_root).all() and np.isfinite(pose.q).all()):
-        raise GraspFileError("the grasp that is shown is not finite, so that no file can hold it: reset it first")
+        raise GraspFileError("the shown grasp is not finite, so no file can hold it: reset it first")
     alone = replace(
         scene,
         T_world_root=pose.T_object_root[None],
@@ -101,9 +101,9 @@ def grasp_set(
 
 
 def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
-    """Some grasps as a file of a format; formats that are folders of files become a .zip.
+    """Return grasps as a file of a format; formats that are folders of files become a .zip.
 
-    What comes back was read again: the fingertips are where they were.
+    The file is read again as a check: its fingertips must be where they were.
 
     Args:
         hand: The hand of the grasps, below their base link.
@@ -111,7 +111,7 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
         format_name: One of `formats.listing.FormatName`.
 
     Raises:
-        GraspFileError: there is no such format, it cannot hold these grasps, or they were read as others.
+        GraspFileError: there is no such format, it cannot hold these grasps, or they are read as others.
     """
     to, load = format_named(format_name), _loader(hand)
     parts, notes = to.write(grasps, load)
@@ -126,7 +126,7 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
         else:
             with written(Path(folder, "there"), to, parts):
                 pass
-            content = _zipped(Path(folder, "there"))
+            content = _zip_folder(Path(folder, "there"))
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 archive.extractall(Path(folder, "again"))
             _check(grasps, parts, Path(folder, "again"), hand, to, load)
@@ -145,20 +145,20 @@ def _targets(targets: Sequence[Target]) -> Targets | None:
 
 
 def _loader(hand: Hand) -> Load:
-    """What gives this hand below another of its links."""
+    """Return a loader of this hand below another base link."""
 
     @cache
     def load(base_link: str) -> Hand:
         if base_link == hand.base_link:
             return hand
         urdf = None if hand.toml is None else hand.urdf
-        return load_hand(hand.toml or hand.urdf, base_link=base_link, urdf=urdf, candidates=CANDIDATES)
+        return load_hand(hand.toml or hand.urdf, base_link=base_link, urdf=urdf, candidates=CANDIDATES_PER_LINK)
 
     return load
 
 
 def _check(grasps: GraspSet, parts: Sequence[Part], path: Path, hand: Hand, to: Format, load: Load) -> None:
-    """Nothing, when `path` is read as the same grasps.
+    """Check that `path` is read as the same grasps.
 
     Raises:
         GraspFileError: it is not.
@@ -169,30 +169,30 @@ def _check(grasps: GraspSet, parts: Sequence[Part], path: Path, hand: Hand, to: 
     if count != len(rows):
         raise GraspFileError(f"format {to.name}: {len(rows)} grasps were written, {count} are read again")
     distance = np.nan_to_num(fingertip_distances(grasps.select(rows), again, load), nan=np.inf).max()
-    if distance > LIMIT:
+    if distance > FINGERTIP_TOLERANCE_M:
         raise GraspFileError(
-            f"format {to.name}: read again, a fingertip is {distance:.3g} m from where it was, more than {LIMIT:g} m; "
-            "nothing is saved"
+            f"format {to.name}: read again, a fingertip is {distance:.3g} m from where it was, more than "
+            f"{FINGERTIP_TOLERANCE_M:g} m; nothing is saved"
         )
 
 
 def _stem(grasps: GraspSet, to: Format) -> str:
-    """A file's name without its ending, of hand, object and format; no folder, and nothing unusual in it."""
+    """Name of a file without suffix, of hand, object and format; without folders and unusual characters."""
     objects = {*grasps.object.tolist()}
     named = objects.pop() if len(objects) == 1 else f"{len(objects)}_objects"
-    stem = object_folder(f"{grasps.hand}_{named}_{to.name}").replace("=", "_")[:LONGEST]
-    return stem + _cube(grasps) if isinstance(to, LeapCache) else stem
+    stem = object_folder(f"{grasps.hand}_{named}_{to.name}").replace("=", "_")[:MAX_STEM_CHARS]
+    return stem + _scale_suffix(grasps) if isinstance(to, LeapCache) else stem
 
 
-def _cube(grasps: GraspSet) -> str:
-    """What ends the name of a cache of LEAP grasps: the scale, 1.05 as _s105."""
+def _scale_suffix(grasps: GraspSet) -> str:
+    """End of the name of a cache of LEAP grasps: the scale, 1.05 as _s105."""
     digits = f"{grasps.scale[0]:.6f}".rstrip("0")
     whole, _, rest = digits.partition(".")
     return f"_s{whole}{rest or '0'}" if len(whole) == 1 else ""
 
 
-def _zipped(folder: Path) -> bytes:
-    """The files below a folder as an archive, in natural order, all of the same date."""
+def _zip_folder(folder: Path) -> bytes:
+    """Pack the files below a folder into an archive, in natural order, all with the same date."""
     stream = io.BytesIO()
     names = sorted((path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()), key=natural)
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -1,4 +1,4 @@
-"""What a hand and an object look like: coloured triangle meshes in their own frames, and where the links are."""
+"""Shapes of a hand and an object for display: coloured triangle meshes in their own frames, and poses of the links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.viewer.decimate import simpler
+from grasp_refine_apps.viewer.decimate import decimate
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,7 +23,7 @@ Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
 LINK_COLOR, CONTACT_COLOR, OBJECT_COLOR = (189, 194, 204), (242, 184, 102), (168, 199, 237)
-"""Links, those among them that are meant to touch, and the object."""
+"""Colours of links, of those that should touch, and of the object."""
 
 PIECE_COLORS = (
     (168, 199, 237),
@@ -35,23 +35,23 @@ PIECE_COLORS = (
     (205, 214, 158),
     (190, 190, 226),
 )
-"""Convex pieces of the object; neighbours differ."""
+"""Colours of the convex pieces of the object; neighbours differ."""
 
-OWN_COLOR = 0.5
+URDF_COLOR_SHARE = 0.5
 """Share of the colour that the URDF gives a link; the rest is `LINK_COLOR`, so that black links show on black."""
 
-CREASE = 35.0
-"""Edges sharper than this (degrees) are shown as edges; the rest is smooth."""
+CREASE_ANGLE_DEG = 35.0
+"""Angle in degrees above which an edge is drawn sharp; the rest is smooth."""
 
-MOST_FACES = 20_000
-"""A mesh of more faces than this is made simpler."""
+MAX_FACES = 20_000
+"""Maximum faces of a drawn mesh; larger ones are decimated."""
 
 
 class Shape(NamedTuple):
     """A coloured triangle mesh; vertices are doubled at sharp edges, so that smooth shading shows these."""
 
     vertices: Float32[np.ndarray, "V 3"]
-    """(V, 3) in metres, in the frame of the link or object."""
+    """Vertices (V, 3) in metres, in the frame of the link or object."""
     faces: UInt32[np.ndarray, "F 3"]
     """Triangles (F, 3), counter-clockwise seen from outside."""
     color: Color
@@ -65,7 +65,7 @@ class LinkShape:
     link: str
     """Name of the link."""
     vertices: Float32[np.ndarray, "V 3"]
-    """(V, 3) in metres, link frame."""
+    """Vertices (V, 3) in metres, link frame."""
     faces: UInt32[np.ndarray, "F 3"]
     """Triangles (F, 3), counter-clockwise seen from outside."""
     color: Color
@@ -73,9 +73,9 @@ class LinkShape:
 
 
 def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) -> tuple[LinkShape, ...]:
-    """What the links of a hand look like, one shape a link, in the order of `hand.links`.
+    """Return the visual shapes of a hand, one per link, in the order of `hand.links`.
 
-    A link without a readable <visual> shows what of it collides, if anything does. `say` gets a line about each
+    A link without a readable <visual> has its collision geometry, if any. `say` is called with a line about each
     <visual> that cannot be read.
     """
     try:
@@ -95,7 +95,7 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
 
 
 def collision_shapes(hand: Hand) -> tuple[LinkShape, ...]:
-    """What of the links of a hand collides: all convex pieces of a link as one shape, in the order of `hand.links`."""
+    """Return the collision shapes of a hand: all convex pieces of a link as one, in the order of `hand.links`."""
     return tuple(
         _link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces])
         for link in hand.links
@@ -104,7 +104,7 @@ def collision_shapes(hand: Hand) -> tuple[LinkShape, ...]:
 
 
 def object_shapes(obj: Object, kind: Literal["mesh", "pieces"]) -> tuple[Shape, ...]:
-    """The surface of an object, one shape, or its convex pieces, a shape each in a colour of its own."""
+    """Return the surface of an object as one shape, or its convex pieces, a shape each in its own colour."""
     if kind == "mesh":
         return (Shape(*_arrays(obj.mesh), OBJECT_COLOR),)
     return tuple(
@@ -115,27 +115,27 @@ def object_shapes(obj: Object, kind: Literal["mesh", "pieces"]) -> tuple[Shape, 
 
 @dataclass(frozen=True, eq=False)
 class LinkPoses:
-    """Where all links of a hand are; built once for a hand, then called for each pose."""
+    """Poses of all links of a hand; built once for a hand, then called for each pose."""
 
     chain: Chain
     """Kinematics of all links."""
 
     @staticmethod
     def of(hand: Hand) -> LinkPoses:
-        """Those of a hand."""
+        """Build the kinematics of a hand."""
         return LinkPoses(Chain(hand, [link.name for link in hand.links]))
 
     def __call__(
         self, T_object_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]
     ) -> dict[str, Float[np.ndarray, "4 4"]]:
-        """Pose (4, 4) of each link of the hand, those without a shape too, in the object's frame, by name."""
+        """Return the pose (4, 4) of each link, also of those without a shape, in the object's frame, by name."""
         return dict(zip(self.chain.links, self.chain(T_object_root[None], q[None]).T_world_link[0], strict=True))
 
 
 def _link_shape(
     hand: Hand, link: str, meshes: Sequence[trimesh.Trimesh], color: tuple[float, float, float] | None = None
 ) -> LinkShape:
-    """The shape of some meshes together; `color` (red, green and blue in [0, 1]) is what the URDF says."""
+    """Shape of some meshes together; `color` (red, green and blue in [0, 1]) is that of the URDF."""
     import trimesh
 
     whole = trimesh.util.concatenate(list(meshes))
@@ -146,15 +146,16 @@ def _link_shape(
     if color is None:
         return LinkShape(link, vertices, faces, LINK_COLOR)
     red, green, blue = (
-        round(255 * OWN_COLOR * own + (1 - OWN_COLOR) * quiet) for own, quiet in zip(color, LINK_COLOR, strict=True)
+        round(255 * URDF_COLOR_SHARE * own + (1 - URDF_COLOR_SHARE) * quiet)
+        for own, quiet in zip(color, LINK_COLOR, strict=True)
     )
     return LinkShape(link, vertices, faces, (red, green, blue))
 
 
 def _arrays(mesh: trimesh.Trimesh) -> tuple[Float32[np.ndarray, "V 3"], UInt32[np.ndarray, "F 3"]]:
-    """A mesh as a browser takes it: small, and with its sharp edges sharp."""
+    """Vertices and faces of a mesh for browsers: decimated, and with sharp edges kept sharp."""
     import trimesh
 
-    small = simpler(mesh, MOST_FACES)
-    shown = trimesh.graph.smooth_shade(small, angle=np.radians(CREASE))
+    small = decimate(mesh, MAX_FACES)
+    shown = trimesh.graph.smooth_shade(small, angle=np.radians(CREASE_ANGLE_DEG))
     return np.asarray(shown.vertices, dtype=np.float32), np.asarray(shown.faces, dtype=np.uint32)

@@ -1,4 +1,4 @@
-"""A recorded simulation as the viewer shows it: where our hand and the object are in each frame, and what happens."""
+"""Recorded simulation for display: poses of hand and object in each frame, and a description of it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import HAND
 from grasp_refine_apps.viewer.pose import Pose
 
-RATE = 50
-"""Most frames in a second that are shown."""
+FRAME_RATE_HZ = 50
+"""Maximum frame rate in hertz."""
 
-FAR = 0.3
-"""A motion ends where the object is this far away, in metres: a lost one flies for many more."""
+MAX_DISPLACEMENT_M = 0.3
+"""Displacement of the object in metres at which a motion ends: a lost one flies for many more."""
 
-NEAR = 5e-4
-"""What is nearer than this, in metres, is shown as a contact."""
+CONTACT_DISTANCE_M = 5e-4
+"""Distance in metres below which a contact is shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,17 +41,17 @@ class ShownMotion:
     object: str
     """Name of the object."""
     direction: str
-    """In which direction the object was pushed, such as "+x", or "lift"."""
+    """Direction in which the object was pushed, such as "+x", or "lift"."""
     setting: str
     """Name of the protocol."""
     reason: str
-    """How the trial ended: "held", or why it failed, as `Reason.label`."""
+    """End of the trial: "held", or why it failed, as `Reason.label`."""
     time: Float[np.ndarray, " T"]
     """Seconds since the hand began to close (T,)."""
     stage: Int[np.ndarray, " T"]
     """A `Stage` for each frame (T,)."""
     since_stage: Float[np.ndarray, " T"]
-    """Seconds since that began (T,)."""
+    """Seconds since that stage began (T,)."""
     T_root: Float[np.ndarray, "T 4 4"]
     """Poses of the hand's base link (T, 4, 4)."""
     q: Float[np.ndarray, "T n"]
@@ -59,20 +59,20 @@ class ShownMotion:
     T_object: Float[np.ndarray, "T 4 4"]
     """Poses of the object (T, 4, 4); the first is the identity."""
     displacement_m: Float[np.ndarray, " T"]
-    """How far the object is from where it should be (T,), metres."""
+    """Distance of the object from where it should be (T,), metres."""
     angle_rad: Float[np.ndarray, " T"]
-    """How far it has turned (T,), radians."""
+    """Rotation of the object from how it should be turned (T,), radians."""
     force: Float[np.ndarray, " 3"]
     """The push at the object's centre of mass (3,), newtons; zero where it is lifted."""
     contacts: tuple[Float[np.ndarray, "_ 3"], ...]
-    """Where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
+    """Points where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self.time)
 
     def pose(self, frame: int) -> Pose:
-        """Where the hand is."""
+        """Return the pose of the hand in a frame."""
         return Pose(self.T_root[frame], self.q[frame])
 
     @property
@@ -82,12 +82,12 @@ class ShownMotion:
 
     @property
     def seconds(self) -> float:
-        """How long it lasts."""
+        """Duration in seconds."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def lost(self) -> Bool[np.ndarray, " T"]:
-        """In which frames (T,) the object is lost, if it is: it has once been too far away, or turned too far.
+        """True in frames (T,) from the loss of the object on: it has once been too far away, or turned too far.
 
         A trial is judged at its checks; in between the object may swing farther, and come back.
         """
@@ -96,15 +96,15 @@ class ShownMotion:
 
     @property
     def pushed(self) -> Bool[np.ndarray, " T"]:
-        """In which frames (T,) `force` acts."""
+        """True in frames (T,) in which `force` acts."""
         return (self.stage == Stage.PUSH) & bool(np.any(self.force))
 
     def frame_at(self, seconds: float) -> int:
-        """The last frame that is not later than so many seconds after the first."""
+        """Return the last frame that is at most `seconds` after the first."""
         return max(int(np.searchsorted(self.time - self.time[0], seconds + 1e-9, side="right")) - 1, 0)
 
-    def doing(self, frame: int) -> str:
-        """What is being done, such as "pushed along +x"."""
+    def stage_text(self, frame: int) -> str:
+        """Description of the stage in a frame, such as "pushed along +x"."""
         return {
             Stage.CLOSE: "the hand closes",
             Stage.SQUEEZE: "the hand squeezes",
@@ -113,33 +113,33 @@ class ShownMotion:
         }[Stage(self.stage[frame])]
 
     def text(self, frame: int) -> str:
-        """What is to be seen in a frame, in one line."""
+        """Description of a frame in one line."""
         moved, turned = self.displacement_m[frame] * 1e3, degrees(self.angle_rad[frame])
         line = (
-            f"{self.doing(frame)}, {self.since_stage[frame]:.2f} s: "
+            f"{self.stage_text(frame)}, {self.since_stage[frame]:.2f} s: "
             f"the object has moved {moved:.1f} mm and turned {turned:.1f}°"
         )
         return f"{line}; it is lost" if self.lost[frame] else line
 
 
 def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None) -> ShownMotion:
-    """A replay as frames of a hand, at most `RATE` in a second.
+    """Return a replay as frames of a hand, at most `FRAME_RATE_HZ` per second.
 
     Joint values in MuJoCo are matrix q + offset, and those of joints that mimic others may differ a little from that:
     q is the least-squares solution.
 
     Args:
         hand: The hand.
-        hand_model: The same for MuJoCo, made from the file that was simulated.
-        replay: What was recorded.
-        model: The world that it was recorded in, for contacts; None: they are not told.
+        hand_model: Its MuJoCo model, made from the file that was simulated.
+        replay: The recording.
+        model: The world of the recording, for contacts; None: contacts are not known.
 
     Raises:
         GraspRefineError: the replay is of another hand, or of another model.
     """
     if model is not None:
         check_replay(model, replay)
-    frames = _kept(replay)
+    frames = _shown_frames(replay)
     T_world_object = transform_from_pose(replay.object_pose)
     T_start_world = inverse(T_world_object[0])
     displacement, angle = replay.displacement()
@@ -163,7 +163,7 @@ def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoc
 
 
 def is_replay(path: Path) -> bool:
-    """Whether a file is a replay, as `refine-grasp validate --replays` writes it; only its list of entries is read."""
+    """Return whether a file is a replay of `refine-grasp validate --replays`; only its list of entries is read."""
     if path.suffix != ".npz":
         return False
     try:
@@ -174,22 +174,22 @@ def is_replay(path: Path) -> bool:
     return {field.name for field in fields(Replay)} <= entries
 
 
-def _kept(replay: Replay) -> Int[np.ndarray, " k"]:
-    """The frames that are shown: not too many in a second, and none after the object has gone far away."""
+def _shown_frames(replay: Replay) -> Int[np.ndarray, " k"]:
+    """Indices of the shown frames: at most `FRAME_RATE_HZ` per second, and none after the object is far away."""
     displacement, _ = replay.displacement()
-    far = displacement > FAR
+    far = displacement > MAX_DISPLACEMENT_M
     end = int(far.argmax()) + 1 if far.any() else len(replay)
     kept, last = [], -np.inf
     for frame, time in enumerate(replay.time[:end]):
-        if time >= last + 1 / RATE - 1e-6:
+        if time >= last + 1 / FRAME_RATE_HZ - 1e-6:
             kept.append(frame)
             last = time
-    # How it ends is to be seen.
+    # The last frame is always shown.
     return np.unique([*kept, end - 1])
 
 
 def _column(replay: Replay, name: str) -> Float[np.ndarray, " T"]:
-    """The values (T,) that are called `name`.
+    """Values (T,) of the joint or coordinate `name`.
 
     Raises:
         GraspRefineError: there are none.
@@ -213,7 +213,7 @@ def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np
     """Joint values (T, n) of the hand that are nearest to those in MuJoCo."""
     values = np.stack([_column(replay, f"{HAND}/{joint}") for joint in hand_model.joints], axis=1)
     q = (values - hand_model.offset) @ np.linalg.pinv(hand_model.matrix).T
-    # A joint with equal limits is none in MuJoCo.
+    # A joint with equal limits is fixed in MuJoCo.
     still = ~(hand_model.matrix != 0).any(axis=0)
     q[:, still] = hand.lower[still]
     return q
@@ -222,7 +222,7 @@ def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np
 def _contacts(
     model: mujoco.MjModel, replay: Replay, frames: Int[np.ndarray, " k"], T_start_world: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "_ 3"], ...]:
-    """Where the object touches anything in each frame, (c, 3)."""
+    """Contact points of the object in each frame, (c, 3)."""
     data = mujoco.MjData(model)
     of_object = model.geom_bodyid == model.body(OBJECT).id
     found = []
@@ -233,6 +233,6 @@ def _contacts(
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
         contact = data.contact
-        touching = (of_object[contact.geom].sum(axis=1) == 1) & (contact.dist < NEAR)
+        touching = (of_object[contact.geom].sum(axis=1) == 1) & (contact.dist < CONTACT_DISTANCE_M)
         found.append(contact.pos[touching] @ T_start_world[:3, :3].T + T_start_world[:3, 3])
     return tuple(found)

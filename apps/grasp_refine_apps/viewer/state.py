@@ -1,4 +1,4 @@
-"""What the viewer shows, as one frozen value: the controller makes a new one of it, the view draws it."""
+"""State of the viewer as one frozen value: the controller makes new ones, the view draws them."""
 
 from __future__ import annotations
 
@@ -20,116 +20,116 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
     from grasp_refine_apps.viewer.validated import TrialResult
 
-JobKind = Literal["load", "measure", "aim", "refine", "prove", "replay", "export"]
+JobKind = Literal["load", "measure", "targets", "refine", "validate", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 
 @dataclass(frozen=True)
 class Job:
-    """Something that takes long."""
+    """Long job of the worker."""
 
     kind: JobKind
-    """What it is for."""
+    """Kind of the job."""
     what: str
-    """What is being done, for people."""
+    """Description of the job for users."""
     share: float | None = None
-    """How much is done, 0 to 1; None: unknown."""
+    """Completed share, 0 to 1; None: unknown."""
     paused: bool = False
     """Whether it waits for the user."""
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Something that the user is told once."""
+    """Message that the user is shown once."""
 
     number: int
-    """Counts up, so that the same words can be told twice."""
+    """Running number, so that the same text can be shown twice."""
     text: str
-    """The words."""
+    """Text of the message."""
     bad: bool = False
     """Whether something went wrong."""
 
 
 @dataclass(frozen=True)
 class Showing:
-    """What of the scene is seen."""
+    """Display options of the scene."""
 
     hand: Literal["visual", "collision"] = "visual"
-    """Which shapes of the hand: what its maker drew, or the convex pieces that can touch."""
+    """Shapes of the hand: its visual meshes, or the convex pieces that collide."""
     object: Literal["mesh", "pieces", "wireframe"] = "mesh"
-    """Which shapes of the object."""
+    """Shapes of the object."""
     transparent: bool = True
-    """Whether one can see through the object, to contacts behind it."""
+    """Whether the object is transparent, to show contacts behind it."""
     ghost: bool = True
-    """Whether the hand as it came is seen, too."""
+    """Whether the input hand is shown, too."""
     contacts: bool = True
-    """Witness points, their lines, targets and penetration."""
+    """Whether witness points, their lines, targets and penetration are shown."""
     forces: bool = False
-    """Contact forces and friction cones."""
+    """Whether contact forces and friction cones are shown."""
     frames: bool = False
-    """Frames of the base link and of the object."""
+    """Whether the frames of the base link and of the object are shown."""
     table: bool = True
-    """The table, if there is one."""
+    """Whether the table is shown, if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that is shown of one grasp of what is open."""
+    """State of the viewer: the open grasps, and all that is shown of one of them."""
 
     collection: Collection
-    """What is open."""
+    """Open grasps."""
     number: int
-    """Which grasp of it is shown."""
+    """Number of the shown grasp."""
     scene: Scene
-    """Hand, object and table, and this grasp alone as the file has it."""
+    """Hand, object and table, and this grasp alone as in its file."""
     initial: Pose
-    """The hand as it came, before any refinement."""
+    """Pose of the hand in the input grasp, before any refinement."""
     pose: Pose
-    """Where the hand is now: as the file has it, steered, or refined."""
+    """Present pose of the hand: as in the file, edited, or refined."""
     settings: Any
-    """The options of refinement: a dataclass whose `config(nearest=...)` makes a `Config`, or raises."""
+    """Options of refinement: a dataclass whose `config(nearest=...)` makes a `Config`, or raises."""
     targets: tuple[Target, ...] = ()
-    """Where links should touch; empty: anywhere."""
+    """Target points of links on the object; empty: links touch anywhere."""
     T_world_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Where the object is drawn (4, 4); all else is told in the object's frame and goes with it."""
+    """Pose of the object (4, 4), world frame; all else is in the object's frame and moves with it."""
     trace: Trace | None = None
     """The iterations of the last refinement."""
     frame: int | None = None
-    """Which of them is looked at; None: `pose`."""
+    """Number of the shown iteration; None: `pose` is shown."""
     outcome: Outcome | None = None
-    """What the last refinement that ended came to, one row."""
+    """Outcome of the last refinement that ended, one row."""
     job: Job | None = None
-    """What is being done."""
+    """Running job."""
     gizmo: Gizmo = "none"
-    """What can be dragged."""
+    """Body that can be dragged."""
     picking: bool = False
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
-    """A link that was clicked, and the point on it (3,) in its frame; it waits for a point on the object."""
+    """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
     trial: TrialResult | None = None
-    """What simulation said of the grasp."""
+    """Simulation result of the grasp."""
     trials_by_grasp: Mapping[int, TrialResult] = field(default_factory=dict)
-    """What it said of the grasps of the collection as their file has them, by number, where a document tells."""
+    """Simulation results of the grasps of the collection as in their file, by number, where known."""
     motion: ShownMotion | None = None
-    """The simulation that is looked at."""
+    """Shown simulation."""
     motion_frame: int = 0
-    """Which frame of it."""
+    """Number of its shown frame."""
     showing: Showing = Showing()
-    """What of the scene is seen."""
+    """Display options of the scene."""
     side_by_side: bool = False
-    """Whether the grasp as it came is drawn beside, with an object of its own."""
+    """Whether the input grasp is drawn beside, with its own object."""
     can_undo: bool = False
     """Whether there is something to undo."""
     can_redo: bool = False
     """Whether there is something to do again."""
     notice: Notice | None = None
-    """What the user was told last."""
+    """Last message to the user."""
     change: int = 0
-    """Counts the states."""
+    """Running number of the state."""
 
     @property
     def shown(self) -> Pose:
-        """Where the hand is drawn, in the object's frame; in a simulation, in that of the object at its start."""
+        """Drawn pose of the hand, in the object's frame; in a simulation, in that of the object at its start."""
         if self.motion is not None:
             return self.motion.pose(self.motion_frame)
         if self.frame is not None and self.trace is not None:
@@ -138,10 +138,10 @@ class State:
 
     @property
     def standing(self) -> Pose:
-        """Where the hand is for whatever is done next: as shown, but for a simulation, which is only looked at."""
+        """Pose of the hand for the next command: as shown, except in a simulation, which is only displayed."""
         return self.pose if self.motion is not None else self.shown
 
     @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:
-        """Where the object is (4, 4) in that frame: it moves in simulations only."""
+        """Pose of the object (4, 4) in the frame of `shown`: it moves in simulations only."""
         return np.eye(4) if self.motion is None else self.motion.T_object[self.motion_frame]

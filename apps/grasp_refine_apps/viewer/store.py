@@ -1,4 +1,4 @@
-"""The present state, and those who want to know of every new one."""
+"""Present state, and listeners to new ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Store:
     """Keeps the state; the base of the controller."""
 
     def __init__(self, state: State) -> None:
-        """Keep this one."""
+        """Start with a state."""
         self._lock = threading.RLock()
         self._listeners: list[Callable[[State], None]] = []
         self._history = History()
@@ -28,12 +28,12 @@ class Store:
         return self._state
 
     def listen(self, listener: Callable[[State], None]) -> None:
-        """Tell `listener` of every new state; it must return at once and call no command."""
+        """Call `listener` with every new state; it must return at once and call no command."""
         with self._lock:
             self._listeners.append(listener)
 
     def say(self, text: str, bad: bool = False) -> None:
-        """Tell the user something."""
+        """Show a message to the user."""
         with self._lock:
             self._notices += 1
             self._set(notice=Notice(self._notices, text, bad))
@@ -43,7 +43,7 @@ class Store:
             self._become(replace(self._state, **changes))
 
     def _become(self, state: State) -> None:
-        """Make a state the present one, and tell everybody."""
+        """Make a state the present one, and call all listeners."""
         with self._lock:
             history = self._history
             self._state = replace(

@@ -1,4 +1,4 @@
-"""The table of grasps as HTML: one row a grasp, one page at a time; clicks are told through a widget of the page."""
+"""Table of grasps as HTML: one row per grasp, one page at a time; clicks are sent through a widget of the page."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS, Column
 from grasp_refine_apps.viewer.listing import MARK, NUMBER, Listing, column_of
 
-ROWS = 15
+ROWS_PER_PAGE = 15
 """Grasps on one page of the table."""
-SHOWN = (
+SHOWN_KEYS = (
     ("quality_after",),
     ("contact_error_after", "finger_gap"),
     ("penetration_after",),
     (HELD.key, STATUS.key),
     (MARK,),
 )
-"""Keys of the columns of the table; of several, the first one of which something is known."""
-SHORT = {
+"""Keys of the columns of the table; of several, the first one with known values."""
+SHORT_LABELS = {
     "contact_error_after": "Error",
     "finger_gap": "Gap",
     "penetration_after": "Depth",
     HELD.key: "Test",
     NUMBER: "#",
 }
-"""Labels that are shorter in the table, which is narrow."""
-WIDE = {"quality_after": "gr-wide", "penetration_after": "gr-wide", STATUS.key: "gr-word", HELD.key: "gr-word"}
-"""Columns that need more room than a short number."""
-ENDED_WELL = "converged"
-"""The status that is no warning."""
+"""Shorter labels for the narrow table."""
+WIDTH_CLASSES = {"quality_after": "gr-wide", "penetration_after": "gr-wide", STATUS.key: "gr-word", HELD.key: "gr-word"}
+"""CSS classes of columns that are wider than a short number."""
+CONVERGED_STATUS = "converged"
+"""Status that is not coloured as a warning."""
 
 STYLE = """<style>
 .gr-table{font:11.5px/1.4 system-ui,sans-serif;margin:.3em .8em 1.4em}
@@ -55,13 +55,13 @@ STYLE = """<style>
 .gr-pages a{cursor:pointer;padding:1px 9px;border:1px solid rgba(128,128,128,.5);border-radius:4px;user-select:none}
 .gr-pages a.gr-off{opacity:.3;pointer-events:none}
 </style>"""
-"""How it looks, in both colour schemes of the page."""
+"""Style sheet for both colour schemes of the page."""
 
 
 def shown_columns(collection: Collection) -> list[Column]:
-    """The columns that the table shows, after the one that says which grasp it is."""
+    """Return the columns of the table, after the one that names the grasp."""
     found = []
-    for keys in SHOWN:
+    for keys in SHOWN_KEYS:
         columns = [column for key in keys if (column := column_of(collection, key)) is not None]
         known = [column for column in columns if column.known.any()]
         found += known[:1] or [column for column in columns if column.key == MARK]
@@ -69,37 +69,37 @@ def shown_columns(collection: Collection) -> list[Column]:
 
 
 def pages(numbers: Int[np.ndarray, " M"]) -> int:
-    """How many pages a list has, at least one."""
-    return max(1, ceil(len(numbers) / ROWS))
+    """Number of pages of a list, at least one."""
+    return max(1, ceil(len(numbers) / ROWS_PER_PAGE))
 
 
 def page_of(numbers: Int[np.ndarray, " M"], number: int) -> int:
-    """On which page of a list a grasp stands; the first if it is not listed."""
+    """Return the page of a list that holds a grasp; the first if it is not listed."""
     at = np.flatnonzero(numbers == number)
-    return int(at[0]) // ROWS if len(at) else 0
+    return int(at[0]) // ROWS_PER_PAGE if len(at) else 0
 
 
 def table_html(
     collection: Collection, listing: Listing, numbers: Int[np.ndarray, " M"], page: int, number: int, widget: str
 ) -> str:
-    """A page of the table.
+    """Return a page of the table.
 
     A click on a row sends "open <number>", one on a header "sort <key>", one on an arrow "page <page>", each followed
-    by a number that makes it unlike all before.
+    by a number that makes it unique.
 
     Args:
         collection: The grasps.
-        listing: How they are sorted.
-        numbers: Those that are listed, in order.
-        page: Which page, from 0.
-        number: The grasp that is shown.
+        listing: Sorting of the grasps.
+        numbers: Numbers of the listed grasps, in order.
+        page: Number of the page, from 0.
+        number: Number of the shown grasp.
         widget: Identifier of the text widget whose value a click changes.
     """
     columns = shown_columns(collection)
-    here = numbers[page * ROWS : (page + 1) * ROWS]
+    here = numbers[page * ROWS_PER_PAGE : (page + 1) * ROWS_PER_PAGE]
     several = len(collection.problem.groups) > 1 and len(set(collection.objects.tolist())) > 1
     first = _header(Column(NUMBER, "Grasp", "as in the file", np.zeros(0)), listing, "gr-named" if several else "")
-    head = first + "".join(_header(column, listing, WIDE.get(column.key, "")) for column in columns)
+    head = first + "".join(_header(column, listing, WIDTH_CLASSES.get(column.key, "")) for column in columns)
     body = "".join(_row(collection, columns, n, several=several, opened=n == number) for n in here.tolist())
     if not len(here):
         body = f'<tr><td colspan="{len(columns) + 1}">no grasp passes the filters</td></tr>'
@@ -110,7 +110,7 @@ def table_html(
 
 
 def _click(widget: str) -> str:
-    """The script that tells which part of the table was clicked."""
+    """Script that sends the clicked part of the table."""
     return (
         "const c=event.target.closest('[data-do]');"
         "if(c&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
@@ -119,7 +119,7 @@ def _click(widget: str) -> str:
 
 
 def _header(column: Column, listing: Listing, wide: str) -> str:
-    label = SHORT.get(column.key, column.label)
+    label = SHORT_LABELS.get(column.key, column.label)
     arrow = ("▼ " if listing.descending else "▲ ") if column.key == listing.key else ""
     hint = f"{column.label}: {column.hint}; click to sort"
     return (
@@ -139,14 +139,14 @@ def _row(collection: Collection, columns: list[Column], number: int, *, several:
 
 
 def _class(column: Column, number: int) -> str:
-    """The colour of a cell."""
+    """Class of a cell, which sets its colour."""
     if not column.known[number]:
         return ""
     value = column.values[number]
     if column.key == "quality_after":
         name = "gr-good" if value >= HOLDS else "gr-unsure"
     elif column.key == STATUS.key:
-        name = "" if value == ENDED_WELL else "gr-unsure"
+        name = "" if value == CONVERGED_STATUS else "gr-unsure"
     else:
         name = {HELD_TEXT: "gr-good", "good": "gr-good", FAILED_TEXT: "gr-bad", "bad": "gr-bad"}.get(str(value), "")
     return f' class="{name}"' if name else ""
@@ -154,9 +154,9 @@ def _class(column: Column, number: int) -> str:
 
 def _footer(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -> str:
     last = pages(numbers) - 1
-    first, end = page * ROWS + 1, min((page + 1) * ROWS, len(numbers))
-    told = f"{first} to {end} of {len(numbers)}" if len(numbers) else "none"
-    told += "" if len(numbers) == len(collection) else f" listed, {len(collection)} in all"
+    first, end = page * ROWS_PER_PAGE + 1, min((page + 1) * ROWS_PER_PAGE, len(numbers))
+    text = f"{first} to {end} of {len(numbers)}" if len(numbers) else "none"
+    text += "" if len(numbers) == len(collection) else f" listed, {len(collection)} in all"
 
     def arrow(to: int, sign: str, title: str) -> str:
         off = " class=gr-off" if not 0 <= to <= last or to == page else ""
@@ -164,6 +164,6 @@ def _footer(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -
 
     return (
         '<div class="gr-pages">'
-        f"<span>{arrow(0, '«', 'first page')} {arrow(page - 1, '‹', 'page before')}</span><span>{told}</span>"
+        f"<span>{arrow(0, '«', 'first page')} {arrow(page - 1, '‹', 'page before')}</span><span>{text}</span>"
         f"<span>{arrow(page + 1, '›', 'next page')} {arrow(last, '»', 'last page')}</span></div>"
     )

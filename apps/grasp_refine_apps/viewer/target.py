@@ -1,4 +1,4 @@
-"""Where a link should touch the object."""
+"""Target point of a link on the object."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where a link should touch the object."""
+    """Target point of a link on the object."""
 
     link: str
     """Name of the link."""

@@ -1,4 +1,4 @@
-"""The iterations of one refinement, as they happened: what the timeline scrubs and the plots show."""
+"""Recorded iterations of one refinement, for the timeline and the plots."""
 
 from __future__ import annotations
 
@@ -32,44 +32,44 @@ class Trace:
     penetration: Float[np.ndarray, " K"]
     """Deepest of all links (K,), metres."""
     label: tuple[str, ...]
-    """What was being done (K,), for people."""
+    """Description of each iteration (K,), for users."""
 
     def __len__(self) -> int:
         """Return the number of iterations."""
         return len(self.loss)
 
     def pose(self, k: int) -> Pose:
-        """Where the hand was in an iteration."""
+        """Return the pose of the hand in an iteration."""
         return Pose(self.T[k], self.q[k])
 
 
-ROOM = 256
-"""Iterations that there is room for at first; it is doubled when it is used up."""
+INITIAL_CAPACITY = 256
+"""Initial capacity in iterations; it is doubled when it is used up."""
 
 
 class Recorder:
-    """Builds the trace of the one grasp of a scene while it is refined."""
+    """Builder of the trace of the one grasp of a scene while it is refined."""
 
     def __init__(self, prepared: HandObject, targets: Sequence[Target], margin: float) -> None:
         """Record nothing yet.
 
         Args:
             prepared: Hand and object.
-            targets: Where links should touch; empty: anywhere.
+            targets: Target points of links on the object; empty: links touch anywhere.
             margin: Gap in metres that contacts should keep.
         """
         self._prepared, self._targets, self._margin = prepared, targets, margin
         self._columns: list[np.ndarray] = []
         self._labels: list[str] = []
 
-    def see(self, state: IterationState) -> None:
+    def add(self, state: IterationState) -> None:
         """Keep an iteration; of several starts at once, that with the lowest loss."""
         best = int(np.argmin(np.nan_to_num(state.loss, nan=np.inf)))
         pose = Pose(state.point.T[best].copy(), state.point.q[best].copy())
         self.keep(pose, state.touching[best], float(state.loss[best]), state.stage)
 
     def keep(self, pose: Pose, touching: np.ndarray, loss: float, label: str) -> None:
-        """Keep where the hand is, and what that is worth."""
+        """Keep a pose of the hand, with its measures."""
         found = contacts_of(
             self._prepared,
             pose.T_object_root,
@@ -81,16 +81,16 @@ class Recorder:
         row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration)
         count = len(self._labels)
         if not self._columns:
-            self._columns = [np.empty((ROOM, *np.shape(value)), np.asarray(value).dtype) for value in row]
+            self._columns = [np.empty((INITIAL_CAPACITY, *np.shape(value)), np.asarray(value).dtype) for value in row]
         elif count == len(self._columns[0]):
-            # Traces that were given away keep the arrays that they look at.
+            # Traces that were returned before keep views of the old arrays.
             self._columns = [np.concatenate([column, np.empty_like(column)]) for column in self._columns]
         for column, value in zip(self._columns, row, strict=True):
             column[count] = value
         self._labels.append(label)
 
     def trace(self) -> Trace | None:
-        """What was kept so far, without copying it; None: nothing."""
+        """Return what was kept so far, without copying it; None: nothing."""
         count = len(self._labels)
         if not count:
             return None

@@ -1,4 +1,4 @@
-"""What simulation said of one grasp, as data and in words that a person understands."""
+"""Simulation result of one grasp, as data and as text for users."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from grasp_refine.validation.validate import BARELY
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What became of a grasp in one direction; NaN where something is not known."""
+class DirectionResult:
+    """Simulation result of a grasp in one direction; NaN where a value is not known."""
 
     direction: str
     """Name of the direction, such as "+x", or "lift"."""
     reason: Reason
-    """How it ended."""
+    """End of the trial."""
     time_s: float
-    """When it failed, in seconds after the push or the lift began; NaN where it did not."""
+    """Time of failure in seconds after the push or the lift began; NaN where it did not fail."""
     displacement_m: float
-    """How far the object had moved then, or at the end, metres."""
+    """Displacement of the object then, or at the end, metres."""
     angle_rad: float
-    """How far it had turned, radians."""
+    """Rotation of the object then, or at the end, radians."""
     peak_m: float
-    """How far it was away at most, metres."""
+    """Largest displacement of the object, metres."""
     peak_rad: float
-    """How far it was turned at most, radians."""
+    """Largest rotation of the object, radians."""
     links: tuple[str, ...]
-    """Which links touched it then."""
+    """Names of the links that touched the object then."""
 
     @property
     def held(self) -> bool:
@@ -40,41 +40,41 @@ class Tried:
 
     @property
     def when(self) -> str:
-        """When it failed, such as ", 0.2 s"; empty where there is nothing to say."""
+        """Time of failure as text, such as ", 0.2 s"; empty where there is none."""
         return "" if isnan(self.time_s) else f", {self.time_s:.1f} s"
 
     @property
     def after(self) -> str:
-        """The same in a sentence, such as " after 0.2 s"."""
+        """Time of failure in a sentence, such as " after 0.2 s"."""
         return self.when.replace(",", " after")
 
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """What simulation said of one grasp; NaN where something is not known."""
+    """Simulation result of one grasp; NaN where a value is not known."""
 
     protocol: Protocol
-    """How it was simulated."""
-    tried: tuple[Tried, ...]
-    """What became of it in each direction; at least one."""
+    """Protocol of the simulation."""
+    results: tuple[DirectionResult, ...]
+    """Results of the directions; at least one."""
     closing: Mapping[str, str]
-    """Whose pregrasp and squeeze were simulated: stage -> "file" or "own"; empty where that is not known."""
+    """Source of the simulated pregrasp and squeeze: stage -> "file" or "own"; empty where that is not known."""
     closing_m: float
-    """How far closing the hand moved the object, metres."""
+    """Displacement of the object by the closing hand, metres."""
     closing_rad: float
-    """How far it turned it, radians."""
+    """Rotation of the object by the closing hand, radians."""
     penetration_m: float
-    """How deep hand and object were in each other at the pregrasp, metres."""
+    """Penetration of hand and object at the pregrasp, metres."""
     motion: Motion | None = None
-    """How the hand closed, to be simulated again; None where that is not known."""
+    """Closing motion of the hand, for another simulation; None where that is not known."""
 
     @staticmethod
     def of(
         trials: Trials, i: int, protocol: Protocol, closing: Mapping[str, str], motion: Motion | None
     ) -> TrialResult:
-        """What the grasp `i` of some trials came to."""
-        tried = tuple(
-            Tried(
+        """Return the result of grasp `i` of some trials."""
+        results = tuple(
+            DirectionResult(
                 direction=name,
                 reason=Reason(trials.reason[i, d]),
                 time_s=float(trials.time_s[i, d]),
@@ -88,7 +88,7 @@ class TrialResult:
         )
         return TrialResult(
             protocol=protocol,
-            tried=tried,
+            results=results,
             closing=closing,
             closing_m=float(trials.closing_m[i]),
             closing_rad=float(trials.closing_rad[i]),
@@ -99,25 +99,25 @@ class TrialResult:
     @property
     def directions(self) -> tuple[str, ...]:
         """Names of the directions, in order."""
-        return tuple(tried.direction for tried in self.tried)
+        return tuple(result.direction for result in self.results)
 
     @property
     def held(self) -> bool:
         """Whether the object stayed in every direction."""
-        return all(tried.held for tried in self.tried)
+        return all(result.held for result in self.results)
 
     @property
     def barely(self) -> bool:
         """Whether it held, but came more than half of the way to what counts as lost."""
         far, steep = BARELY * self.protocol.farthest, BARELY * self.protocol.steepest
-        return self.held and any(tried.peak_m > far or tried.peak_rad > steep for tried in self.tried)
+        return self.held and any(result.peak_m > far or result.peak_rad > steep for result in self.results)
 
     @property
     def before_push(self) -> Reason | None:
-        """Why nothing was pushed; None where something was."""
-        first = self.tried[0].reason
+        """Reason for which nothing was pushed; None where something was."""
+        first = self.results[0].reason
         early = first not in (Reason.HELD, Reason.MOVED, Reason.TURNED)
-        same = all(tried.reason == first and isnan(tried.time_s) for tried in self.tried)
+        same = all(result.reason == first and isnan(result.time_s) for result in self.results)
         return first if early and same else None
 
     @property
@@ -130,26 +130,26 @@ class TrialResult:
     def verdict(self) -> str:
         """The outcome in one line."""
         if self.before_push is not None:
-            return f"Does not hold: {self.words(self.tried[0])}"
-        lost = [tried for tried in self.tried if not tried.held]
+            return f"Does not hold: {self.words(self.results[0])}"
+        lost = [result for result in self.results if not result.held]
         if self.protocol.tabletop:
             if lost:
                 whose = "" if lost[0].reason == Reason.UNSTABLE else "while it was lifted, the object "
                 return f"Does not hold: {whose}{self.words(lost[0])}"
             stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
         elif lost:
-            names = ", ".join(tried.direction for tried in lost)
-            return f"Does not hold: the object was lost in {len(lost)} of {len(self.tried)} directions ({names})"
+            names = ", ".join(result.direction for result in lost)
+            return f"Does not hold: the object was lost in {len(lost)} of {len(self.results)} directions ({names})"
         else:
-            stayed = f"Holds: the object stayed in all {len(self.tried)} directions"
+            stayed = f"Holds: the object stayed in all {len(self.results)} directions"
         if self.barely:
-            moved, turned = (max(getattr(tried, key) for tried in self.tried) for key in ("peak_m", "peak_rad"))
+            moved, turned = (max(getattr(result, key) for result in self.results) for key in ("peak_m", "peak_rad"))
             stayed += f", but barely: it moved {moved * 1e3:.0f} mm and turned {degrees(turned):.0f}° at most"
         return stayed
 
     @property
     def conditions(self) -> str:
-        """How it was simulated, in one line."""
+        """Conditions of the simulation in one line."""
         protocol = self.protocol
         weight = f"friction {protocol.friction:g}, an object of {protocol.mass * 1e3:g} g"
         seconds = protocol.checks * protocol.steps_per_check * protocol.timestep
@@ -161,7 +161,7 @@ class TrialResult:
 
     @property
     def closed_by(self) -> str:
-        """Whose pregrasp and squeeze were simulated, in one line; empty where that is not known."""
+        """Source of the simulated pregrasp and squeeze in one line; empty where that is not known."""
         words = {"file": "of the file", "own": "our own"}
         if not self.closing:
             return ""
@@ -169,31 +169,31 @@ class TrialResult:
             return f"pregrasp and squeeze are {words[self.closing['squeeze']]}"
         return f"the pregrasp is {words[self.closing['pregrasp']]}, the squeeze {words[self.closing['squeeze']]}"
 
-    def words(self, tried: Tried) -> str:
-        """What happened in one direction, such as "turned by 15.2° after 0.2 s, 4 links still touched it"."""
-        left = f"{_links(len(tried.links))} touched it"
-        moved, turned = f"{tried.displacement_m * 1e3:.1f} mm", f"{degrees(tried.angle_rad):.1f}°"
-        if tried.reason == Reason.HELD:
+    def words(self, result: DirectionResult) -> str:
+        """Describe the result of one direction, such as "turned by 15.2° after 0.2 s, 4 links still touched it"."""
+        left = f"{_links(len(result.links))} touched it"
+        moved, turned = f"{result.displacement_m * 1e3:.1f} mm", f"{degrees(result.angle_rad):.1f}°"
+        if result.reason == Reason.HELD:
             return f"stayed: moved by {moved}, turned by {turned}"
-        if tried.reason == Reason.MOVED:
-            return f"moved by {moved}{tried.after}, {left}"
-        if tried.reason == Reason.TURNED:
-            return f"turned by {turned}{tried.after}, {left}"
-        if tried.reason == Reason.UNSTABLE:
-            return f"the simulation became unstable{tried.after}"
-        if tried.reason == Reason.PENETRATES and not isnan(self.penetration_m):
+        if result.reason == Reason.MOVED:
+            return f"moved by {moved}{result.after}, {left}"
+        if result.reason == Reason.TURNED:
+            return f"turned by {turned}{result.after}, {left}"
+        if result.reason == Reason.UNSTABLE:
+            return f"the simulation became unstable{result.after}"
+        if result.reason == Reason.PENETRATES and not isnan(self.penetration_m):
             return (
                 f"hand and object overlap by {self.penetration_m * 1e3:.1f} mm before the hand closes, which would "
                 f"throw the object (at most {self.protocol.deepest * 1e3:g} mm)"
             )
-        if tried.reason == Reason.THROWN and not isnan(self.closing_m):
+        if result.reason == Reason.THROWN and not isnan(self.closing_m):
             return (
                 f"closing the hand moved the object by {self.closing_m * 1e3:.0f} mm and turned it by "
                 f"{degrees(self.closing_rad):.0f}°, before any push"
             )
-        return tried.reason.meaning(self.protocol)
+        return result.reason.meaning(self.protocol)
 
 
 def _links(count: int) -> str:
-    """How many links, for people."""
+    """Number of links as text."""
     return {0: "no link", 1: "1 link still"}.get(count, f"{count} links still")

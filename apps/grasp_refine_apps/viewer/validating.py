@@ -1,4 +1,4 @@
-"""Whether one grasp holds: simulated as `refine-grasp validate` does, told in words, and stopped when asked."""
+"""Validation of one grasp in simulation, as by `refine-grasp validate`, with progress and interruption."""
 
 from __future__ import annotations
 
@@ -27,45 +27,45 @@ from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shown_motion import ShownMotion, shown_motion
 from grasp_refine_apps.viewer.validated import TrialResult
 
-HANDS, WORLDS = 2, 6
-"""How many hands, and worlds of a hand, an object and a protocol, are kept ready."""
+MAX_HANDS, MAX_WORLDS = 2, 6
+"""Numbers of cached hands, and of cached worlds of a hand, an object and a protocol."""
 
-MOST_FRICTION = 10.0
+MAX_FRICTION = 10.0
 """Largest coefficient of friction; rubber on rubber has less than 2."""
 
-TOLD = 20
-"""Simulation steps between two words about progress."""
+STEPS_PER_REPORT = 20
+"""Simulation steps between two reports of progress."""
 
-Tell = Callable[[float, str], None]
-"""Is told which share is done, 0 to 1, and what is being done."""
+ReportProgress = Callable[[float, str], None]
+"""Callback with the completed share, 0 to 1, and a description."""
 
 Check = Callable[[], None]
-"""Raises when the work is to end here; is called every few milliseconds."""
+"""Callback every few milliseconds, which raises to end the work."""
 
 
 def protocol_of(setting: str, friction: float | None = None) -> Protocol:
-    """The protocol of that name; with another coefficient of sliding friction, if one is given.
+    """Return the protocol of a name, with another coefficient of sliding friction if one is given.
 
     Raises:
-        GraspRefineError: there is none of that name, or friction cannot be so much.
+        GraspRefineError: there is none of that name, or the friction is out of range.
     """
     if setting not in SETTINGS:
         raise GraspRefineError(f"setting '{setting}': there are {', '.join(SETTINGS)}")
-    if friction is not None and not 0 < friction <= MOST_FRICTION:
-        raise GraspRefineError(f"friction must be above 0 and at most {MOST_FRICTION:g}, got {friction:g}")
+    if friction is not None and not 0 < friction <= MAX_FRICTION:
+        raise GraspRefineError(f"friction must be above 0 and at most {MAX_FRICTION:g}, got {friction:g}")
     return SETTINGS[setting].slippery(friction)
 
 
 class Validator:
-    """Hands and worlds as MuJoCo takes them, made when they are first asked for and kept for the next grasp."""
+    """Hands and worlds for MuJoCo, made at their first use and cached for the next grasp."""
 
     def __init__(self) -> None:
-        """Nothing is made yet."""
-        self._model = lru_cache(HANDS)(model_of)
-        self._world = lru_cache(WORLDS)(self._built)
+        """Start with empty caches."""
+        self._model = lru_cache(MAX_HANDS)(model_of)
+        self._world = lru_cache(MAX_WORLDS)(self._built)
 
     def model(self, hand: Hand) -> HandModel:
-        """The hand.
+        """Return the model of a hand.
 
         Raises:
             HandError: its MJCF cannot be used.
@@ -73,7 +73,7 @@ class Validator:
         return self._model(hand)
 
     def world(self, scene: Scene, protocol: Protocol) -> World:
-        """The world in which grasps of a scene are simulated.
+        """Return the world in which grasps of a scene are simulated.
 
         Raises:
             GraspRefineError: MuJoCo cannot make the hand or the world.
@@ -90,86 +90,86 @@ def run_trial(
     pose: Pose,
     protocol: Protocol,
     *,
-    came: GraspSet | None = None,
+    file_grasp: GraspSet | None = None,
     prepared: HandObject | None = None,
-    tell: Tell = lambda share, what: None,
+    report: ReportProgress = lambda share, what: None,
     check: Check = lambda: None,
 ) -> TrialResult:
-    """What simulation says of one pose of the hand.
+    """Simulate one pose of the hand.
 
     Args:
-        validator: Keeps what was compiled.
-        scene: Hand, object and table, and the one grasp as it came.
-        pose: Where the hand is.
-        protocol: How it is simulated.
-        came: As for `stages`.
-        prepared: Of this hand and object; None: built here.
-        tell: Is told how far it is.
+        validator: Cache of compiled models.
+        scene: Hand, object and table, and the one input grasp.
+        pose: Pose of the hand.
+        protocol: Protocol of the simulation.
+        file_grasp: As for `stages`.
+        prepared: Prepared hand and object; None: built here.
+        report: Called with the progress.
         check: Its exceptions end the work.
 
     Raises:
         GraspRefineError: MuJoCo cannot make the hand or the world.
     """
-    tell(0.0, "preparing the simulation")
+    report(0.0, "preparing the simulation")
     check()
     world = validator.world(scene, protocol)
     check()
-    motion, owners = stages(scene, pose, came=came, prepared=prepared, check=check)
+    motion, owners = stages(scene, pose, file_grasp=file_grasp, prepared=prepared, check=check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
-    seen = watcher(protocol, pushing, tell, check)
-    closed = close(world, motion, Conditions.nominal(world, 1), watch=seen)
-    trials = push(world, closed, watch=seen)
-    tell(1.0, "done")
+    observer = trial_observer(protocol, pushing, report, check)
+    closed = close(world, motion, Conditions.nominal(world, 1), watch=observer)
+    trials = push(world, closed, watch=observer)
+    report(1.0, "done")
     return TrialResult.of(trials, 0, protocol, owners, motion)
 
 
-def watch(
+def record_direction(
     validator: Validator,
     scene: Scene,
     pose: Pose,
-    proved: TrialResult,
+    trial: TrialResult,
     direction: str,
     *,
-    came: GraspSet | None = None,
+    file_grasp: GraspSet | None = None,
     prepared: HandObject | None = None,
-    tell: Tell = lambda share, what: None,
+    report: ReportProgress = lambda share, what: None,
     check: Check = lambda: None,
 ) -> ShownMotion:
-    """The simulation of one direction again, this time recorded.
+    """Simulate one direction again, this time recorded.
 
     Args:
-        validator: Keeps what was compiled.
+        validator: Cache of compiled models.
         scene: As for `run_trial`.
-        pose: As for `run_trial`; only needed where the proof does not say how the hand closed.
-        proved: What simulation said.
+        pose: As for `run_trial`; only needed where the result has no closing motion.
+        trial: Result of the trial.
         direction: One of its directions.
-        came: As for `stages`.
-        prepared: Of this hand and object; None: built here.
-        tell: Is told how far it is.
+        file_grasp: As for `stages`.
+        prepared: Prepared hand and object; None: built here.
+        report: Called with the progress.
         check: Its exceptions end the work.
 
     Raises:
         GraspRefineError: no such direction, or the trial cannot start, so that nothing can be seen.
     """
-    if direction not in proved.directions:
-        raise GraspRefineError(f"direction '{direction}': there are {', '.join(proved.directions)}")
-    tell(0.0, "preparing the simulation")
+    if direction not in trial.directions:
+        raise GraspRefineError(f"direction '{direction}': there are {', '.join(trial.directions)}")
+    report(0.0, "preparing the simulation")
     check()
-    world = validator.world(scene, proved.protocol)
-    motion = proved.motion
+    world = validator.world(scene, trial.protocol)
+    motion = trial.motion
     if motion is None:
-        motion, _ = stages(scene, pose, came=came, prepared=prepared, check=check)
-    pushing = "lifting the object" if proved.protocol.tabletop else f"pushing along {direction}"
+        motion, _ = stages(scene, pose, file_grasp=file_grasp, prepared=prepared, check=check)
+    pushing = "lifting the object" if trial.protocol.tabletop else f"pushing along {direction}"
     replay = record(
         world,
         motion,
         direction,
         name=scene.object.name,
         hand=scene.hand.name,
-        also=watcher(proved.protocol, pushing, tell, check),
+        also=trial_observer(trial.protocol, pushing, report, check),
     )
     if replay is None:
-        raise GraspRefineError(f"nothing to watch: {proved.words(proved.tried[0])}")
+        raise GraspRefineError(f"nothing to watch: {trial.words(trial.results[0])}")
     return shown_motion(scene.hand, validator.model(scene.hand), replay, world.model)
 
 
@@ -177,23 +177,23 @@ def stages(
     scene: Scene,
     pose: Pose,
     *,
-    came: GraspSet | None = None,
+    file_grasp: GraspSet | None = None,
     prepared: HandObject | None = None,
     check: Check = lambda: None,
 ) -> tuple[Motion, Mapping[str, str]]:
-    """How the hand closes to a pose, and whose pregrasp and squeeze these are: stage -> "file" or "own".
+    """Return the closing motion to a pose, and the source of pregrasp and squeeze: stage -> "file" or "own".
 
     Args:
-        scene: Hand, object and table, and the one grasp as it came.
-        pose: Where the hand is.
-        came: The one grasp as its file has it. Pregrasp and squeeze are those of the file if the pose is the one that
-            came, and the file has them; otherwise they are our own.
-        prepared: Of this hand and object; None: built here.
+        scene: Hand, object and table, and the one input grasp.
+        pose: Pose of the hand.
+        file_grasp: The one grasp as in its file. Pregrasp and squeeze are those of the file if the pose is that of the
+            file, and the file has them; otherwise they are our own.
+        prepared: Prepared hand and object; None: built here.
         check: Its exceptions end the work.
     """
-    as_it_came = pose.same(Pose(scene.T_world_root[0], scene.q[0]))
+    is_file_pose = pose.same(Pose(scene.T_world_root[0], scene.q[0]))
     owners = {
-        name: "file" if as_it_came and came is not None and getattr(came, name) is not None else "own"
+        name: "file" if is_file_pose and file_grasp is not None and getattr(file_grasp, name) is not None else "own"
         for name in OTHER_STAGES
     }
     own = None
@@ -202,30 +202,30 @@ def stages(
         own = closing(posed, prepared, lambda finished, iteration, loss: check())
     if own is not None and "file" not in owners.values():
         return own, owners
-    assert came is not None  # some stages are of its file
-    return motion_of(came, scene.hand, own), owners
+    assert file_grasp is not None  # some stages are of its file
+    return motion_of(file_grasp, scene.hand, own), owners
 
 
-def watcher(protocol: Protocol, pushing: str, tell: Tell, check: Check) -> Watch:
-    """What sees the steps of one trial: tells how far it is, and calls `check` at each of them.
+def trial_observer(protocol: Protocol, pushing: str, report: ReportProgress, check: Check) -> Watch:
+    """Return an observer of the steps of one trial, which reports progress, and calls `check` at each step.
 
     Args:
         protocol: That of the trial.
-        pushing: What is said after the hand has closed.
-        tell: Is told how far it is.
+        pushing: Description after the hand has closed.
+        report: Called with the progress.
         check: Its exceptions end the trial.
     """
     move = protocol.moves * protocol.steps_per_move
     total = 2 * move + protocol.checks * protocol.steps_per_check
-    # The start is seen before the first step.
+    # The start is observed before the first step.
     steps = -1
 
-    def see(batch: Batch) -> None:
+    def observe(batch: Batch) -> None:
         nonlocal steps
         check()
         steps += 1
-        if steps % TOLD == 0:
+        if steps % STEPS_PER_REPORT == 0:
             what = "closing the hand" if steps <= move else "squeezing" if steps <= 2 * move else pushing
-            tell(min(steps / total, 1.0), what)
+            report(min(steps / total, 1.0), what)
 
-    return see
+    return observe

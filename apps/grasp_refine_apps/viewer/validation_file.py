@@ -1,4 +1,4 @@
-"""Reads the documents that `validate --json` and `run --json` write, as far as they tell of simulations."""
+"""Reader of simulation results in the documents of `validate --json` and `run --json`."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.validated import TrialResult, Tried
+from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.validations import COMMANDS, Entry, ValidationFile, When
 
-LARGEST = 2**28
-"""How many bytes a document may have: 256 MiB, or some 40 000 grasps."""
+MAX_FILE_BYTES = 2**28
+"""Maximum bytes of a document: 256 MiB, or some 40 000 grasps."""
 
-LARGEST_NUMBER = 1e12
-"""Numbers in SI units are smaller."""
+MAX_MAGNITUDE = 1e12
+"""Upper bound of the magnitude of numbers in SI units."""
 
-LONGEST = 40
-"""Longest text of a wrong value that is shown."""
+MAX_VALUE_CHARS = 40
+"""Maximum characters of a wrong value in a message."""
 
 
 def read_validation(path: Path) -> ValidationFile:
-    """What a document says.
+    """Read the simulation results of a document.
 
     Raises:
-        GraspFileError: it cannot be read, is damaged, or is none of these documents; says where.
+        GraspFileError: it cannot be read, is damaged, or is none of these documents; the message says where.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            raise GraspFileError(f"{path}: has more than {LARGEST // 2**20} MiB")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise GraspFileError(f"{path}: has more than {MAX_FILE_BYTES // 2**20} MiB")
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise GraspFileError(f"{path}: cannot be read ({error.strerror or error})") from None
@@ -47,18 +47,18 @@ def read_validation(path: Path) -> ValidationFile:
 
 @dataclass(frozen=True)
 class _Reader:
-    """Reads the parts of a document, each with a word about where it is."""
+    """Reader of the parts of a document, each with its place for messages."""
 
     path: Path
 
     def error(self, where: str, needed: str, value: Any) -> GraspFileError:
-        """What is wrong, and where."""
+        """Return the error of a wrong value, with its place."""
         shown = json.dumps(value)
-        shown = shown if len(shown) < LONGEST else f"{shown[: LONGEST - 4]} ..."
+        shown = shown if len(shown) < MAX_VALUE_CHARS else f"{shown[: MAX_VALUE_CHARS - 4]} ..."
         return GraspFileError(f"{self.path}: {where} must be {needed}, got {shown}")
 
     def document(self, value: Any) -> ValidationFile:
-        """All of it."""
+        """Read the whole document."""
         whole = self.mapping(value, "the document")
         if whole.get("command") not in COMMANDS:
             raise GraspFileError(f"{self.path}: is no document that {' or '.join(COMMANDS)} wrote with --json")
@@ -67,7 +67,7 @@ class _Reader:
         config = self.mapping(whole.get("config"), "config")
         protocol = None if config.get("protocol") is None else self.protocol(config["protocol"])
         files = [self.mapping(file, "config.files") for file in self.list(config.get("files", []), "config.files")]
-        # Whose stages were simulated before refinement, `run` does not write.
+        # `run` does not write the source of the stages that were simulated before refinement.
         closing: dict[When, Mapping[str, str]] = {"after": dict.fromkeys(OTHER_STAGES, "own")}
         if whole["command"] == "validate":
             closing = {"after": self.closing(files[0].get("closing")) if len(files) == 1 else {}}
@@ -83,28 +83,30 @@ class _Reader:
         )
 
     def entry(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[When, Any]) -> Entry:
-        """One grasp."""
+        """Read one grasp."""
         grasp = self.mapping(value, where)
         simulation = self.mapping(grasp.get("simulation") or {}, f"{where}.simulation")
-        proved: dict[When, TrialResult] = {}
+        trials: dict[When, TrialResult] = {}
         for when in ("before", "after"):
             if simulation.get(when) is not None:
                 at = f"{where}.simulation.{when}"
-                proved[when] = self.proved(simulation[when], at, protocol, closing.get(when, {}))
+                trials[when] = self.trial_result(simulation[when], at, protocol, closing.get(when, {}))
         row = grasp.get("row")
         if not isinstance(row, int) or isinstance(row, bool) or row < 0:
-            raise self.error(f"{where}.row", "a whole number from 0 on", row)
+            raise self.error(f"{where}.row", "an integer of at least 0", row)
         quality = self.mapping(grasp.get("quality") or {}, f"{where}.quality")
         return Entry(
             file=self.text(grasp.get("file", ""), f"{where}.file"),
             row=row,
             object=self.text(grasp.get("object"), f"{where}.object"),
             quality=self.number(quality.get("after"), f"{where}.quality.after"),
-            proved=proved,
+            trials=trials,
         )
 
-    def proved(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]) -> TrialResult:
-        """What simulation said of one grasp."""
+    def trial_result(
+        self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]
+    ) -> TrialResult:
+        """Read the simulation result of one grasp."""
         simulation = self.mapping(value, where)
         setting = simulation.get("setting")
         protocol = protocol or (SETTINGS.get(setting) if isinstance(setting, str) else None)
@@ -112,19 +114,19 @@ class _Reader:
             raise self.error(f"{where}.setting", f"among {', '.join(SETTINGS)}", setting)
         directions = self.list(simulation.get("directions"), f"{where}.directions")
         if not directions:
-            raise self.error(f"{where}.directions", "a list with something in it", directions)
+            raise self.error(f"{where}.directions", "a list that is not empty", directions)
         closed = self.mapping(simulation.get("closing") or {}, f"{where}.closing")
         return TrialResult(
             protocol=protocol,
-            tried=tuple(self.tried(one, f"{where}.directions[{i}]") for i, one in enumerate(directions)),
+            results=tuple(self.direction_result(one, f"{where}.directions[{i}]") for i, one in enumerate(directions)),
             closing=closing,
             closing_m=self.number(closed.get("displacement_m"), f"{where}.closing.displacement_m"),
             closing_rad=self.number(closed.get("angle_rad"), f"{where}.closing.angle_rad"),
             penetration_m=self.number(closed.get("pregrasp_penetration_m"), f"{where}.closing.pregrasp_penetration_m"),
         )
 
-    def tried(self, value: Any, where: str) -> Tried:
-        """What became of it in one direction."""
+    def direction_result(self, value: Any, where: str) -> DirectionResult:
+        """Read the result of one direction."""
         one = self.mapping(value, where)
         names, reasons = (*AXES, *LIFT), {reason.label: reason for reason in Reason}
         if one.get("direction") not in names:
@@ -133,7 +135,7 @@ class _Reader:
             raise self.error(f"{where}.reason", f"among {', '.join(reasons)}", one.get("reason"))
         columns = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
         links = self.list(one.get("contacts"), f"{where}.contacts")
-        return Tried(
+        return DirectionResult(
             direction=one["direction"],
             reason=reasons[one["reason"]],
             links=tuple(self.text(link, f"{where}.contacts") for link in links),
@@ -141,7 +143,7 @@ class _Reader:
         )
 
     def protocol(self, value: Any) -> Protocol:
-        """How all were simulated."""
+        """Read the protocol of all simulations."""
         given = self.mapping(value, "config.protocol")
         found: dict[str, Any] = {}
         for field in fields(Protocol):
@@ -160,7 +162,7 @@ class _Reader:
         return Protocol(**found)
 
     def closing(self, value: Any) -> dict[str, str]:
-        """Whose pregrasps and squeezes were simulated."""
+        """Read the source of the simulated pregrasps and squeezes."""
         given = {} if value is None else self.mapping(value, "config.files closing")
         if not given:
             return {}
@@ -169,28 +171,28 @@ class _Reader:
         return dict(given)
 
     def mapping(self, value: Any, where: str) -> dict[str, Any]:
-        """An object of JSON."""
+        """Check a JSON object."""
         if not isinstance(value, dict):
             raise self.error(where, "an object", value)
         return value
 
     def list(self, value: Any, where: str) -> Sequence[Any]:
-        """A list."""
+        """Check a list."""
         if not isinstance(value, list):
             raise self.error(where, "a list", value)
         return value
 
     def text(self, value: Any, where: str) -> str:
-        """A text."""
+        """Check a text."""
         if not isinstance(value, str):
             raise self.error(where, "a text", value)
         return value
 
     def number(self, value: Any, where: str) -> float:
-        """A number, NaN where there is null."""
+        """Check a number; null becomes NaN."""
         if value is None:
             return nan
-        known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < LARGEST_NUMBER
+        known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < MAX_MAGNITUDE
         if not known:
-            raise self.error(where, f"a number below {LARGEST_NUMBER:g}, or null", value)
+            raise self.error(where, f"a number below {MAX_MAGNITUDE:g}, or null", value)
         return float(value)

@@ -1,4 +1,4 @@
-"""What was written of simulations, matched to the grasps that are open."""
+"""Written simulation results, matched to the open grasps."""
 
 from __future__ import annotations
 
@@ -17,49 +17,49 @@ from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.validated import TrialResult
 
 COMMANDS = ("run", "validate")
-"""Commands whose documents tell of simulations."""
+"""Commands whose documents hold simulation results."""
 
-SAME = 1e-6
-"""Qualities that differ by more than this are not of the same grasp."""
+QUALITY_TOLERANCE = 1e-6
+"""Largest difference in quality of the same grasp."""
 
 When = Literal["before", "after"]
-"""Which of the two grasps of an entry: as it came, or refined."""
+"""Grasp of an entry: the input grasp, or the refined one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """What a document says of one grasp."""
+    """Entry of a document on one grasp."""
 
     file: str
-    """Name of the file that was validated; empty where it is not said."""
+    """Name of the file that was validated; empty where it is not specified."""
     row: int
     """Row of the grasp in the file that the command read."""
     object: str
     """Name of the object."""
     quality: float
-    """`Quality.value` after refinement, or of the grasp as it was; NaN where unknown."""
-    proved: Mapping[When, TrialResult]
-    """What was simulated."""
+    """`Quality.value` after refinement, or of the input grasp; NaN where unknown."""
+    trials: Mapping[When, TrialResult]
+    """Simulation results."""
 
 
 @dataclass(frozen=True, eq=False)
 class ValidationFile:
-    """What a document says of all grasps."""
+    """Document on all grasps."""
 
     path: Path
     """The document."""
     command: str
-    """Which of `COMMANDS` wrote it."""
+    """Command that wrote it, one of `COMMANDS`."""
     files: Mapping[str, str]
     """sha256 of the files that were validated, as `fingerprint` -> their names; empty: not known."""
     entries: tuple[Entry, ...]
-    """The grasps, in the order in which they were asked for."""
+    """Entries of the grasps, in the requested order."""
 
     def of(self, collection: Collection) -> dict[int, TrialResult]:
-        """Number of a grasp that is open -> what simulation said of it.
+        """Return the simulation results of the open grasps by number.
 
-        What `validate` wrote is of the file that was validated. What `run` wrote is, before refinement, of the file
-        that it read, and after that of the files that it wrote, of which each has the grasps of one object.
+        Results of `validate` are of the file that was validated. Results of `run` are, before refinement, of the file
+        that it read, and after it of the files that it wrote, of which each has the grasps of one object.
 
         Raises:
             GraspFileError: the document is about other grasps.
@@ -73,9 +73,9 @@ class ValidationFile:
         written = self.command == "run" and STATUS.key in collection.columns
         when: When = "after" if written or self.command == "validate" else "before"
         matched = self._matched(collection, file, written=written)
-        found = {number: entry.proved[when] for number, entry in matched if when in entry.proved}
+        found = {number: entry.trials[when] for number, entry in matched if when in entry.trials}
         if not found:
-            simulated = any(entry.proved for entry in self.entries)
+            simulated = any(entry.trials for entry in self.entries)
             raise self._error(
                 f"none of its {len(self.entries)} grasps is among those that are open"
                 if simulated
@@ -84,7 +84,7 @@ class ValidationFile:
         return found
 
     def _matched(self, collection: Collection, file: str | None, *, written: bool) -> list[tuple[int, Entry]]:
-        """Numbers of grasps that are open, with their entries."""
+        """Return the numbers of open grasps, with their entries."""
         problem = collection.problem
         rows = np.concatenate([group.rows for group in problem.groups])[problem.order]
         places: dict[tuple[str, int], Entry] = {}
@@ -102,10 +102,10 @@ class ValidationFile:
                 continue
             entry = places[name, row]
             known = nan if not written or quality is None else float(quality.values[number])
-            if abs(known - entry.quality) > SAME:
+            if abs(known - entry.quality) > QUALITY_TOLERANCE:
                 raise self._error(
-                    f"is of another refinement: it says quality {entry.quality:.6g} of {collection.label(number)}, "
-                    f"whose file says {known:.6g}"
+                    f"is of another refinement: it has quality {entry.quality:.6g} for {collection.label(number)}, "
+                    f"whose file has {known:.6g}"
                 )
             pairs.append((number, entry))
         return pairs
@@ -115,10 +115,10 @@ class ValidationFile:
 
 
 def with_trials(collection: Collection, found: Mapping[int, TrialResult]) -> Collection:
-    """The same grasps, with what simulation said of some in their table."""
+    """Return the collection with the simulation results of some grasps in its columns."""
     success, known = np.zeros((2, len(collection)), dtype=bool)
     reason = np.full(len(collection), "", dtype=object)
-    for number, proved in found.items():
-        known[number], success[number] = True, proved.held
-        reason[number] = next((tried.reason.label for tried in proved.tried if not tried.held), "")
+    for number, trial in found.items():
+        known[number], success[number] = True, trial.held
+        reason[number] = next((result.reason.label for result in trial.results if not result.held), "")
     return collection.with_simulation(success, reason.astype(str), known)

@@ -1,4 +1,4 @@
-"""One thread that does what takes long, one job at a time; jobs are paused, taken step by step, and stopped."""
+"""Worker thread for long jobs, one at a time; jobs can be paused, stepped and stopped."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from queue import SimpleQueue
 
 
 class Stopped(Exception):
-    """The user does not want this any more."""
+    """End of a job that the user stopped."""
 
 
 class Control:
-    """How one job is told what to do, and tells how far it is; for both threads."""
+    """Control and progress of one job, for both threads."""
 
-    def __init__(self, tell: Callable[[float | None, str], None]) -> None:
-        """`tell` hears which share (0 to 1, None: unknown) is done, and what is being done."""
-        self._tell = tell
+    def __init__(self, report: Callable[[float | None, str], None]) -> None:
+        """Start unpaused; `report` is called with the completed share (0 to 1, None: unknown) and a description."""
+        self._report = report
         self._changed = threading.Condition()
         self._stopped = self._paused = False
         self._steps = 0
 
-    def tell(self, share: float | None, what: str) -> None:
-        """Say how far the job is; what a stopped one says is not heard."""
+    def report(self, share: float | None, what: str) -> None:
+        """Report the progress of the job; ignored after it was stopped."""
         if not self._stopped:
-            self._tell(share, what)
+            self._report(share, what)
 
     def check(self) -> None:
-        """Go on, or wait while the job is paused; jobs call it several times in a tenth of a second.
+        """Return at once, or wait while the job is paused; jobs call it several times in a tenth of a second.
 
         Raises:
             Stopped: the job was stopped; nothing but cleaning up should follow.
@@ -42,12 +42,12 @@ class Control:
 
     @property
     def stopped(self) -> bool:
-        """Whether nobody wants the result any more."""
+        """Whether the job was stopped."""
         return self._stopped
 
     @property
     def paused(self) -> bool:
-        """Whether it is to wait after each check."""
+        """Whether the job waits at each check."""
         return self._paused
 
     def stop(self) -> None:
@@ -57,7 +57,7 @@ class Control:
             self._changed.notify_all()
 
     def pause(self, paused: bool) -> None:
-        """Hold the job at its next check, or let it go on."""
+        """Pause the job at its next check, or resume it."""
         with self._changed:
             self._paused, self._steps = paused, 0
             self._changed.notify_all()
@@ -70,20 +70,20 @@ class Control:
 
 
 class Worker:
-    """The thread; jobs wait for those before them, which have usually been stopped then."""
+    """Worker thread; jobs wait for those before them, which have usually been stopped then."""
 
     def __init__(self) -> None:
-        """Wait for jobs."""
+        """Start the thread."""
         self._jobs: SimpleQueue[tuple[Callable[[], None], Callable[[BaseException], None]] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="viewer worker", daemon=True)
         self._thread.start()
 
     def do(self, job: Callable[[], None], failed: Callable[[BaseException], None]) -> None:
-        """Do a job when those before it are done; `failed` gets what it raises, but for `Stopped`."""
+        """Do a job after those before it; `failed` is called with its exception, except `Stopped`."""
         self._jobs.put((job, failed))
 
     def close(self, timeout: float = 5.0) -> None:
-        """End the thread after the present job, which should have been stopped; wait for it so many seconds."""
+        """End the thread after the present job, which should have been stopped; wait at most `timeout` seconds."""
         self._jobs.put(None)
         self._thread.join(timeout)
 

@@ -22,7 +22,7 @@ from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.viewer.alignment import AlignmentPage
-from grasp_refine_apps.viewer.alignment_chart import SMALLEST, Chart, best_so_far
+from grasp_refine_apps.viewer.alignment_chart import MIN_ERROR_MM, Chart, best_so_far
 from grasp_refine_apps.viewer.alignment_words import mm, where
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.page import open_server
@@ -194,7 +194,7 @@ def test_the_chart_shows_the_errors(shown: AlignmentPage, visitor: Page, task: A
     assert lines[DISTANCE][at] == pytest.approx(1e3 * np.sqrt(run.error[:31].min()))
     assert (np.diff(lines, axis=1) <= 0).all() and (solved == 1.0).all()
     assert [line[-1] for line in lines] == pytest.approx(
-        [max(1e3 * np.sqrt(run.error[run.result]), SMALLEST) for run in task.trajectories]
+        [max(1e3 * np.sqrt(run.error[run.result]), MIN_ERROR_MM) for run in task.trajectories]
     )
     _, cpu_time = shown.against.options
     visitor.change(shown.against, cpu_time)

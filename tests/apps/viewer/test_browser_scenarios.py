@@ -69,16 +69,16 @@ def told(page: ViserPage, *named: str) -> str:
     return words
 
 
-def proof_rows(page: ViserPage) -> list[list[str]]:
+def trial_rows(page: ViserPage) -> list[list[str]]:
     """The cells of the table that says what simulation found."""
     return page.page.evaluate(
-        "() => [...document.querySelectorAll('.gr-proof tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
+        "() => [...document.querySelectorAll('.gr-trial tbody tr')].map(r => [...r.cells].map(c => c.innerText))"
     )
 
 
 def test_a_link_ends_where_two_clicks_in_the_scene_said(page: ViserPage):
     refine(page)
-    page.tab("Steer")
+    page.tab("Edit")
     page.check("Set by clicks")
     side = place(page, "/grasp/contacts/link/3") + (0.01, 0.012, 0.0)  # that which faces the camera
 
@@ -105,7 +105,7 @@ def test_a_link_ends_where_two_clicks_in_the_scene_said(page: ViserPage):
 
     until(reached, "the point of the thumb is at the target")
     assert np.allclose(place(page, "/grasp/targets/object/0"), target)
-    page.tab("Steer")
+    page.tab("Edit")
     page.check("Set by clicks", False)
     page.click("Auto")
     until(lambda: "link_15.0" not in page.text(), "no target")
@@ -115,11 +115,11 @@ def test_a_grasp_that_slips_is_tested_and_watched(page: ViserPage):
     page.tab("Browse")
     page.click("Next ▶")
     page.wait_for_text("mug 1")  # the first example that holds with the usual friction
-    page.tab("Prove")
+    page.tab("Validate")
     page.enter("Friction", 0.15)
     page.click("Test in MuJoCo")
-    until(lambda: len(proof_rows(page)) == 6, "six directions")
-    rows = {row[0]: row[1:] for row in proof_rows(page)}
+    until(lambda: len(trial_rows(page)) == 6, "six directions")
+    rows = {row[0]: row[1:] for row in trial_rows(page)}
     assert set(rows) == {"+x", "-x", "+y", "-y", "+z", "-z"}
     assert all(result.startswith(("✓", "✗")) and turned.endswith("°") for result, _, turned, _ in rows.values())
     lost = next(direction for direction, row in rows.items() if row[0].startswith("✗"))

@@ -13,7 +13,7 @@ from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine_apps.viewer.camera import ELEVATIONS, MARGIN, FirstCamera, first_camera, first_camera_of
+from grasp_refine_apps.viewer.camera import ELEVATIONS_DEG, FILLED_SHARE, FirstCamera, first_camera, first_camera_of
 from grasp_refine_apps.viewer.contacts import contacts_of
 
 
@@ -47,9 +47,9 @@ PALM = GRID.reshape(-1, 3)
 def test_all_is_in_the_picture_and_fills_it(aspect: float, degrees: float):
     camera = first_camera(PALM, BALL, BALL[:3], aspect=aspect, field_of_view=np.radians(degrees))
     reach = np.abs(in_picture(camera, np.concatenate([PALM, BALL]), aspect)).max(axis=0)
-    assert reach.max() == pytest.approx(MARGIN) and (reach < MARGIN + 1e-9).all()
+    assert reach.max() == pytest.approx(FILLED_SHARE) and (reach < FILLED_SHARE + 1e-9).all()
     np.testing.assert_array_equal(camera.up, [0, 0, 1])
-    assert elevation(camera) == pytest.approx(min(ELEVATIONS, key=lambda e: abs(e - elevation(camera))))
+    assert elevation(camera) == pytest.approx(min(ELEVATIONS_DEG, key=lambda e: abs(e - elevation(camera))))
 
 
 @pytest.mark.parametrize("degrees", [0.0, 90.0, 200.0])

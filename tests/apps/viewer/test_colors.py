@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer.colors import SCALE, UNKNOWN, distance_colors, distance_legend
+from grasp_refine_apps.viewer.colors import COLOR_STOPS_MM, UNKNOWN_COLOR, distance_colors, distance_legend
 
 DISTANCES = 1e-3 * np.array([-8.0, -5.0, -2.0, -1.0, -0.5, -0.3, 0.0, 0.3, 0.5, 1.0, 3.0, 6.0, 10.0, 50.0])
 
@@ -43,15 +43,15 @@ def lab(rgb: np.ndarray) -> np.ndarray:
 
 
 def test_stops_of_the_scale_have_its_colours():
-    at = distance_colors(1e-3 * np.array([millimetres for millimetres, _ in SCALE]))
-    np.testing.assert_array_equal(at, [color for _, color in SCALE])
+    at = distance_colors(1e-3 * np.array([millimetres for millimetres, _ in COLOR_STOPS_MM]))
+    np.testing.assert_array_equal(at, [color for _, color in COLOR_STOPS_MM])
     assert at.dtype == np.uint8
 
 
 def test_between_stops_colours_are_mixed_and_beyond_they_stay():
     middle, deep, far = distance_colors(1e-3 * np.array([-3.0, -30.0, 500.0]))
-    np.testing.assert_allclose(middle, np.mean([SCALE[0][1], SCALE[1][1]], axis=0), atol=0.5)
-    assert tuple(deep) == SCALE[0][1] and tuple(far) == SCALE[-1][1]
+    np.testing.assert_allclose(middle, np.mean([COLOR_STOPS_MM[0][1], COLOR_STOPS_MM[1][1]], axis=0), atol=0.5)
+    assert tuple(deep) == COLOR_STOPS_MM[0][1] and tuple(far) == COLOR_STOPS_MM[-1][1]
 
 
 def test_inside_is_warm_touching_green_and_outside_cool():
@@ -62,7 +62,7 @@ def test_inside_is_warm_touching_green_and_outside_cool():
 
 
 def test_what_is_not_known_is_grey():
-    assert tuple(distance_colors(np.array([np.nan]))[0]) == UNKNOWN
+    assert tuple(distance_colors(np.array([np.nan]))[0]) == UNKNOWN_COLOR
     assert distance_colors(np.zeros(0)).shape == (0, 3)
 
 

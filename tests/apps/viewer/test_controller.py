@@ -162,7 +162,7 @@ def test_reset_goes_back_to_the_grasp_as_it_came(viewer: Controller) -> None:
     assert same(viewer.state.pose, refined)
 
 
-# steering
+# editing
 
 
 def test_joints_stay_within_their_limits_and_a_drag_is_one_step(viewer: Controller) -> None:
@@ -188,7 +188,7 @@ def test_moving_the_object_leaves_the_hand_where_it_is_drawn(viewer: Controller)
     np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
 
 
-def test_steering_ends_what_is_being_refined(viewer: Controller) -> None:
+def test_an_edit_ends_what_is_being_refined(viewer: Controller) -> None:
     viewer.set_settings(Settings(solver="descent", iterations=100_000, tolerance=0.0))
     viewer.start()
     until(lambda: viewer.state.trace is not None)
@@ -202,7 +202,7 @@ def test_steering_ends_what_is_being_refined(viewer: Controller) -> None:
 
 
 def test_a_target_set_by_clicks_is_reached(viewer: Controller) -> None:
-    viewer.aim_nearest()
+    viewer.target_nearest_points()
     settled(viewer)
     near = {target.link: target for target in viewer.state.targets}
     viewer.clear_targets()
@@ -248,7 +248,7 @@ def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller)
 # proving
 
 
-def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
+def test_a_trial_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
     viewer.show(SLIPPING)
     viewer.run_trial("force-closure", 0.15)
     settled(viewer)
@@ -268,7 +268,7 @@ def test_a_proof_says_what_held_and_its_motion_can_be_watched(viewer: Controller
     assert_names(viewer.state.notice.text, "friction", "0", "-1")
 
 
-def test_a_proof_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
+def test_a_trial_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
     viewer.run_trial()
     settled(viewer)
     assert viewer.state.trial is not None
@@ -326,10 +326,10 @@ def test_what_is_not_finite_or_no_joint_is_ignored(viewer: Controller) -> None:
     assert viewer.state.pose is first and not viewer.state.can_undo
 
 
-def test_a_new_target_leaves_the_proof_of_the_pose(viewer: Controller) -> None:
+def test_a_new_target_leaves_the_trial_of_the_pose(viewer: Controller) -> None:
     viewer.run_trial()
     settled(viewer)
-    viewer.aim_nearest()
+    viewer.target_nearest_points()
     settled(viewer)
     assert viewer.state.targets and viewer.state.trial is not None
     viewer.undo()

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine_apps.viewer.decimate import simpler
+from grasp_refine_apps.viewer.decimate import decimate
 
 
 def test_a_small_mesh_stays_as_it_is():
     mesh = trimesh.creation.icosphere(subdivisions=2)
-    assert simpler(mesh, len(mesh.faces)) is mesh
+    assert decimate(mesh, len(mesh.faces)) is mesh
 
 
 @pytest.mark.parametrize("most", [200, 2000, 5000])
 def test_a_ball_keeps_its_shape(most: int):
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
-    small = simpler(mesh, most)
+    small = decimate(mesh, most)
     assert most / 3 < len(small.faces) <= most
     # The mean of a patch lies no deeper in the ball than the middle of its longest chord.
     off = 0.05 - np.linalg.norm(small.vertices, axis=1)
@@ -31,7 +31,7 @@ def test_open_meshes_and_several_bodies_are_fine():
     sheet = trimesh.creation.icosphere(subdivisions=4)
     sheet.update_faces(sheet.triangles_center[:, 2] > 0)
     far = sheet.copy().apply_translation([10.0, 0.0, 0.0])
-    small = simpler(trimesh.util.concatenate([sheet, far]), 300)
+    small = decimate(trimesh.util.concatenate([sheet, far]), 300)
     assert 0 < len(small.faces) <= 300
     assert (np.minimum(*(np.linalg.norm(small.vertices - [x, 0, 0], axis=1) for x in (0, 10))) < 1 + 1e-9).all()
     np.testing.assert_allclose(small.bounds, [[-1, -1, 0], [11, 1, 1]], atol=0.2)
@@ -39,7 +39,7 @@ def test_open_meshes_and_several_bodies_are_fine():
 
 def test_no_triangle_is_there_twice_and_none_is_a_line():
     mesh = trimesh.creation.torus(1.0, 0.02, major_sections=300, minor_sections=20)
-    small = simpler(mesh, 1000)
+    small = decimate(mesh, 1000)
     corners = np.sort(small.faces, axis=1)
     assert len(np.unique(corners, axis=0)) == len(corners)
     assert (np.diff(corners, axis=1) > 0).all()

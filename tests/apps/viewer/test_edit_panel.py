@@ -1,4 +1,4 @@
-"""The panel that steers, with the real controller and viser server, on the embedded example."""
+"""Panel that edits the grasp, with the real controller and viser server, on the embedded example."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 from grasp_refine_apps.viewer import upload_limit  # noqa: E402
 from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
 from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png  # noqa: E402
-from grasp_refine_apps.viewer.uploads import LARGEST_UPLOAD  # noqa: E402
+from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES  # noqa: E402
 from viser_client import Client  # noqa: E402
 from websocket_page import until  # noqa: E402
 
@@ -195,11 +195,11 @@ def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
 
 
 def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(export_panel, "PATIENCE", 0.3)
+    monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 0.3)
     shown.one.change(shown.panel._picture, True)
     assert shown.told(bad=True) and not shown.one.downloads()
     # One that leaves meanwhile is not missed.
-    monkeypatch.setattr(export_panel, "PATIENCE", 60.0)
+    monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 60.0)
     told = shown.controller.state.notice
     shown.one.change(shown.panel._picture, True)
     until(lambda: len(shown.one.of("GetRenderRequestMessage")) == 2)
@@ -211,12 +211,12 @@ def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch
 
 def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
     states = shown.server.gui._current_file_upload_states
-    shown.one.upload(shown.panel._upload, "big.stl", bytes(2**20), said=LARGEST_UPLOAD + 1)
+    shown.one.upload(shown.panel._upload, "big.stl", bytes(2**20), said=MAX_UPLOAD_BYTES + 1)
     assert shown.told("big.stl", "64 MiB", bad=True)
     # The browser is told that it is over, or it would wait for ever.
     until(lambda: shown.one.of("FileTransferPartAck"))
     ack = shown.one.of("FileTransferPartAck")[-1]
-    assert ack["transferred_bytes"] == ack["total_bytes"] == LARGEST_UPLOAD + 1
+    assert ack["transferred_bytes"] == ack["total_bytes"] == MAX_UPLOAD_BYTES + 1
     assert not states
 
 
@@ -231,10 +231,10 @@ def test_more_bytes_than_were_announced_are_dropped(shown: Shown):
 
 def test_many_uploads_at_once_are_refused(shown: Shown):
     states = shown.server.gui._current_file_upload_states
-    for number in range(upload_limit.MOST_AT_ONCE + 3):
+    for number in range(upload_limit.MAX_CONCURRENT_UPLOADS + 3):
         shown.one.announce(shown.panel._upload, "a.stl", 1000, 2, str(number))
     assert shown.told("a.stl", "4 files", bad=True)
-    assert len(states) == upload_limit.MOST_AT_ONCE
+    assert len(states) == upload_limit.MAX_CONCURRENT_UPLOADS
     # They go with the browser.
     shown.one.close()
     until(lambda: not states)

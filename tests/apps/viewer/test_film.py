@@ -11,7 +11,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.film import MOST, Film, film_of, motion_film, refinement_film, thinned
+from grasp_refine_apps.viewer.film import MAX_FRAMES, Film, film_of, motion_film, refinement_film, subsample
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
@@ -49,10 +49,10 @@ def film(scene: Scene) -> Film:
 
 
 def test_many_iterations_are_thinned_evenly_and_keep_both_ends():
-    assert thinned(5).tolist() == [0, 1, 2, 3, 4]
-    assert thinned(1).tolist() == [0]
-    kept = thinned(1003)
-    assert len(kept) == MOST and kept[0] == 0 and kept[-1] == 1002
+    assert subsample(5).tolist() == [0, 1, 2, 3, 4]
+    assert subsample(1).tolist() == [0]
+    kept = subsample(1003)
+    assert len(kept) == MAX_FRAMES and kept[0] == 0 and kept[-1] == 1002
     assert set(np.diff(kept)) == {5, 6}
 
 

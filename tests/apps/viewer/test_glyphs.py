@@ -8,7 +8,14 @@ import trimesh
 
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
-from grasp_refine_apps.viewer.glyphs import CONE_HEIGHT, FORCE_LENGTH, SIDES, force_arrows, friction_cones, segments
+from grasp_refine_apps.viewer.glyphs import (
+    CONE_HEIGHT,
+    CONE_SIDES,
+    UNIT_FORCE_LENGTH,
+    force_arrows,
+    friction_cones,
+    segments,
+)
 
 BODY = build_body("box", [box((0.1, 0.2, 0.2))], candidates=16)
 DIAGONAL = 0.3
@@ -30,7 +37,7 @@ def test_arrows_start_at_the_contacts_and_are_as_long_as_the_forces_say():
     )
     arrows = force_arrows(point, force, BODY)
     np.testing.assert_allclose(arrows[:, 0], point[:2], atol=1e-8)
-    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], FORCE_LENGTH * DIAGONAL * force[:2], atol=1e-7)
+    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], UNIT_FORCE_LENGTH * DIAGONAL * force[:2], atol=1e-7)
 
 
 @pytest.mark.parametrize("friction", [0.15, 1.0])
@@ -50,7 +57,7 @@ def test_cones_open_into_the_object_by_the_angle_of_friction(friction: float):
         np.testing.assert_allclose(across / along, friction, rtol=1e-4)
     mesh = trimesh.Trimesh(vertices, faces)
     assert mesh.is_watertight and mesh.body_count == 2
-    pyramid = SIDES / 2 * np.sin(2 * np.pi / SIDES) * friction**2 * height**3 / 3
+    pyramid = CONE_SIDES / 2 * np.sin(2 * np.pi / CONE_SIDES) * friction**2 * height**3 / 3
     assert mesh.volume == pytest.approx(2 * pyramid, rel=1e-4)  # positive: faces look outward
 
 

@@ -10,7 +10,7 @@ import trimesh
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.viewer import hand_files, mesh_bounds
 from grasp_refine_apps.viewer.unpacking import UploadError
-from grasp_refine_apps.viewer.uploads import received
+from grasp_refine_apps.viewer.uploads import store_upload
 from refusals import assert_names
 from uploaded import TIP, gripper, gripper_zip, opened_files, zipped
 
@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 def refused(content: bytes, folder: Path, name: str = "hand.zip") -> str:
     """What is said; nothing that is not in the folder was opened."""
     with opened_files() as opened, pytest.raises(UploadError) as raised:
-        received(name, content, folder)
+        store_upload(name, content, folder)
     outside = folder.parents[1]
     assert not [path for path in opened if str(outside) in path and str(folder) not in path]
     text = str(raised.value)
@@ -40,7 +40,7 @@ def refused(content: bytes, folder: Path, name: str = "hand.zip") -> str:
 
 
 def test_a_ros_package_is_a_hand(folder: Path):
-    upload = received("gripper.zip", gripper_zip(), folder)
+    upload = store_upload("gripper.zip", gripper_zip(), folder)
     assert (upload.kind, upload.source) == ("hand", folder / "gripper" / URDF)
     with opened_files() as opened:
         hand = load_hand(upload.source)
@@ -52,13 +52,13 @@ def test_a_ros_package_is_a_hand(folder: Path):
 
 def test_a_hand_at_the_top_of_a_zip_is_called_like_the_zip(folder: Path):
     files = {"hand.toml": "", "a.urdf": gripper("tip.stl"), "tip.stl": TIP}
-    assert load_hand(received("my gripper.zip", zipped(files), folder).source).name == "my_gripper"
+    assert load_hand(store_upload("my gripper.zip", zipped(files), folder).source).name == "my_gripper"
 
 
 def test_a_hand_toml_says_which_urdf(folder: Path):
     toml = 'name = "pincers"\nurdf = "urdf/gripper.urdf"\n'
     content = gripper_zip(**{"gripper/hand.toml": toml, "gripper/urdf/other.urdf": "<robot/>"})
-    upload = received("gripper.zip", content, folder)
+    upload = store_upload("gripper.zip", content, folder)
     assert upload.source == folder / "gripper/gripper"
     assert load_hand(upload.source).name == "pincers"
 
@@ -98,7 +98,7 @@ def test_nothing_is_fetched(folder: Path):
 
 
 def test_a_mesh_that_only_shows_may_be_missing(folder: Path):
-    upload = received("a.zip", gripper_zip(**{URDF: gripper(visual="package://gripper/nowhere.stl")}), folder)
+    upload = store_upload("a.zip", gripper_zip(**{URDF: gripper(visual="package://gripper/nowhere.stl")}), folder)
     assert load_hand(upload.source).joint_names == ("left_hinge", "right_hinge")
 
 
@@ -157,13 +157,13 @@ def test_declarations_in_a_urdf_are_refused(before: str, folder: Path):
 
 
 def test_sizes_of_hands_are_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_bounds, "MOST_FACES", 300)
+    monkeypatch.setattr(mesh_bounds, "MAX_FACES", 300)
     ball = trimesh.creation.icosphere(2, 0.03).export(file_type="stl")
     assert_names(refused(gripper_zip(**{MESH: ball}), folder), "gripper/meshes/tip.stl", "320", "300")
 
 
 def test_all_meshes_of_a_hand_count_together(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_bounds, "MOST_FACES", 20)
+    monkeypatch.setattr(mesh_bounds, "MAX_FACES", 20)
     other = {"gripper/meshes/b.stl": TIP, URDF: gripper(visual="../meshes/b.stl")}
     text = refused(gripper_zip(**other), folder)
     assert_names(text, "24", "20")
@@ -171,11 +171,11 @@ def test_all_meshes_of_a_hand_count_together(folder: Path, monkeypatch: pytest.M
 
 
 def test_a_urdf_of_bounded_size(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(hand_files, "LARGEST_URDF", 512)
+    monkeypatch.setattr(hand_files, "MAX_URDF_BYTES", 512)
     assert_names(refused(gripper_zip(), folder), "gripper.urdf", "0 KiB")
 
 
 def test_a_urdf_of_shapes_needs_no_zip(folder: Path):
     urdf = gripper().replace('<mesh filename="package://gripper/meshes/tip.stl"/>', '<box size="0.02 0.02 0.05"/>')
-    upload = received("gripper.urdf", urdf.encode(), folder)
+    upload = store_upload("gripper.urdf", urdf.encode(), folder)
     assert load_hand(upload.source).joint_names == ("left_hinge", "right_hinge")

@@ -44,7 +44,7 @@ def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: P
 
 
 def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "HOLD", 600.0)  # longer than a busy machine takes for eight changes
+    monkeypatch.setattr(module, "HOLD_S", 600.0)  # longer than a busy machine takes for eight changes
     sent: list[float] = []
     slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     for value in range(1, 9):
@@ -57,7 +57,7 @@ def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypa
 
 def test_soon_after_the_newest_state_counts_again(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
     """Here somebody undid the movement."""
-    monkeypatch.setattr(module, "HOLD", 0.5)
+    monkeypatch.setattr(module, "HOLD_S", 0.5)
     slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
     page.change(slider.handle, 8)
     until(lambda: slider.handle.value == 8.0)
@@ -67,7 +67,7 @@ def test_soon_after_the_newest_state_counts_again(server: Any, page: Page, monke
 
 
 def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "HOLD", 0.1)
+    monkeypatch.setattr(module, "HOLD_S", 0.1)
     slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
     page.change(slider.handle, 5)
     until(lambda: slider.handle.value == 5.0)

@@ -1,20 +1,20 @@
-"""Undo and redo of what a user steers."""
+"""Undo and redo of a user's edits."""
 
 import numpy as np
 import pytest
 
 from grasp_refine_apps.viewer import history
-from grasp_refine_apps.viewer.history import History, Steered
+from grasp_refine_apps.viewer.history import EditSnapshot, History
 from grasp_refine_apps.viewer.pose import Pose
 
 
-def at(x: float) -> Steered:
-    return Steered(Pose(np.eye(4), np.array([x])), (), np.eye(4))
+def at(x: float) -> EditSnapshot:
+    return EditSnapshot(Pose(np.eye(4), np.array([x])), (), np.eye(4))
 
 
-def value(steered: Steered | None) -> float:
-    assert steered is not None
-    return float(steered.pose.q[0])
+def value(snapshot: EditSnapshot | None) -> float:
+    assert snapshot is not None
+    return float(snapshot.pose.q[0])
 
 
 def test_undo_and_redo_walk_through_what_was() -> None:
@@ -57,7 +57,7 @@ def test_a_movement_is_one_step_and_another_joint_another(monkeypatch: pytest.Mo
 
 
 def test_only_so_many_steps_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(history, "MOST", 3)
+    monkeypatch.setattr(history, "MAX_STEPS", 3)
     past = History()
     for k in range(10):
         past.push(at(float(k)))

@@ -10,7 +10,7 @@ import pytest
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
+from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from made_results import save_example_results
 
 
@@ -71,10 +71,10 @@ def test_steps_follow_the_list_and_its_ends_are_joined() -> None:
 
 def test_a_random_grasp_is_another_one_of_the_list() -> None:
     numbers, random = np.array([4, 1, 7]), np.random.default_rng(0)
-    assert {any_other(numbers, 4, random) for _ in range(50)} == {1, 7}
-    assert [any_other(numbers, 4, np.random.default_rng(3)) for _ in range(2)] in ([1, 1], [7, 7])
-    assert any_other(numbers[:1], 4, random) == 4
-    assert any_other(numbers[:0], 4, random) is None
+    assert {random_other(numbers, 4, random) for _ in range(50)} == {1, 7}
+    assert [random_other(numbers, 4, np.random.default_rng(3)) for _ in range(2)] in ([1, 1], [7, 7])
+    assert random_other(numbers[:1], 4, random) == 4
+    assert random_other(numbers[:0], 4, random) is None
 
 
 def test_the_worst_is_worst_by_quality_else_by_penetration(collection: Collection) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine_apps.viewer.marks import HEADER, LARGEST, Marks, marks_path
+from grasp_refine_apps.viewer.marks import HEADER, MAX_FILE_BYTES, Marks, marks_path
 from refusals import refused
 
 TOP = ",".join(HEADER)
@@ -20,7 +20,7 @@ def test_marks_are_read_again_as_they_were_written(tmp_path: Path) -> None:
     path = tmp_path / "grasps.npz.marks.csv"
     marks = Marks.read(path)
     assert not marks.by_row
-    marks = marks.marked(7, "bad", object='a "cup", blue', index=3).marked(2, "good", object="mug", index=2)
+    marks = marks.with_mark(7, "bad", object='a "cup", blue', index=3).with_mark(2, "good", object="mug", index=2)
     marks.save()
     assert Marks.read(path) == marks
     assert [marks.of(row) for row in (2, 7, 8)] == ["good", "bad", ""]
@@ -32,7 +32,7 @@ def test_marks_are_read_again_as_they_were_written(tmp_path: Path) -> None:
     ]
     age = datetime.now(UTC) - datetime.fromisoformat(rows[0]["time"])
     assert timedelta(0) <= age < timedelta(minutes=1)
-    marks.marked(2, "", object="mug", index=2).save()
+    marks.with_mark(2, "", object="mug", index=2).save()
     assert list(Marks.read(path).by_row) == [7]
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
@@ -49,7 +49,7 @@ def test_no_name_is_a_formula_of_a_spreadsheet_and_all_are_read_again(tmp_path: 
     names = ("=HYPERLINK(1)", "@SUM(1)", "-1", "'=1", "mug")
     marks = Marks.read(tmp_path / "g.npz.marks.csv")
     for row, name in enumerate(names):
-        marks = marks.marked(row, "good", object=name, index=row)
+        marks = marks.with_mark(row, "good", object=name, index=row)
     marks.save()
     cells = [line.split(",")[1] for line in marks.text.splitlines()[1:]]
     assert cells == ["'=HYPERLINK(1)", "'@SUM(1)", "'-1", "''=1", "mug"]
@@ -80,7 +80,7 @@ def test_a_damaged_file_of_marks_is_named_and_kept(tmp_path: Path, text: str, na
 def test_a_huge_file_of_marks_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "g.npz.marks.csv"
     with path.open("wb") as stream:
-        stream.truncate(LARGEST + 1)
+        stream.truncate(MAX_FILE_BYTES + 1)
     with refused(GraspFileError, path, "64 MiB"):
         Marks.read(path)
 
@@ -88,10 +88,10 @@ def test_a_huge_file_of_marks_is_not_read(tmp_path: Path) -> None:
 def test_a_folder_in_the_place_of_marks_is_told(tmp_path: Path) -> None:
     """As root one may write to any folder, so that a read-only one is no test."""
     path = tmp_path / "g.npz.marks.csv"
-    marks = Marks.read(path).marked(0, "good", object="mug", index=0)
+    marks = Marks.read(path).with_mark(0, "good", object="mug", index=0)
     (path / "inside").mkdir(parents=True)
     with refused(GraspFileError, path):
         marks.save()
     assert marks.of(0) == "good"
     with refused(GraspFileError):
-        Marks(None).marked(0, "good", object="mug", index=0).save()
+        Marks(None).with_mark(0, "good", object="mug", index=0).save()

@@ -1,4 +1,4 @@
-"""Measuring grasps of which no file says what they are worth."""
+"""Measuring grasps whose files have no measures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.metrics import metrics
 from grasp_refine_apps.viewer import measuring
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.measuring import MEASURED, measured, unmeasured
+from grasp_refine_apps.viewer.measuring import MEASURED, unmeasured, with_measures
 from grasp_refine_apps.viewer.worker import Stopped
 from made_results import save_example_results
 
@@ -33,9 +33,9 @@ def collection() -> Collection:
 def test_measures_are_those_of_validate_each_in_its_place(
     collection: Collection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(measuring, "TOGETHER", 3)
+    monkeypatch.setattr(measuring, "BATCH_SIZE", 3)
     shares = []
-    found = measured(collection, lambda share, what: shares.append(share), ignore)
+    found = with_measures(collection, lambda share, what: shares.append(share), ignore)
     assert shares == [0.0, 0.75]
     assert not unmeasured(found).any()
     assert unmeasured(collection).all()
@@ -50,13 +50,13 @@ def test_what_a_file_says_is_not_measured(tmp_path: Path) -> None:
     path = save_example_results(tmp_path / "results.npz", 4)
     collection = Collection.of(load_problem(ProblemSpec(grasps=path)))
     assert not unmeasured(collection).any()
-    assert measured(collection, ignore, ignore) is collection
+    assert with_measures(collection, ignore, ignore) is collection
 
 
 def test_what_was_measured_before_an_interruption_is_kept(
     collection: Collection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(measuring, "TOGETHER", 1)
+    monkeypatch.setattr(measuring, "BATCH_SIZE", 1)
     checks, kept = [], []
 
     def check() -> None:
@@ -65,11 +65,11 @@ def test_what_was_measured_before_an_interruption_is_kept(
             raise Stopped
 
     with pytest.raises(Stopped):
-        measured(collection, ignore, check, kept.append)
+        with_measures(collection, ignore, check, kept.append)
     (part,) = kept
     assert unmeasured(part).tolist() == [False, False, True, True]
-    whole = measured(collection, ignore, ignore)
-    rest = measured(part, ignore, ignore)
+    whole = with_measures(collection, ignore, ignore)
+    rest = with_measures(part, ignore, ignore)
     for key in MEASURED:
         assert np.array_equal(rest.columns[key].values, whole.columns[key].values, equal_nan=True)
 
@@ -78,6 +78,6 @@ def test_a_grasp_that_is_not_finite_is_not_measured(collection: Collection) -> N
     (group,) = collection.problem.groups
     scene = replace(group.scene, q=np.where(np.arange(4)[:, None] == 1, np.nan, group.scene.q))
     problem = replace(collection.problem, groups=(replace(group, scene=scene),))
-    found = measured(replace(collection, problem=problem), ignore, ignore)
+    found = with_measures(replace(collection, problem=problem), ignore, ignore)
     known = found.columns["quality_after"].known
     assert np.flatnonzero(~known).tolist() == np.flatnonzero(collection.member == 1).tolist()

@@ -82,14 +82,14 @@ def test_collada_is_counted_as_often_as_it_is_drawn(shared_assets: Path, tmp_pat
 def test_too_many_triangles_say_how_to_have_fewer(
     name: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(mesh_bounds, "MOST_FACES", 50)
+    monkeypatch.setattr(mesh_bounds, "MAX_FACES", 50)
     refusal(tmp_path, name, content, "51 triangles", "50", "Blender", "Decimate")
 
 
 def test_text_is_bounded_in_lines_letters_and_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_bounds, "MOST_LINES", 100)
-    monkeypatch.setattr(mesh_bounds, "LONGEST_LINE", 1000)
-    monkeypatch.setattr(mesh_bounds, "MOST_PARTS", 20)
+    monkeypatch.setattr(mesh_bounds, "MAX_LINES", 100)
+    monkeypatch.setattr(mesh_bounds, "MAX_LINE_BYTES", 1000)
+    monkeypatch.setattr(mesh_bounds, "MAX_PARTS", 20)
     refusal(tmp_path, "a.obj", b"\n" * 101, "101 lines", "100")
     refusal(tmp_path, "a.off", b"OFF" + b"\r" * 101, "101 lines", "100")
     header = b"ply\nformat ascii 1.0\nelement vertex 1\nelement face 1\nend_header"
@@ -149,7 +149,7 @@ def test_a_glb_that_would_fill_the_memory_is_refused(tmp_path: Path):
     refusal(tmp_path, "e.glb", b"glTF" + struct.pack("<III", 2, 99, 5_000_000), "5000000 bytes")
 
 
-@pytest.mark.parametrize("extension", mesh_bounds.PACKED)
+@pytest.mark.parametrize("extension", mesh_bounds.UNSUPPORTED_EXTENSIONS)
 def test_packed_glbs_are_refused(extension: str, tmp_path: Path):
     """Their reader would take what it cannot unpack for zeros."""
     refusal(tmp_path, "a.glb", glb({"extensionsRequired": [extension]}), extension)

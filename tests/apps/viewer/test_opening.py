@@ -19,11 +19,11 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer import opening
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.opening import MeshOptions, opened
+from grasp_refine_apps.viewer.opening import MeshOptions, open_upload
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.saving import grasp_file
 from grasp_refine_apps.viewer.unpacking import UploadError
-from grasp_refine_apps.viewer.uploads import received
+from grasp_refine_apps.viewer.uploads import store_upload
 from grasp_refine_apps.viewer.worker import Stopped
 from refusals import refused
 from uploaded import gripper, gripper_zip, zipped
@@ -33,7 +33,7 @@ T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
 
 @cache
 def present() -> tuple[Scene, Pose]:
-    """The Allegro hand at a ball, above a table, steered elsewhere than the scene has it."""
+    """The Allegro hand at a ball, above a table, moved from its pose in the scene."""
     hand = load_hand("allegro", candidates=16)
     scene = Scene(hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], table=Plane())
     return scene, Pose(T, hand.rest + 0.01)
@@ -42,7 +42,7 @@ def present() -> tuple[Scene, Pose]:
 def put(name: str, content: bytes, folder: Path, options: MeshOptions | None = None) -> Problem:
     folder = folder / str(len(list(folder.iterdir())))
     folder.mkdir()
-    return opened(received(name, content, folder), *present(), options=options)
+    return open_upload(store_upload(name, content, folder), *present(), options=options)
 
 
 def box(*sides: float) -> trimesh.Trimesh:
@@ -106,7 +106,7 @@ def test_a_hand_gets_grasps_on_the_present_object(tmp_path: Path):
     assert problem.hand.name == "gripper" and problem.sampled == "upload:gripper.zip"
     (group,) = problem.groups
     assert group.scene.object is present()[0].object
-    assert 1 <= len(problem) <= opening.SAMPLED
+    assert 1 <= len(problem) <= opening.NUM_SAMPLED_GRASPS
     # They are the same whenever the hand is uploaded.
     again = put("gripper.zip", gripper_zip(), tmp_path)
     np.testing.assert_array_equal(again.groups[0].scene.T_world_root, group.scene.T_world_root)
@@ -125,7 +125,7 @@ def test_the_user_can_stop_the_opening_of_a_hand(tmp_path: Path):
         raise Stopped
 
     with pytest.raises(Stopped):
-        opened(received("gripper.zip", gripper_zip(), tmp_path), *present(), check=stop)
+        open_upload(store_upload("gripper.zip", gripper_zip(), tmp_path), *present(), check=stop)
 
 
 def grasps(count: int = 3, **changes: object) -> GraspSet:
@@ -208,10 +208,10 @@ def test_scenes_of_uploads_come_with_them(tmp_path: Path):
 
 def test_numbers_of_grasps_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     saved = grasp_file(present()[0].hand, grasps(), "ours")
-    monkeypatch.setattr(opening, "MOST_OBJECTS", 2)
+    monkeypatch.setattr(opening, "MAX_OBJECTS", 2)
     with refused(UploadError, "grasps.npz", "3 objects", "2"):
         put("grasps.npz", saved.content, tmp_path)
-    monkeypatch.setattr(opening, "MOST_GRASPS", 2)
+    monkeypatch.setattr(opening, "MAX_GRASPS", 2)
     with refused(UploadError, "grasps.npz", "3 grasps", "2"):
         put("grasps.npz", saved.content, tmp_path)
 

@@ -18,7 +18,7 @@ from websocket_page import Page, until
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.plots import LEAST_MM, MOST, curves  # noqa: E402
+from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves  # noqa: E402
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
 from grasp_refine_apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
 from grasp_refine_apps.viewer.trace import Trace  # noqa: E402
@@ -169,14 +169,14 @@ def test_what_is_unused_is_refused_when_it_is_set():
 def test_curves_are_thin_and_keep_the_shown_iteration():
     data = curves(trace_of(5000), 1234)
     x, error, depth, loss, line = data
-    assert len(x) <= MOST and x[0] == 0 and x[-1] == 4999
+    assert len(x) <= MAX_POINTS and x[0] == 0 and x[-1] == 4999
     assert np.all(np.diff(x) >= 0) and list(x).count(1234) >= 2
     # An upright line at the shown iteration: one value, between two without.
     (at,) = np.flatnonzero(~np.isnan(line))
     assert x[at - 1] == x[at] == x[at + 1] == 1234
     np.testing.assert_allclose(error[:2], 10.0 * 0.9 ** x[:2])  # mm
     np.testing.assert_allclose(loss[0], 10.0)
-    assert np.all(depth == LEAST_MM) and error[-1] == LEAST_MM  # zeros on a logarithmic axis
+    assert np.all(depth == MIN_LENGTH_MM) and error[-1] == MIN_LENGTH_MM  # zeros on a logarithmic axis
 
 
 @pytest.mark.parametrize("count, frame", [(1, None), (2, 0), (2, None), (3, 99)])

@@ -47,7 +47,7 @@ def hand(name: str) -> Hand:
 
 @cache
 def shown(name: str) -> GraspSet:
-    """A grasp that somebody has steered, with its stages and two targets."""
+    """A grasp that was edited, with its stages and two targets."""
     own = hand(name)
     pose = Pose(exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7])), np.clip(own.rest + 0.1, own.lower, own.upper))
     scene = Scene(own, load_object("sphere:0.03", candidates=64), np.eye(4)[None], own.rest[None])
@@ -140,7 +140,7 @@ def test_a_name_from_a_file_names_no_folder():
     saved = grasp_file(hand("allegro"), grasps, "ours")
     assert saved.name == "_allegro_.._.._etc_cron.d_x_y_ours.npz"
     long = replace(shown("allegro"), object=np.array(["x" * 150]))
-    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == saving.LONGEST + len(".zip")
+    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == saving.MAX_STEM_CHARS + len(".zip")
 
 
 def test_several_grasps_keep_their_order(unpacked: Callable[[Saved], Path]):

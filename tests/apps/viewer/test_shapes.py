@@ -125,7 +125,7 @@ def test_an_object_is_its_surface_or_its_pieces():
 
 def test_large_meshes_are_made_simpler(monkeypatch: pytest.MonkeyPatch):
     bottle = load_object("bottle", candidates=16)
-    monkeypatch.setattr(module, "MOST_FACES", 500)
+    monkeypatch.setattr(module, "MAX_FACES", 500)
     (shape,) = object_shapes(bottle, "mesh")
     assert len(shape.faces) <= 500 < len(bottle.mesh.faces)
     assert volume(shape.vertices, shape.faces) == pytest.approx(bottle.mesh.volume, rel=0.1)

@@ -20,7 +20,13 @@ from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import HAND, World, build_world
-from grasp_refine_apps.viewer.shown_motion import FAR, RATE, ShownMotion, is_replay, shown_motion
+from grasp_refine_apps.viewer.shown_motion import (
+    FRAME_RATE_HZ,
+    MAX_DISPLACEMENT_M,
+    ShownMotion,
+    is_replay,
+    shown_motion,
+)
 from refusals import assert_names, refused
 from spread_gripper import spread_gripper
 from underactuated import underactuated
@@ -127,8 +133,8 @@ def test_a_free_object_flies_as_the_push_says(motion: ShownMotion) -> None:
     np.testing.assert_array_equal(motion.pushed, pushed)
     np.testing.assert_allclose(motion.force, [1.0, 0.0, 0.0])
     # It ends soon after the object is lost, not after the twenty metres that it would fly.
-    assert FAR < motion.displacement_m[-1] < FAR + 0.06
-    assert motion.displacement_m[-2] < FAR
+    assert MAX_DISPLACEMENT_M < motion.displacement_m[-1] < MAX_DISPLACEMENT_M + 0.06
+    assert motion.displacement_m[-2] < MAX_DISPLACEMENT_M
     first = int(motion.lost.argmax())
     assert motion.displacement_m[first - 1] < FORCE_CLOSURE.farthest <= motion.displacement_m[first]
     assert motion.lost[first:].all() and not motion.held
@@ -146,7 +152,7 @@ def test_a_frame_is_told_in_words(motion: ShownMotion) -> None:
 def test_frames_are_found_by_time_and_are_not_too_many(motion: ShownMotion, known: tuple) -> None:
     assert motion.frame_at(0.0) == 0 and motion.frame_at(100.0) == len(motion) - 1 == motion.frame_at(motion.seconds)
     assert motion.frame_at(0.1) == np.flatnonzero(motion.time <= 0.1 + 1e-9)[-1]
-    assert np.diff(motion.time).min() > 1 / RATE - 1e-6
+    assert np.diff(motion.time).min() > 1 / FRAME_RATE_HZ - 1e-6
     pose = motion.pose(7)
     np.testing.assert_array_equal(pose.T_object_root, motion.T_root[7])
     np.testing.assert_array_equal(pose.q, motion.q[7])

@@ -14,8 +14,8 @@ from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import Column
 from grasp_refine_apps.viewer.listing import Listing
-from grasp_refine_apps.viewer.metrics_html import worth_html
-from grasp_refine_apps.viewer.table import ROWS, page_of, pages, shown_columns, table_html
+from grasp_refine_apps.viewer.metrics_html import metrics_html
+from grasp_refine_apps.viewer.table import ROWS_PER_PAGE, page_of, pages, shown_columns, table_html
 from made_results import save_example_results
 
 EVIL = "</td><script>alert(1)</script><img src=x onerror=alert(2)>\"' onclick=alert(3) x='"
@@ -68,7 +68,7 @@ def test_a_page_lists_its_grasps_in_order(collection: Collection) -> None:
     listing = Listing("quality_after", descending=True)
     page = table(collection, listing, page=1)
     # The quality of grasp i is 7 i mod 100 hundredths.
-    expected = sorted(range(100), key=lambda i: -(7 * i % 100))[ROWS : 2 * ROWS]
+    expected = sorted(range(100), key=lambda i: -(7 * i % 100))[ROWS_PER_PAGE : 2 * ROWS_PER_PAGE]
     assert page.doing("open ") == [f"open {i}" for i in expected]
     assert page.cells[:5] == [str(expected[0]), "0.840", "0.01", "0.12", "converged"]
     assert page.doing("sort ") == [
@@ -83,7 +83,7 @@ def test_the_page_of_a_grasp(collection: Collection) -> None:
     numbers = Listing().numbers(collection)
     assert [page_of(numbers, number) for number in (0, 14, 15, 99, 1000)] == [0, 0, 1, 6, 0]
     assert pages(numbers) == 7
-    assert pages(numbers[:ROWS]) == pages(numbers[:0]) == 1
+    assert pages(numbers[:ROWS_PER_PAGE]) == pages(numbers[:0]) == 1
 
 
 def test_the_grasp_that_is_shown_is_told_apart(collection: Collection) -> None:
@@ -96,8 +96,8 @@ def test_colours_say_what_holds(collection: Collection) -> None:
     listing = Listing("quality_after", descending=True)
     rows = table_html(collection, listing, listing.numbers(collection), 0, 0, "w").split("<tr data-do=")[1:]
     good = ["gr-good" in row for row in rows]
-    assert good == [value / 100 >= HOLDS for value in range(99, 99 - ROWS, -1)]
-    assert 0 < sum(good) < ROWS
+    assert good == [value / 100 >= HOLDS for value in range(99, 99 - ROWS_PER_PAGE, -1)]
+    assert 0 < sum(good) < ROWS_PER_PAGE
     known = np.arange(100) < 2
     simulated = collection.with_simulation(np.arange(100) == 0, np.full(100, "slipped"), known)
     page = table(simulated, Listing())
@@ -124,7 +124,7 @@ def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: 
     evil = renamed(collection, EVIL)
     evil = evil.with_columns(Column(key, "Status", "", np.full(100, EVIL)))
     evil = evil.with_simulation(np.zeros(100, bool), np.full(100, EVIL), np.arange(100) == 0)
-    for html in (table_html(evil, Listing(), np.arange(100), 0, 0, "w"), worth_html(evil, 0)):
+    for html in (table_html(evil, Listing(), np.arange(100), 0, 0, "w"), metrics_html(evil, 0)):
         page = Parsed(html)
         assert {tag for tag, _ in page.tags} <= {*"style div table thead tbody tr th td small span a b br".split()}
         handlers = [name for _, attributes in page.tags for name in attributes if name.startswith("on")]
@@ -139,7 +139,7 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
     marked = collection.with_mark(13, "bad").with_simulation(
         np.zeros(100, bool), np.full(100, "slipped in +x"), np.arange(100) == 13
     )
-    html = worth_html(marked, 13)
+    html = metrics_html(marked, 13)
     heading = html.partition("<table>")[0]
     for told in ("<b>mug 13</b>", "converged", "slipped in +x", "bad"):
         assert told in heading
@@ -155,6 +155,6 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
         "1.01",
         "0.01",
     ]
-    assert not Parsed(worth_html(replace(collection, columns={}), 13)).cells
+    assert not Parsed(metrics_html(replace(collection, columns={}), 13)).cells
     plain = {key: column for key, column in collection.columns.items() if key.endswith("_after")}
-    assert Parsed(worth_html(replace(collection, columns=plain), 13)).cells[:2] == ["Quality", "0.910"]
+    assert Parsed(metrics_html(replace(collection, columns=plain), 13)).cells[:2] == ["Quality", "0.910"]

@@ -102,13 +102,13 @@ def test_archive_bombs_are_refused_before_they_are_unpacked(folder: Path):
     bomb = zipped({"a.stl": bytes(2**24)})
     assert len(bomb) < 2**16
     assert_names(refused(bomb, folder), f"{2**24 / len(bomb):.0f} times", "100 times")
-    many = zipped({f"{i}.stl": b"" for i in range(unpacking.MOST_FILES + 1)})
+    many = zipped({f"{i}.stl": b"" for i in range(unpacking.MAX_FILES + 1)})
     assert_names(refused(many, folder), "2000 files")
 
 
 def test_sizes_are_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(unpacking, "LARGEST_FILE", 2**20)
-    monkeypatch.setattr(unpacking, "LARGEST_UNPACKED", 3 * 2**20)
+    monkeypatch.setattr(unpacking, "MAX_FILE_BYTES", 2**20)
+    monkeypatch.setattr(unpacking, "MAX_UNPACKED_BYTES", 3 * 2**20)
     noise = bytes(range(256)) * 2**12
     assert_names(refused(zipped({"a.stl": 2 * noise}, 0), folder), "'a.stl'", "2 MiB", "1 MiB")
     # Files that are left out count, too.
@@ -145,7 +145,7 @@ def test_encrypted_and_oddly_packed_zips_are_refused(folder: Path):
 
 def test_deep_and_long_names_are_refused(folder: Path):
     assert_names(refused(zipped({"a/" * 12 + "b.urdf": b""}), folder), "13 levels")
-    assert_names(refused(zipped({"a" * 300 + ".urdf": b""}), folder), "305 letters")
+    assert_names(refused(zipped({"a" * 300 + ".urdf": b""}), folder), "305 characters")
 
 
 def test_names_that_come_twice_are_refused(folder: Path):

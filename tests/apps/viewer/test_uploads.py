@@ -12,7 +12,7 @@ import trimesh
 from grasp_refine.objects.object import load_object
 from grasp_refine_apps.viewer import uploads
 from grasp_refine_apps.viewer.unpacking import UploadError
-from grasp_refine_apps.viewer.uploads import Uploads, received, shown_name
+from grasp_refine_apps.viewer.uploads import Uploads, shown_name, store_upload
 from refusals import assert_names, refused
 from uploaded import TIP, gripper_zip, opened_files, zipped
 
@@ -32,7 +32,7 @@ def npz(folder: Path) -> bytes:
 def test_meshes_of_all_formats(ending: str, tmp_path: Path):
     content = BALL.export(file_type=ending)
     content = content.encode() if isinstance(content, str) else content
-    upload = received(f"Ball.{ending.upper()}", content, tmp_path)
+    upload = store_upload(f"Ball.{ending.upper()}", content, tmp_path)
     assert (upload.kind, upload.source, upload.name) == ("mesh", tmp_path / f"Ball.{ending}", f"Ball.{ending.upper()}")
     obj = load_object(upload.source, cache=None)
     assert obj.convex and len(obj.mesh.faces) == len(BALL.faces)
@@ -47,7 +47,7 @@ def test_zips_are_what_is_in_them(tmp_path: Path):
         "mesh": zipped({"ball/ball.obj": OBJ, "ball/ball.mtl": b"newmtl a", "ball/texture.png": b"\x89PNG"}),
     }.items():
         (tmp_path / name).mkdir()
-        upload = received(f"{name}.zip", content, tmp_path / name)
+        upload = store_upload(f"{name}.zip", content, tmp_path / name)
         kinds[name] = (upload.kind, upload.source.relative_to(tmp_path).as_posix())
     assert kinds == {
         "hand": ("hand", "hand/hand/gripper/urdf/gripper.urdf"),
@@ -58,7 +58,7 @@ def test_zips_are_what_is_in_them(tmp_path: Path):
 
 
 def test_grasps_beside_a_hand_are_told_of(tmp_path: Path):
-    upload = received("hand.zip", gripper_zip(**{"gripper/a.npz": "x"}), tmp_path)
+    upload = store_upload("hand.zip", gripper_zip(**{"gripper/a.npz": "x"}), tmp_path)
     assert upload.kind == "hand"
     (note,) = upload.notes
     assert_names(note, "1 grasp", "hand.zip")
@@ -71,10 +71,10 @@ def test_grasps_beside_a_hand_are_told_of(tmp_path: Path):
         ("noending", b"x", (".obj, .stl",)),
         ("a.gltf", b"{}", (".obj, .stl",)),
         ("a.obj", b"", ("empty",)),
-        ("a.zip", OBJ, ("ending .zip",)),
-        ("a.npz", OBJ, ("ending .npz",)),
-        ("a.obj", zipped({"a.obj": OBJ}), ("ending .obj",)),
-        ("a.npy", zipped({"a.npy": b"x"}), ("ending .npy",)),
+        ("a.zip", OBJ, ("suffix .zip",)),
+        ("a.npz", OBJ, ("suffix .npz",)),
+        ("a.obj", zipped({"a.obj": OBJ}), ("suffix .obj",)),
+        ("a.npy", zipped({"a.npy": b"x"}), ("suffix .npy",)),
         ("a.zip", zipped({"a.txt": b"x"}), (".urdf", "hand.toml", ".npz")),
         ("a.zip", zipped({}), (".urdf", "hand.toml", ".npz")),
         ("a.zip", zipped({"a.obj": OBJ, "b/c.stl": TIP}), ("a.obj, b/c.stl", ".urdf", "hand.toml", ".npz")),
@@ -82,7 +82,7 @@ def test_grasps_beside_a_hand_are_told_of(tmp_path: Path):
 )
 def test_what_is_refused_says_what_can_be_uploaded(name: str, content: bytes, named: tuple[str, ...], tmp_path: Path):
     with refused(UploadError, name, *named) as raised:
-        received(name, content, tmp_path)
+        store_upload(name, content, tmp_path)
     assert str(tmp_path) not in str(raised.value)
 
 
@@ -103,7 +103,7 @@ def test_names_say_nothing_of_where_a_file_lies(name: str, shown: str, on_disk: 
     folder = tmp_path / "in"
     folder.mkdir()
     try:
-        upload = received(name, OBJ, folder)
+        upload = store_upload(name, OBJ, folder)
     except UploadError:
         assert on_disk is None and not list(folder.iterdir())
         return
@@ -112,14 +112,14 @@ def test_names_say_nothing_of_where_a_file_lies(name: str, shown: str, on_disk: 
 
 
 def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(uploads, "LARGEST_UPLOAD", len(OBJ) - 1)
+    monkeypatch.setattr(uploads, "MAX_UPLOAD_BYTES", len(OBJ) - 1)
     with refused(UploadError, "a.obj", "0 MiB", "refine-grasp view --help"):
-        received("a.obj", OBJ, tmp_path)
+        store_upload("a.obj", OBJ, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_session_has_a_limit_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(uploads, "LARGEST_SESSION", 3 * len(OBJ))
+    monkeypatch.setattr(uploads, "MAX_SESSION_BYTES", 3 * len(OBJ))
     with Uploads() as session:
         assert session.path.stat().st_mode & 0o077 == 0
         first, second = session.receive("a.obj", OBJ), session.receive("a.obj", OBJ)
@@ -155,9 +155,9 @@ def test_a_mesh_reads_no_other_file(tmp_path: Path):
     with opened_files() as opened:
         for at, name in enumerate(named):
             content = f"mtllib {name}.mtl\nusemtl a\n".encode() + OBJ
-            load_object(received(f"a{at}.obj", content, tmp_path / "in").source, cache=None)
+            load_object(store_upload(f"a{at}.obj", content, tmp_path / "in").source, cache=None)
             comment = ply.replace("end_header", f"comment TextureFile {name}.png\nend_header", 1)
-            load_object(received(f"a{at}.ply", comment.encode(), tmp_path / "in").source, cache=None)
+            load_object(store_upload(f"a{at}.ply", comment.encode(), tmp_path / "in").source, cache=None)
     outside = [path for path in opened if path.startswith(str(tmp_path)) and Path(path).parent != tmp_path / "in"]
     assert not outside
     assert not [path for path in opened if path.endswith(".mtl")]

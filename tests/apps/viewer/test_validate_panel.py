@@ -36,7 +36,7 @@ class Shown:
     def press(self, name: str) -> None:
         self.page.change(self.widget(name), True)
 
-    def proved(self) -> None:
+    def tested(self) -> None:
         """Test it, and wait for what comes of it."""
         self.press("test")
         until(lambda: self.controller.state.trial is not None and self.widget("watch").visible)
@@ -63,7 +63,7 @@ def shown(problem: Problem) -> Iterator[Shown]:
 def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
     assert shown.widget("notes").content == "" and not shown.widget("watch").visible
     shown.page.change(shown.widget("friction"), 0.15)
-    shown.proved()
+    shown.tested()
     result = shown.widget("result").content
     assert "gr-no" in result and "2 of 6" in result and "(-y, +z)" in result
     assert "friction 0.15" in shown.widget("notes").content
@@ -119,13 +119,13 @@ def test_a_setting_brings_its_friction(shown: Shown) -> None:
     untested = shown.widget("result").content
     shown.page.change(shown.widget("setting"), "strict")
     until(lambda: shown.widget("friction").value == 0.3)
-    shown.proved()
+    shown.tested()
     assert shown.widget("result").content != untested
     trial = shown.controller.state.trial
     assert trial is not None and trial.protocol.name == "strict"
     # That of the setting, with its torsion, which is not in proportion to that of others.
     assert (trial.protocol.friction, trial.protocol.torsion) == (0.3, 0.002)
-    # What is steered is no longer what was tested.
+    # An edited grasp is no longer the one that was tested.
     T = shown.controller.state.pose.T_object_root.copy()
     T[2, 3] += 0.001
     shown.controller.move_root(T)

@@ -27,7 +27,7 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.sources import Sources
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import Validator, protocol_of, run_trial, stages, watch
+from grasp_refine_apps.viewer.validating import Validator, protocol_of, record_direction, run_trial, stages
 from grasp_refine_apps.viewer.worker import Control, Stopped
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S
@@ -57,7 +57,7 @@ def validator() -> Validator:
     return Validator()
 
 
-def as_it_came(scene: Scene) -> Pose:
+def file_pose(scene: Scene) -> Pose:
     return Pose(scene.T_world_root[0], scene.q[0])
 
 
@@ -68,36 +68,36 @@ def lifted(scene: Scene, by: float) -> Pose:
     return Pose(T, scene.q[0])
 
 
-def test_a_proof_says_what_validate_says(
+def test_a_trial_says_what_validate_says(
     validator: Validator, group: Group, scene: Scene, prepared: HandObject
 ) -> None:
     protocol = protocol_of("force-closure", 0.15)
     told: list[tuple[float, str]] = []
-    proved = run_trial(
+    trial = run_trial(
         validator,
         scene,
-        as_it_came(scene),
+        file_pose(scene),
         protocol,
-        came=group.grasps,
+        file_grasp=group.grasps,
         prepared=prepared,
-        tell=lambda share, what: told.append((share, what)),
+        report=lambda share, what: told.append((share, what)),
     )
     # What `validate` simulates; linear algebra may round otherwise the second time.
-    assert proved.motion is not None
-    np.testing.assert_allclose(proved.motion.q, group.motion().q, atol=1e-9)
-    np.testing.assert_allclose(proved.motion.T_world_root, group.motion().T_world_root, atol=1e-9)
-    expected = simulate(validator.world(scene, protocol), proved.motion)
+    assert trial.motion is not None
+    np.testing.assert_allclose(trial.motion.q, group.motion().q, atol=1e-9)
+    np.testing.assert_allclose(trial.motion.T_world_root, group.motion().T_world_root, atol=1e-9)
+    expected = simulate(validator.world(scene, protocol), trial.motion)
     # To the last bit.
-    for d, tried in enumerate(proved.tried):
-        assert tried.direction == expected.directions[d]
-        assert tried.reason == expected.reason[0, d]
-        values = np.array([tried.time_s, tried.displacement_m, tried.angle_rad, tried.peak_m, tried.peak_rad])
+    for d, result in enumerate(trial.results):
+        assert result.direction == expected.directions[d]
+        assert result.reason == expected.reason[0, d]
+        values = np.array([result.time_s, result.displacement_m, result.angle_rad, result.peak_m, result.peak_rad])
         columns = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
         np.testing.assert_array_equal(values, [getattr(expected, name)[0, d] for name in columns])
-        assert tried.links == tuple(np.array(expected.links)[expected.contacts[0, d]])
-    assert proved.held == expected.success[0] and not proved.held
-    assert {tried.reason for tried in proved.tried} == {Reason.HELD, Reason.TURNED}
-    assert proved.closing == {"pregrasp": "own", "squeeze": "own"}
+        assert result.links == tuple(np.array(expected.links)[expected.contacts[0, d]])
+    assert trial.held == expected.success[0] and not trial.held
+    assert {result.reason for result in trial.results} == {Reason.HELD, Reason.TURNED}
+    assert trial.closing == {"pregrasp": "own", "squeeze": "own"}
     shares = [share for share, _ in told]
     assert shares == sorted(shares) and (shares[0], shares[-1]) == (0.0, 1.0) and len(told) > 30
     # Preparing, closing, squeezing, pushing and the end: each has words of its own, and comes once.
@@ -106,10 +106,10 @@ def test_a_proof_says_what_validate_says(
     assert_names(parts[3], "6")
 
 
-def test_the_watched_motion_ends_as_the_proof_says(validator: Validator, scene: Scene, prepared: HandObject) -> None:
-    proved = run_trial(validator, scene, as_it_came(scene), protocol_of("force-closure", 0.15), prepared=prepared)
-    lost = next(tried for tried in proved.tried if not tried.held)
-    motion = watch(validator, scene, as_it_came(scene), proved, lost.direction)
+def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: Scene, prepared: HandObject) -> None:
+    trial = run_trial(validator, scene, file_pose(scene), protocol_of("force-closure", 0.15), prepared=prepared)
+    lost = next(result for result in trial.results if not result.held)
+    motion = record_direction(validator, scene, file_pose(scene), trial, lost.direction)
     assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
     # What was found at a check is what is shown in the frame of that time.
     frame = motion.frame_at(0.8 + lost.time_s)
@@ -119,10 +119,10 @@ def test_the_watched_motion_ends_as_the_proof_says(validator: Validator, scene: 
     moved, turned = distances(motion.T_object[:1], motion.T_object[frame : frame + 1])
     assert (moved[0], turned[0]) == pytest.approx((lost.displacement_m, lost.angle_rad), abs=1e-9)
     # The hand starts at its pregrasp.
-    assert proved.motion is not None
-    np.testing.assert_allclose(motion.T_root[0], proved.motion.T_world_root[0, 0], atol=1e-12)
-    np.testing.assert_allclose(motion.q[0], proved.motion.q[0, 0], atol=1e-12)
-    held = watch(validator, scene, as_it_came(scene), replace(proved, motion=None), "+x", prepared=prepared)
+    assert trial.motion is not None
+    np.testing.assert_allclose(motion.T_root[0], trial.motion.T_world_root[0, 0], atol=1e-12)
+    np.testing.assert_allclose(motion.q[0], trial.motion.q[0, 0], atol=1e-12)
+    held = record_direction(validator, scene, file_pose(scene), replace(trial, motion=None), "+x", prepared=prepared)
     assert held.held and not held.lost.any()
 
 
@@ -135,14 +135,14 @@ def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
         pregrasp=Stage(pose_from_transform(own.T_world_root[:, 0]), own.q[:, 0] + 0.01),
         squeeze=Stage(pose_from_transform(own.T_world_root[:, 2]), own.q[:, 2] + 0.02),
     )
-    motion, owners = stages(scene, as_it_came(scene), came=given, prepared=prepared)
+    motion, owners = stages(scene, file_pose(scene), file_grasp=given, prepared=prepared)
     assert owners == {"pregrasp": "file", "squeeze": "file"}
     np.testing.assert_array_equal(motion.q[0], [own.q[0, 0] + 0.01, own.q[0, 1], own.q[0, 2] + 0.02])
-    motion, owners = stages(scene, as_it_came(scene), came=replace(given, pregrasp=None), prepared=prepared)
+    motion, owners = stages(scene, file_pose(scene), file_grasp=replace(given, pregrasp=None), prepared=prepared)
     assert owners == {"pregrasp": "own", "squeeze": "file"}
     np.testing.assert_array_equal(motion.q[0], [own.q[0, 0], own.q[0, 1], own.q[0, 2] + 0.02])
     moved = lifted(scene, 0.001)
-    motion, owners = stages(scene, moved, came=given, prepared=prepared)
+    motion, owners = stages(scene, moved, file_grasp=given, prepared=prepared)
     assert owners == {"pregrasp": "own", "squeeze": "own"}
     np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
 
@@ -157,10 +157,10 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(validator: Validator, shar
         index=(0,),
     )
     (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
-    pose = as_it_came(group.scene)
-    proved = run_trial(validator, group.scene, pose, FORCE_CLOSURE, came=group.grasps)
-    assert proved.held and proved.closing == {"pregrasp": "file", "squeeze": "file"}
-    motion = watch(validator, group.scene, pose, proved, "-y")
+    pose = file_pose(group.scene)
+    trial = run_trial(validator, group.scene, pose, FORCE_CLOSURE, file_grasp=group.grasps)
+    assert trial.held and trial.closing == {"pregrasp": "file", "squeeze": "file"}
+    motion = record_direction(validator, group.scene, pose, trial, "-y")
     assert motion.held and len(motion) == 141 and motion.seconds == pytest.approx(2.8)
     assert group.grasps.pregrasp is not None
     np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
@@ -179,25 +179,25 @@ Doing = Callable[[Validator, Scene, HandObject, Control], object]
 def proving(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
     protocol = protocol_of("force-closure", 0.15)
     return run_trial(
-        validator, scene, as_it_came(scene), protocol, prepared=prepared, tell=control.tell, check=control.check
+        validator, scene, file_pose(scene), protocol, prepared=prepared, report=control.report, check=control.check
     )
 
 
 def watching(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
-    pose = as_it_came(scene)
-    proved = run_trial(validator, scene, pose, FORCE_CLOSURE, prepared=prepared)
-    return watch(validator, scene, pose, proved, "+x", tell=control.tell, check=control.check)
+    pose = file_pose(scene)
+    trial = run_trial(validator, scene, pose, FORCE_CLOSURE, prepared=prepared)
+    return record_direction(validator, scene, pose, trial, "+x", report=control.report, check=control.check)
 
 
 def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> float:
     """CPU time (s) that goes by until it stops when that share is done."""
     reached, ended = threading.Event(), []
 
-    def tell(share: float | None, what: str) -> None:
+    def report(share: float | None, what: str) -> None:
         if share is not None and share >= at:
             reached.set()
 
-    control = Control(tell)
+    control = Control(report)
 
     def work() -> None:
         with pytest.raises(Stopped):
@@ -218,13 +218,13 @@ def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject
 def test_stop_takes_effect_at_once(
     validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float
 ) -> None:
-    before = run_trial(validator, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
-    # A few milliseconds each; a whole proof takes seconds.
+    before = run_trial(validator, scene, file_pose(scene), FORCE_CLOSURE, prepared=prepared)
+    # A few milliseconds each; a whole trial takes seconds.
     assert min(cpu_seconds_to_stop(validator, scene, prepared, doing, at) for _ in range(3)) < 0.2
-    # Nothing of it is left: the next proof is that from before.
-    after = run_trial(validator, scene, as_it_came(scene), FORCE_CLOSURE, prepared=prepared)
-    assert [tried.reason for tried in after.tried] == [tried.reason for tried in before.tried]
-    moved = [[tried.displacement_m for tried in proved.tried] for proved in (before, after)]
+    # Nothing of it is left: the next trial is that from before.
+    after = run_trial(validator, scene, file_pose(scene), FORCE_CLOSURE, prepared=prepared)
+    assert [result.reason for result in after.results] == [result.reason for result in before.results]
+    moved = [[result.displacement_m for result in trial.results] for trial in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
 
 
@@ -238,29 +238,29 @@ def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, prepared: HandObje
             raise Stopped
 
     with pytest.raises(Stopped):
-        stages(scene, as_it_came(scene), prepared=prepared, check=check)
+        stages(scene, file_pose(scene), prepared=prepared, check=check)
     assert asked == 2
 
 
 def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
     validator: Validator, scene: Scene, prepared: HandObject
 ) -> None:
-    pose = as_it_came(scene)
+    pose = file_pose(scene)
     inside = Pose(pose.T_object_root.copy(), pose.q)
     towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
     inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
-    proved = run_trial(validator, scene, inside, FORCE_CLOSURE, prepared=prepared)
-    assert proved.before_push == Reason.PENETRATES and not proved.watchable
-    depth = f"{1e3 * proved.penetration_m:.1f} mm"
-    assert_names(proved.verdict, depth)
+    trial = run_trial(validator, scene, inside, FORCE_CLOSURE, prepared=prepared)
+    assert trial.before_push == Reason.PENETRATES and not trial.watchable
+    depth = f"{1e3 * trial.penetration_m:.1f} mm"
+    assert_names(trial.verdict, depth)
     with refused(GraspRefineError, depth):
-        watch(validator, scene, inside, proved, "+x")
+        record_direction(validator, scene, inside, trial, "+x")
 
 
 def test_a_direction_that_is_none_is_refused(validator: Validator, scene: Scene, prepared: HandObject) -> None:
-    proved = run_trial(validator, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
+    trial = run_trial(validator, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
     with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
-        watch(validator, scene, lifted(scene, 1.0), proved, "lift")
+        record_direction(validator, scene, lifted(scene, 1.0), trial, "lift")
 
 
 def test_settings_and_friction_that_cannot_be_are_refused() -> None:

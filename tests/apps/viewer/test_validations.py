@@ -35,7 +35,7 @@ def opened(path: Path, *index: int) -> Collection:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Documents of two commands, about two grasps."""
-    folder = tmp_path_factory.mktemp("proofs")
+    folder = tmp_path_factory.mktemp("documents")
     chosen = ["--index", "1", "0", "--friction", "0.15"]
     assert main(["validate", str(EXAMPLE), *chosen, "--json", str(folder / "validate.json")]) == 0
     run = ["run", "--geometry-only", "--validate", *chosen, "--out", str(folder)]
@@ -43,24 +43,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_validate_wrote_is_what_a_proof_finds(folder: Path) -> None:
+def test_what_validate_wrote_is_what_a_trial_finds(folder: Path) -> None:
     # Whichever grasps are open, in whichever order.
     collection = opened(EXAMPLE, 0, 1, 2)
     found = read_validation(folder / "validate.json").of(collection)
     assert sorted(found) == [0, 1]
     for number, read in found.items():
         scene = collection.scene(number)
-        proved = run_trial(Validator(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
-        assert (proved.verdict, proved.conditions, proved.closed_by) == (read.verdict, read.conditions, read.closed_by)
-        assert [proved.words(tried) for tried in proved.tried] == [read.words(tried) for tried in read.tried]
-        for one, other in zip(proved.tried, read.tried, strict=True):
+        trial = run_trial(Validator(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
+        assert (trial.verdict, trial.conditions, trial.closed_by) == (read.verdict, read.conditions, read.closed_by)
+        assert [trial.words(result) for result in trial.results] == [read.words(result) for result in read.results]
+        for one, other in zip(trial.results, read.results, strict=True):
             assert (one.direction, one.reason, one.links) == (other.direction, other.reason, other.links)
             np.testing.assert_equal((one.peak_m, one.time_s), (other.peak_m, other.time_s))
         assert read.motion is None
     table = with_trials(collection, found).columns
     said = ["held" if found[number].held else "failed" for number in (0, 1)]
     assert table[HELD.key].values.tolist() == [*said, ""]
-    reasons = [next((t.reason.label for t in found[n].tried if not t.held), "") for n in (0, 1)]
+    reasons = [next((t.reason.label for t in found[n].results if not t.held), "") for n in (0, 1)]
     assert table[REASON.key].values.tolist() == [*reasons, ""]
     assert "turned" in reasons
 
@@ -78,7 +78,9 @@ def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: P
     assert sorted(after) == [0, 1] and [grasp["row"] for grasp in document["grasps"]] == [1, 0]
     for number, grasp in enumerate(document["grasps"]):
         simulation = grasp["simulation"]["after"]
-        assert [tried.reason.label for tried in after[number].tried] == [d["reason"] for d in simulation["directions"]]
+        assert [result.reason.label for result in after[number].results] == [
+            d["reason"] for d in simulation["directions"]
+        ]
         assert after[number].held == simulation["success"]
         assert_names(after[number].closed_by, "pregrasp", "squeeze")
 

@@ -16,10 +16,10 @@ def nothing(share: float | None, what: str) -> None:
 def test_a_stopped_job_ends_at_its_next_check_and_is_not_heard_any_more() -> None:
     said: list[str] = []
     control = Control(lambda share, what: said.append(what))
-    control.tell(0.5, "half")
+    control.report(0.5, "half")
     control.check()
     control.stop()
-    control.tell(0.6, "more")
+    control.report(0.6, "more")
     assert said == ["half"] and control.stopped
     with pytest.raises(Stopped):
         control.check()

@@ -1,4 +1,4 @@
-"""Everything of the viewer put together."""
+"""Complete viewer: server, controller, view and panels."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from grasp_refine_apps.viewer.page import Drawer, address, close_server
 from grasp_refine_apps.viewer.panels.page_panel import PagePanel
 from grasp_refine_apps.viewer.view import View
 
-PATIENCE = 4.0
-"""Seconds until something is done that nobody asked for: browsers load the page first, with the same processor."""
+BACKGROUND_DELAY_S = 4.0
+"""Seconds until background work starts: browsers load the page first, with the same processor."""
 
 
 class Viewer:
-    """A server that shows what a controller has; a context manager that closes both."""
+    """Server that shows the state of a controller; a context manager that closes both."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Put scene and panels on the page, the scene first."""
         self.server, self.controller = server, controller
         self.view = View(server, controller)
         self.view.draw(controller.state)
-        # Nobody should see buttons that cannot be used yet.
+        # No browser should show buttons that cannot be used yet.
         with server.atomic():
             self.panel = PagePanel(server, controller, self.view)
             for part in (self.panel, *self.panel.panels):
@@ -33,33 +33,33 @@ class Viewer:
         controller.listen(self._drawer.draw)
         self._drawer.start()
         server.on_client_connect(lambda client: self._drawer.draw(controller.state))
-        self._measuring = Timer(PATIENCE, self._prepare)
+        self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
         self._measuring.daemon = True
         self._measuring.start()
 
     def _prepare(self) -> None:
-        """Do what the first refinement would wait for, and measure what no file tells."""
+        """Load what the first refinement needs, and measure grasps whose files have no measures."""
         import grasp_refine.hands.kinematics  # noqa: F401 - loads PyTorch
 
         self.controller.measure()
 
     @property
     def address(self) -> str:
-        """What to type into a browser."""
+        """Address to open in a browser."""
         return address(self.server)
 
     def __enter__(self) -> Viewer:
-        """Nothing more to do."""
+        """Return the viewer."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop what is being done, and the server."""
+        """Stop the running job, and the server."""
         self.close()
 
     def close(self) -> None:
-        """Stop what is being done, and the server."""
+        """Stop the running job, and the server."""
         self._measuring.cancel()
         self.panel.close()
         self.controller.close()

@@ -1,4 +1,4 @@
-"""The panel that lists all grasps of what is open: sort, filter, step, open, mark."""
+"""Panel that lists all open grasps: sort, filter, step, open, mark."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import viser
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, any_other, first_descending, step, worst
+from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from grasp_refine_apps.viewer.marks import MARKS, Mark
 from grasp_refine_apps.viewer.measuring import unmeasured
-from grasp_refine_apps.viewer.metrics_html import worth_html
+from grasp_refine_apps.viewer.metrics_html import metrics_html
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.table import page_of, pages, table_html
 
@@ -25,13 +25,13 @@ PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
 MEASURE = "Measure all"
 GOOD, BAD, NO = "Good", "Bad", "None"
 ALL = "all"
-"""What the filters call no filter."""
+"""Label of no filter."""
 IN_FILE = "as in the file"
-"""What the list of columns calls no sorting."""
+"""Label of no sorting."""
 
 
 class BrowsePanel:
-    """The table of grasps and what can be done with it; all browsers see the same list."""
+    """Table of grasps with its commands; all browsers show the same list."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
@@ -44,30 +44,30 @@ class BrowsePanel:
         self._random = np.random.default_rng()
 
         gui = server.gui
-        self._worth = gui.add_html("")
+        self._metrics = gui.add_html("")
         self._steps = gui.add_button_group(
             "Open", (PREVIOUS, NEXT, RANDOM, WORST), hint="Open another grasp of the list below"
         )
         self._marks = gui.add_button_group(
-            "Mark", (GOOD, BAD, NO), hint="What you think of this grasp; kept in a .marks.csv file beside the grasps"
+            "Mark", (GOOD, BAD, NO), hint="Your mark of this grasp; kept in a .marks.csv file beside the grasps"
         )
         self._beside = gui.add_checkbox(
-            "Before and after", False, hint="Draw the grasp as it came beside the one that is shown"
+            "Before and after", False, hint="Draw the input grasp beside the one that is shown"
         )
-        # Clicks on the table, which is HTML, arrive as values of this widget, which nobody sees.
+        # Clicks on the table, which is HTML, arrive as values of this widget, which is hidden.
         self._clicks = gui.add_text("click", "", visible=False)
         self._table = gui.add_html("")
         self._measure = gui.add_button(
-            MEASURE, hint="Find quality and penetration of the grasps of which the file does not say them"
+            MEASURE, hint="Compute quality and penetration of the grasps whose file has none"
         )
         with gui.add_folder("Sort and filter", expand_by_default=False):
             self._key = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
             self._descending = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
             self._filters = {
                 "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
-                "status": gui.add_dropdown("Status", (ALL,), hint="How the refinement ended"),
-                "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="What MuJoCo said"),
-                "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="What you thought of them"),
+                "status": gui.add_dropdown("Status", (ALL,), hint="Status of the refinement"),
+                "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="Verdict of MuJoCo"),
+                "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="Your mark of the grasps"),
             }
             self._download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
         self._connect()
@@ -94,7 +94,7 @@ class BrowsePanel:
             self._draw_table()
 
     def _connect(self) -> None:
-        """Let the widgets call commands; values that we set ourselves come without a client."""
+        """Connect the widgets to commands; values that the program sets come without a client."""
 
         def on(widget: viser.GuiInputHandle, act: Callable[[viser.GuiEvent], None]) -> None:
             widget.on_update(lambda event: None if event.client is None else act(event))
@@ -110,10 +110,10 @@ class BrowsePanel:
         self._measure.on_click(lambda event: self._controller.measure())
         self._download.on_click(self._send_marks)
 
-    # what is listed
+    # list
 
     def _filtered(self, name: str, event: viser.GuiEvent) -> None:
-        """List what another value of a filter lets through."""
+        """Apply another value of a filter."""
         self._filter(name, event.target.value)
 
     def _list(self, **changes: Any) -> None:
@@ -128,7 +128,7 @@ class BrowsePanel:
             self._draw_table()
 
     def _sort(self, key: str) -> None:
-        """Sort by a column, the best first; by the same one again: the other way round."""
+        """Sort by a column, the best first; by the same one again: in reverse."""
         with self._lock:
             if self._collection is None:
                 return
@@ -140,18 +140,18 @@ class BrowsePanel:
         self._list(**{name: "" if value == ALL else value})
 
     def _keys(self) -> dict[str, str]:
-        """What the list of columns calls each -> its key."""
+        """Label of each column in the list of sortings -> its key."""
         columns = {} if self._collection is None else self._collection.columns
         return {IN_FILE: NUMBER, **{column.title: key for key, column in columns.items()}, "Mark": MARK}
 
     # commands
 
     def _clicked(self, click: str) -> None:
-        """Do what a click on the table says; anyone can send anything."""
+        """Handle a click on the table; clients can send arbitrary text."""
         what, _, rest = click.partition(" ")
         value = rest.split(" ")[0]
         with self._lock:
-            # Two clicks at once may both be told as the second.
+            # Two clicks at once may both arrive as the second.
             if click == self._last_click:
                 return
             self._last_click = click
@@ -172,11 +172,11 @@ class BrowsePanel:
         if where == WORST:
             found = worst(collection, listed)
         elif where == RANDOM:
-            found = any_other(listed, number, self._random)
+            found = random_other(listed, number, self._random)
         else:
             found = step(listed, number, 1 if where == NEXT else -1)
         if found is None:
-            self._controller.say(f"which grasp is the worst is not known yet: press {MEASURE} first", bad=True)
+            self._controller.say(f"the worst grasp is not known yet: press {MEASURE} first", bad=True)
         else:
             self._controller.show(found)
 
@@ -186,7 +186,7 @@ class BrowsePanel:
         self._controller.mark(self._controller.state.number, marks.get(what, ""))
 
     def _send_marks(self, event: viser.GuiEvent) -> None:
-        """Send the marks to the browser that asks for them."""
+        """Send the marks to the browser that requests them."""
         collection = self._collection
         if event.client is None or collection is None:
             return
@@ -200,19 +200,19 @@ class BrowsePanel:
     # widgets
 
     def _draw_table(self) -> None:
-        """Bring the table and the line above it up to date."""
+        """Update the table and the line above it."""
         collection, number = self._collection, self._number
         if collection is None:
             return
         html = table_html(collection, self._listing, self._listed, self._page, number, self._clicks._impl.uuid)
         if self._table.content != html:
             self._table.content = html
-        html = worth_html(collection, number)
-        if self._worth.content != html:
-            self._worth.content = html
+        html = metrics_html(collection, number)
+        if self._metrics.content != html:
+            self._metrics.content = html
 
     def _draw_choices(self, collection: Collection) -> None:
-        """Bring the lists of what can be chosen up to date."""
+        """Update the choices of the filters."""
         keys = self._keys()
         if self._key.options != tuple(keys):
             self._key.options = tuple(keys)

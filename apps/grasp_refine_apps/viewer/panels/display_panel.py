@@ -1,4 +1,4 @@
-"""The tab that says what of the scene is seen."""
+"""Tab with the display options of the scene."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.parts import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 from grasp_refine_apps.viewer.state import Showing, State
 
-WORDS = {
-    "hand": ("Hand", "What its maker drew, or the convex pieces that can touch."),
+LABELS = {
+    "hand": ("Hand", "Its visual meshes, or the convex pieces that collide."),
     "object": ("Object", "Its surface, its convex pieces in colours, or its edges."),
-    "transparent": ("See through", "Look through the object, at contacts behind it."),
-    "ghost": ("Hand as it came", "A pale copy of the hand before refinement."),
+    "transparent": ("See through", "Make the object transparent, to show contacts behind it."),
+    "ghost": ("Input hand", "A pale copy of the hand before refinement."),
     "contacts": ("Contacts", "Points where links and object are nearest or deepest, and lines between them."),
     "forces": ("Forces", "The contact forces that balance best, and friction cones."),
     "frames": ("Frames", "Axes of the base link and of the object: x red, y green, z blue."),
@@ -25,14 +25,14 @@ WORDS = {
 
 
 class DisplayPanel:
-    """Toggles of what is seen, and the legend."""
+    """Display options, and the legend."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets."""
         self._widgets: dict[str, Any] = {}
         gui, hints = server.gui, get_type_hints(Showing)
         for field in fields(Showing):
-            label, hint = WORDS[field.name]
+            label, hint = LABELS[field.name]
             if hints[field.name] is bool:
                 widget: Any = gui.add_checkbox(label, field.default is True, hint=hint)
             else:
@@ -47,7 +47,7 @@ class DisplayPanel:
         gui.add_html(_legend())
 
     def draw(self, state: State) -> None:
-        """Show what is seen."""
+        """Show a state."""
         for name, widget in self._widgets.items():
             value = getattr(state.showing, name)
             value = value and state.scene.table is not None if name == "table" else value
@@ -60,7 +60,7 @@ def _legend() -> str:
     rows = [
         ((242, 184, 102), "links that are meant to touch"),
         ((220, 90, 80), "links that are inside the object"),
-        (GHOST_COLOR, "the hand as it came"),
+        (GHOST_COLOR, "the input hand"),
         (TARGET_COLOR, "target: where a link should touch"),
         (FORCE_COLOR, "contact forces, in their friction cones"),
         (DEEP_COLOR, "the push in a simulation"),

@@ -1,4 +1,4 @@
-"""The panel that steers: gizmos, targets, joints, and undo."""
+"""Panel that edits the grasp: gizmos, targets, joints, and undo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from grasp_refine_apps.viewer.panels.timeline import millimetres
 from grasp_refine_apps.viewer.shapes import LinkPoses
 from grasp_refine_apps.viewer.state import Gizmo, State
 
-PERIOD = 0.2
+UPDATE_PERIOD_S = 0.2
 """Seconds between two updates of numbers and sliders."""
 
 
@@ -30,10 +30,10 @@ class EditPanel:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         gui = server.gui
-        self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Take the last change back")
-        self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Do again what was undone")
+        self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Undo the last change")
+        self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Redo the last undone change")
         self._reset = gui.add_button(
-            "Reset", icon=viser.Icon.ROTATE, hint="Hand, object and targets as they were opened"
+            "Reset", icon=viser.Icon.ROTATE, hint="Reset hand, object and targets to the input grasp"
         )
         in_a_row(gui, (self._undo, self._redo, self._reset))
 
@@ -61,7 +61,7 @@ class EditPanel:
                 controller.set_picking,
             )
             self._targets = gui.add_markdown("")
-            self._delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Take one target away")
+            self._delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Delete one target")
             self._delete.on_click(lambda event: self._deleted(event.target.value))
             self._auto = gui.add_button("Auto", icon=viser.Icon.WAND, hint="No targets: links touch where they can")
             self._auto.on_click(lambda event: controller.clear_targets())
@@ -69,7 +69,7 @@ class EditPanel:
                 "Nearest points", icon=viser.Icon.TARGET, hint="Where links are nearest now, to be dragged from there"
             )
             in_a_row(gui, (self._auto, self._nearest))
-            self._nearest.on_click(lambda event: controller.aim_nearest())
+            self._nearest.on_click(lambda event: controller.target_nearest_points())
         with gui.add_folder("Hand pose", expand_by_default=False):
             self._position = Held(
                 gui.add_vector3("Position, mm", (0.0, 0.0, 0.0), step=0.1, hint="Of the base link, object frame"),
@@ -80,7 +80,7 @@ class EditPanel:
                 self._turn,
             )
         self._joints = Joints(gui, controller)
-        self._numbers = Paced(PERIOD, self._draw_numbers)
+        self._numbers = Paced(UPDATE_PERIOD_S, self._draw_numbers)
         self._poses: tuple[Hand, LinkPoses] | None = None
 
     def draw(self, state: State) -> None:
@@ -93,14 +93,14 @@ class EditPanel:
         self._numbers(state)
 
     def close(self) -> None:
-        """Draw nothing any more."""
+        """Stop drawing."""
         self._numbers.close()
         self._joints.close()
         for held in (*self._gizmos.values(), self._picking, self._position, self._rotation):
             held.close()
 
     def _draw_numbers(self, state: State) -> None:
-        """What follows every iteration of a refinement, in its own time."""
+        """Update the numbers that follow every iteration of a refinement, at a limited rate."""
         shown, hand = state.shown, state.collection.hand
         if self._poses is None or self._poses[0] is not hand:
             self._poses = hand, LinkPoses.of(hand)
@@ -136,7 +136,7 @@ class EditPanel:
 
 
 def target_words(state: State, poses: LinkPoses) -> str:
-    """What a click does next, and the targets with how far they are missed, in Markdown."""
+    """Text in Markdown on the effect of the next click, and on the targets with their misses."""
     lines = []
     if state.picked is not None:
         lines.append(f"**{state.picked[0]}** is chosen: now click the object where it should touch.")

@@ -1,4 +1,4 @@
-"""The tab "Files": what is open, opening more, and taking grasp, picture and animation away."""
+"""Tab "Files": open grasps, uploads, and export of grasp, picture and animation."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from grasp_refine_apps.viewer.animation import animation_html
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.film import film_of
-from grasp_refine_apps.viewer.opening import HOLES, MeshOptions, opened
+from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, open_upload
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
 from grasp_refine_apps.viewer.state import JobKind, State
-from grasp_refine_apps.viewer.upload_limit import MOST_AT_ONCE, limit_uploads
-from grasp_refine_apps.viewer.uploads import ENDINGS, LARGEST_UPLOAD, Uploads, shown_name, too_large
+from grasp_refine_apps.viewer.upload_limit import MAX_CONCURRENT_UPLOADS, limit_uploads
+from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
 from grasp_refine_apps.viewer.worker import Control
 
-ASK = "ask me"
-"""The unit that nobody has said."""
-PATIENCE = 15.0
-"""Seconds in which a browser must have drawn a picture; one that is hidden or hangs never does."""
-LARGEST_PICTURE = 4096
-"""Pixels of a picture's longer side; browsers say what they like."""
-BUSY = "something else is being done: wait until it ends, or stop it, then try again"
+UNSPECIFIED_UNIT = "ask me"
+"""Label of a unit that is not specified."""
+RENDER_TIMEOUT_S = 15.0
+"""Seconds within which a browser must draw a picture; one that is hidden or hangs never does."""
+MAX_PICTURE_PIXELS = 4096
+"""Maximum pixels of a picture's longer side; browsers may report any size."""
+BUSY_MESSAGE = "another job is running: wait until it ends, or stop it, then try again"
 
 
 class ExportPanel:
-    """What is open, uploads and downloads; downloads go only to the browser that asks."""
+    """Open grasps, uploads and downloads; downloads go only to the browser that requests them."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller, uploads: Uploads | None = None) -> None:
         """Make the widgets inside the tab or folder that is open.
 
         Args:
             server: The server.
-            controller: What is shown, and what can be done with it.
-            uploads: Where uploads go; None: a folder of our own, until `close`.
+            controller: The controller.
+            uploads: Storage of uploads; None: a new folder, deleted by `close`.
         """
         self._server, self._controller = server, controller
         self._uploads = uploads or Uploads()
@@ -52,17 +52,17 @@ class ExportPanel:
             self._upload = gui.add_upload_button(
                 "Upload mesh, hand or grasps",
                 icon=viser.Icon.UPLOAD,
-                mime_type=",".join(ENDINGS),
+                mime_type=",".join(UPLOAD_SUFFIXES),
                 hint=f"A mesh, a URDF or a zip of a hand with its meshes, or a grasp file; up to "
-                f"{LARGEST_UPLOAD // 2**20} MiB",
+                f"{MAX_UPLOAD_BYTES // 2**20} MiB",
             )
             self._unit = gui.add_dropdown(
-                "Mesh unit", (ASK, *NAMES.values()), hint="Unit of the numbers in an uploaded mesh"
+                "Mesh unit", (UNSPECIFIED_UNIT, *NAMES.values()), hint="Unit of the numbers in an uploaded mesh"
             )
             self._holes = gui.add_dropdown(
-                "Mesh holes", tuple(HOLES.values()), hint="What to do with an uploaded mesh that is not closed"
+                "Mesh holes", tuple(HOLE_LABELS.values()), hint="What to do with an uploaded mesh that is not closed"
             )
-        with gui.add_folder("Take away"):
+        with gui.add_folder("Export"):
             self._format = gui.add_dropdown(
                 "Format", tuple(known.name for known in FORMATS), hint="\n".join(known.what for known in FORMATS)
             )
@@ -79,9 +79,9 @@ class ExportPanel:
             )
         self._upload.on_upload(self._uploaded)
         self._save.on_click(self._save_grasp)
-        self._picture.on_click(self._take_picture)
+        self._picture.on_click(self._send_picture)
         self._animation.on_click(self._animate)
-        limit_uploads(server, LARGEST_UPLOAD, self._refused)
+        limit_uploads(server, MAX_UPLOAD_BYTES, self._refused)
 
     def draw(self, state: State) -> None:
         """Show a state."""
@@ -95,30 +95,30 @@ class ExportPanel:
         """Delete what was uploaded."""
         self._uploads.close()
 
-    # opening
+    # uploads
 
     def _refused(self, name: str, size: int) -> None:
-        text = f"{shown_name(name)}: {MOST_AT_ONCE} files are being uploaded already; wait for them"
-        self._controller.say(too_large(name, size) if size > LARGEST_UPLOAD else text, bad=True)
+        text = f"{shown_name(name)}: {MAX_CONCURRENT_UPLOADS} files are being uploaded already; wait for them"
+        self._controller.say(too_large(name, size) if size > MAX_UPLOAD_BYTES else text, bad=True)
 
     def _uploaded(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         """Check and open what a browser sent."""
         file = event.target.value
-        units, holes = {words: key for key, words in NAMES.items()}, {words: key for key, words in HOLES.items()}
+        units, holes = {words: key for key, words in NAMES.items()}, {words: key for key, words in HOLE_LABELS.items()}
         options = MeshOptions(units.get(self._unit.value), holes.get(self._holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.standing
 
         def work(control: Control) -> None:
-            control.tell(None, f"checking {shown}")
+            control.report(None, f"checking {shown}")
             upload = self._uploads.receive(file.name, file.content)
             control.check()
 
-            def tell(line: str) -> None:
-                control.tell(None, line)
+            def report(line: str) -> None:
+                control.report(None, line)
 
-            tell(f"opening {shown}")
-            problem = opened(upload, now.scene, pose, options=options, tell=tell, check=control.check)
+            report(f"opening {shown}")
+            problem = open_upload(upload, now.scene, pose, options=options, report=report, check=control.check)
             found = Collection.of(problem)
             control.check()
             self._controller.change_collection(found)
@@ -126,7 +126,7 @@ class ExportPanel:
 
         self._run("load", f"opening {shown}", work)
 
-    # taking away
+    # export
 
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
@@ -147,13 +147,13 @@ class ExportPanel:
 
         self._run("export", f"saving as {to}", work)
 
-    def _take_picture(self, event: viser.GuiEvent) -> None:
-        """Send what a browser sees, as it sees it."""
+    def _send_picture(self, event: viser.GuiEvent) -> None:
+        """Send a picture of the scene as the browser shows it."""
         client, now = event.client, self._controller.state
         if client is None:
             return
         try:
-            image = client.get_render(*_size(client.camera), transport_format="png", timeout=PATIENCE)
+            image = client.get_render(*_size(client.camera), transport_format="png", timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError) as error:
             if client.client_id in self._server.get_clients():
                 self._controller.say(f"there is no picture: the browser drew none ({error}); try again", bad=True)
@@ -161,7 +161,7 @@ class ExportPanel:
         self._send(client, Saved(f"{_stem(now)}.png", png(image)))
 
     def _animate(self, event: viser.GuiEvent) -> None:
-        """Send the last refinement, or the simulation that is looked at, as a page."""
+        """Send the last refinement, or the simulation that is shown, as an HTML page."""
         now, client = self._controller.state, event.client
         if client is None:
             return
@@ -177,16 +177,16 @@ class ExportPanel:
 
     def _run(self, kind: JobKind, what: str, work: Callable[[Control], None]) -> None:
         if not self._controller.run_job(kind, what, work):
-            self._controller.say(BUSY, bad=True)
+            self._controller.say(BUSY_MESSAGE, bad=True)
 
     def _send(self, client: viser.ClientHandle, saved: Saved) -> None:
-        """Hand a file to a browser, if it is still there."""
+        """Send a file to a browser, if it is still connected."""
         if client.client_id in self._server.get_clients():
             client.send_file_download(saved.name, saved.content, save_immediately=True)
 
 
 def open_html(collection: Collection) -> str:
-    """What is open, in words, and what its readers said."""
+    """Description of the open grasps as HTML, with the notes of their readers."""
     problem = collection.problem
     objects = ", ".join(dict.fromkeys(group.object for group in problem.groups))
     files = problem.sampled or ", ".join(path.name for path in problem.files)
@@ -209,7 +209,7 @@ def open_html(collection: Collection) -> str:
 
 
 def png(image: np.ndarray) -> bytes:
-    """A picture (H, W, 4), or (H, W, 3), on white, as a file."""
+    """Encode a picture (H, W, 4), or (H, W, 3), on white, as a PNG file."""
     drawn = Image.fromarray(np.asarray(image, dtype=np.uint8)).convert("RGBA")
     white = Image.new("RGBA", drawn.size, (255, 255, 255, 255))
     stream = io.BytesIO()
@@ -218,16 +218,16 @@ def png(image: np.ndarray) -> bytes:
 
 
 def _size(camera: viser.CameraHandle) -> tuple[int, int]:
-    """Height and width in pixels of what a browser shows, no longer than a picture may be."""
+    """Height and width in pixels of a browser's scene, limited to the size of a picture."""
     height, width = max(int(camera.image_height), 1), max(int(camera.image_width), 1)
-    factor = min(1.0, LARGEST_PICTURE / max(height, width))
+    factor = min(1.0, MAX_PICTURE_PIXELS / max(height, width))
     return max(int(height * factor), 1), max(int(width * factor), 1)
 
 
 def _stem(state: State) -> str:
-    """A file's name without its ending, of hand, object and number."""
+    """Name of a file without suffix, of hand, object and number."""
     label = f"{state.collection.hand.name}_{state.collection.label(state.number)}"
-    return "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in label)[:100].lstrip(".")
+    return "".join(char if char.isalnum() or char in "._-" else "_" for char in label)[:100].lstrip(".")
 
 
 def _sentence(collection: Collection) -> str:

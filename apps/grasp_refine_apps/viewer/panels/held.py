@@ -1,4 +1,4 @@
-"""A widget that states move and that a user may be moving at the same time."""
+"""Input widget that states set and that a user may be moving at the same time."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from threading import Lock
 from time import monotonic
 from typing import Any
 
-HOLD = 0.5
+HOLD_S = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
 
 
 class Held:
-    """Shows values in a slider or another input and sends what a user makes of it; late states do not push it back.
+    """Slider or other input that shows values and sends a user's changes; late states do not move it back.
 
-    The widget is moved in viser's own thread, where movements of users arrive, too: none is lost between a look at the
-    widget and a change of it.
+    The widget is moved in viser's own thread, where movements of users arrive, too: none is lost between reading and
+    setting the widget.
     """
 
     def __init__(self, handle: Any, send: Callable[[Any], None]) -> None:
@@ -24,7 +24,7 @@ class Held:
 
         Args:
             handle: The widget.
-            send: Gets its value when a user moved it; must return at once.
+            send: Called with its value when a user moved it; must return at once.
         """
         self.handle, self._send = handle, send
         self._loop = handle._impl.gui_api._event_loop
@@ -42,7 +42,7 @@ class Held:
             self._loop.call_soon_threadsafe(self._settle)
 
     def close(self) -> None:
-        """Show nothing any more: the widget will be removed."""
+        """Stop showing values: the widget will be removed."""
         self._closed = True
 
     def _settle(self) -> None:
@@ -64,11 +64,11 @@ class Held:
         self._settle()
 
     def _moved(self) -> None:
-        """Send what a user did; viser calls this in any of its threads, and not always in turn."""
+        """Send a user's change; viser calls this in any of its threads, and not always in order."""
         with self._sending:
             self._touched()
             # What the widget shows now, not what it showed when it was moved.
             self._send(self._known)
 
     def _touched(self) -> None:
-        self._known, self._until = self.handle.value, monotonic() + HOLD
+        self._known, self._until = self.handle.value, monotonic() + HOLD_S

@@ -13,15 +13,15 @@ from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.held import Held
 
-STEP = 0.1
+SLIDER_STEP = 0.1
 """Step of the sliders, in degrees or mm."""
 
 
 class Joints:
-    """One slider for each independent joint; built anew for another hand."""
+    """Sliders of the independent joints; built anew for another hand."""
 
     def __init__(self, gui: viser.GuiApi, controller: Controller) -> None:
-        """Make them in the container that is open."""
+        """Make the folder in the container that is open."""
         self._gui, self._controller = gui, controller
         self._folder = gui.add_folder("Joints, degrees or mm")
         self._hand: Hand | None = None
@@ -45,7 +45,7 @@ class Joints:
             slider.show(float(np.clip(round(shown, 1), handle.min, handle.max)))
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """Stop showing values."""
         for slider in self._sliders:
             slider.close()
 
@@ -68,8 +68,8 @@ class Joints:
         handle = self._gui.add_slider(
             name,
             lower,
-            max(upper, lower + STEP),
-            STEP,
+            max(upper, lower + SLIDER_STEP),
+            SLIDER_STEP,
             lower,
             disabled=bool(hand.lower[i] == hand.upper[i]),
             hint=f"{'mm' if kind == 'prismatic' else 'degrees'}, from {lower:g} to {upper:g}",
@@ -81,12 +81,12 @@ class Joints:
 
 
 def units(hand: Hand) -> Float[np.ndarray, " n"]:
-    """What joint values are multiplied with for people: degrees, or mm for prismatic joints."""
+    """Factors (n,) from joint values to displayed units: degrees, or mm for prismatic joints."""
     kinds = [hand.joints_by_name[name].kind for name in hand.joint_names]
     return np.array([1e3 if kind == "prismatic" else np.degrees(1.0) for kind in kinds])
 
 
 def limits(hand: Hand, i: int, scale: float) -> tuple[float, float]:
-    """Limits of a joint, in degrees or mm; of one that turns without end, a full turn."""
+    """Limits of a joint, in degrees or mm; of a continuous joint, a full turn."""
     lower, upper = scale * hand.lower[i], scale * hand.upper[i]
     return (lower if np.isfinite(lower) else -180.0), (upper if np.isfinite(upper) else 180.0)

@@ -1,4 +1,4 @@
-"""Something that is drawn now or soon, but not too often."""
+"""Drawing at a limited rate."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 
 class Paced:
-    """Draws what it is called with, at most once in a period: the newest at its end, which is never left out."""
+    """Rate limit of a drawing function, at most one call in a period: the newest arguments are never left out."""
 
     def __init__(self, period: float, draw: Callable[..., None]) -> None:
-        """`draw` is called with what this is called with, never twice at once; `period` is in seconds."""
+        """Limit `draw`, which is called with the arguments of this, never twice at once; `period` is in seconds."""
         self._period, self._draw = period, draw
         self._lock = Lock()
         self._wanted: tuple[Any, ...] = ()
@@ -21,7 +21,7 @@ class Paced:
         self._closed = False
 
     def __call__(self, *wanted: Any) -> None:
-        """Draw this, unless something newer comes first."""
+        """Draw these arguments, unless newer ones come first."""
         with self._lock:
             self._wanted = wanted
             if self._timer is not None or self._closed:
@@ -35,7 +35,7 @@ class Paced:
             self._timer.start()
 
     def close(self) -> None:
-        """Draw nothing any more."""
+        """Stop drawing."""
         with self._lock:
             self._closed = True
             if self._timer is not None:

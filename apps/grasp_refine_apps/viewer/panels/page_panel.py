@@ -1,4 +1,4 @@
-"""The whole panel: a heading with what the shown grasp is worth, and tabs."""
+"""Whole panel: a heading with measures of the shown grasp, and tabs."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from grasp_refine_apps.viewer.view import View
 
 PANELS = (
     ("Refine", RefinePanel),
-    ("Steer", EditPanel),
-    ("Prove", ValidatePanel),
+    ("Edit", EditPanel),
+    ("Validate", ValidatePanel),
     ("Browse", BrowsePanel),
     ("Files", ExportPanel),
     ("View", DisplayPanel),
 )
-"""What the tabs are called, and what is in them."""
+"""Titles and panels of the tabs."""
 
 
 class PagePanel:
-    """Heading and tabs; draws the heading, and tells what is to be told."""
+    """Heading and tabs; draws the heading, and shows notices."""
 
     def __init__(self, server: viser.ViserServer, controller: Controller, view: View) -> None:
         """Make all widgets."""
         self._server, self._view = server, view
         self._heading = server.gui.add_html("")
-        self._told = 0
+        self._last_notice = 0
         tabs = server.gui.add_tab_group()
         self.panels: list[Any] = []
         """The panels in the tabs; each draws for itself."""
@@ -46,7 +46,7 @@ class PagePanel:
                 self.panels.append(kind(server, controller))
 
     def close(self) -> None:
-        """End what panels do by themselves, such as films."""
+        """Stop what the panels play."""
         for panel in self.panels:
             if hasattr(panel, "close"):
                 panel.close()
@@ -58,9 +58,9 @@ class PagePanel:
             self._heading.content = text
         notice = state.notice
         clients = self._server.get_clients().values()
-        # What is said before anybody looks is told to the first who does.
-        if notice is not None and notice.number != self._told and clients:
-            self._told = notice.number
+        # A notice from before the first client is shown to that client.
+        if notice is not None and notice.number != self._last_notice and clients:
+            self._last_notice = notice.number
             for client in clients:
                 client.add_notification(
                     "This did not work" if notice.bad else "grasp-refine",
@@ -71,7 +71,7 @@ class PagePanel:
 
 
 def _heading(state: State, view: View) -> str:
-    """What is shown, and what it is worth."""
+    """Name and measures of the shown grasp as HTML."""
     collection, found = state.collection, view.contacts
     name = f"{collection.hand.name} on {collection.label(state.number)}"
     lines = [f"<b>{html.escape(name)}</b>"]
@@ -86,7 +86,7 @@ def _heading(state: State, view: View) -> str:
 
 
 def _scale() -> str:
-    """The colours of distances, in one line."""
+    """Colours of distances in one line of HTML."""
     swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:50%;vertical-align:-0.05em"
     parts = [
         f'<span><span style="{swatch};background:rgb{color}"></span> {text}</span>' for text, color in distance_legend()
@@ -98,4 +98,4 @@ def _scale() -> str:
 
 
 SCALE = _scale()
-"""What the colours of points and lines between links and object mean."""
+"""Legend of the colours of points and lines between links and object."""

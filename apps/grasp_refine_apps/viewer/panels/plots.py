@@ -1,4 +1,4 @@
-"""Live plot of a refinement: how far contacts are off, how deep links are in the object, and the loss."""
+"""Live plot of a refinement: contact error, penetration, and loss."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from jaxtyping import Float
 from grasp_refine_apps.viewer.panels.paced import Paced
 from grasp_refine_apps.viewer.trace import Trace
 
-PERIOD = 0.2
+UPDATE_PERIOD_S = 0.2
 """Seconds between two updates."""
-MOST = 400
-"""Most points of a curve."""
-LEAST_MM = 1e-3
-"""What is smaller, in mm, is drawn as this: a logarithmic axis has no zero, and uPlot writes no smaller number."""
+MAX_POINTS = 400
+"""Maximum points of a curve."""
+MIN_LENGTH_MM = 1e-3
+"""Smallest length drawn, in mm: a logarithmic axis has no zero, and uPlot writes no smaller number."""
 
 _GRID: Any = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
 _SERIES = (("contact error", "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
@@ -27,14 +27,14 @@ class Plot:
     """A plot over the iterations, in mm, with a line at the one that is shown."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        """Make it, unseen until there is something to plot."""
+        """Make the plot, hidden until there is something to plot."""
         none = np.array([0.0])
         curve: dict[str, Any] = {"width": 2, "points": {"show": False}}
         series: tuple[Any, ...] = tuple({"label": name, "stroke": color, **curve} for name, color in _SERIES)
         self._handle = gui.add_uplot(
             (none,) * 5,
             ({"label": "iteration"}, *series, _SHOWN),
-            title="How far from the goal, mm",
+            title="Distance from the goal, mm",
             scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
             axes=({"grid": _GRID, "ticks": {"width": 1}}, {"grid": _GRID, "ticks": {"show": False}}),
             legend={"live": False},
@@ -43,11 +43,11 @@ class Plot:
             visible=False,
         )
         self._drawn: tuple[Trace | None, int | None] = (None, None)
-        self.show = Paced(PERIOD, self._draw)
+        self.show = Paced(UPDATE_PERIOD_S, self._draw)
         """Plots a trace (or none), with a line at an iteration (None: the last)."""
 
     def close(self) -> None:
-        """Plot nothing any more."""
+        """Stop plotting."""
         self.show.close()
 
     def _draw(self, trace: Trace | None, frame: int | None) -> None:
@@ -60,9 +60,9 @@ class Plot:
 
 
 def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
-    """What is plotted of a trace, at most `MOST` points: all iterations or some of them, with the one that is shown.
+    """Return the plotted data of a trace, at most `MAX_POINTS` points: all or some iterations, and the shown one.
 
-    That one is there three times, so that the last curve, which has a value only at the second, is an upright line.
+    That one occurs three times, so that the last curve, which has a value only at the second, is a vertical line.
 
     Args:
         trace: At least one iteration.
@@ -73,10 +73,10 @@ def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
     """
     last = len(trace) - 1
     frame = last if frame is None else min(frame, last)
-    kept = np.unique(np.linspace(0, last, min(last + 1, MOST - 3)).round().astype(int))
+    kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS - 3)).round().astype(int))
     kept = np.sort(np.append(np.union1d(kept, [frame]), [frame, frame]))
     lengths = np.stack((trace.contact_error, trace.penetration, np.sqrt(np.maximum(trace.loss, 0.0))))[:, kept]
-    lengths = np.maximum(1e3 * lengths, LEAST_MM)
+    lengths = np.maximum(1e3 * lengths, MIN_LENGTH_MM)
     line = np.full(len(kept), np.nan)
     line[np.searchsorted(kept, frame) + 1] = np.nanmax(lengths)
     return np.stack((kept.astype(float), *lengths, line))

@@ -1,4 +1,4 @@
-"""The panel that refines: start and stop, progress, plots, a timeline of all iterations, and the settings."""
+"""Panel that refines: start and stop, progress, plots, a timeline of all iterations, and the settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from grasp_refine_apps.viewer.refining import targets_of
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.target import Target
 
-FIRST = (
+FIRST_SETTINGS = (
     "solver",
     "derivative",
     "neighborhood",
@@ -34,8 +34,8 @@ FIRST = (
     "seed",
     "weights",
 )
-"""The settings that most people want."""
-LEFT_OUT = ("device", "dtype")
+"""Settings shown first, which are changed most often."""
+HIDDEN_SETTINGS = ("device", "dtype")
 """Settings of batches: one grasp is refined on the CPU here."""
 
 
@@ -49,12 +49,12 @@ class RefinePanel:
         self._start = gui.add_button(
             "Start", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Refine the grasp that is shown"
         )
-        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Hold the refinement, or let it go on")
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Pause the refinement, or resume it")
         self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
         self._stop = gui.add_button(
-            "Stop", icon=viser.Icon.PLAYER_STOP, hint="End what is being done; the hand stays there"
+            "Stop", icon=viser.Icon.PLAYER_STOP, hint="Stop the running job; the hand stays there"
         )
-        self._reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Put the grasp back to how it came")
+        self._reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Reset to the input grasp")
         in_a_row(gui, (self._start, self._pause, self._step))
         in_a_row(gui, (self._stop, self._reset))
         self._text = gui.add_markdown("")
@@ -70,12 +70,10 @@ class RefinePanel:
                 lambda words: controller.say(words, bad=True),
                 check=lambda settings: settings.config(),
                 unused=unused,
-                first=FIRST,
-                left_out=LEFT_OUT,
+                first=FIRST_SETTINGS,
+                left_out=HIDDEN_SETTINGS,
             )
-            self._defaults = gui.add_button(
-                "Default settings", icon=viser.Icon.RESTORE, hint="All settings as they came"
-            )
+            self._defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
 
         def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
             button.on_click(lambda event: act())
@@ -101,7 +99,7 @@ class RefinePanel:
         self._pause.label = "Resume" if paused else "Pause"
         self._step.disabled = busy
         self._stop.disabled = not (refining or busy)
-        self._reset.disabled = not (refining or busy) and _as_it_came(state)
+        self._reset.disabled = not (refining or busy) and _nothing_to_reset(state)
         self._text.content = words(state)
         self._bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
         self._bar.animated = refined is not None and not paused and refined.share is None
@@ -110,13 +108,13 @@ class RefinePanel:
         self._form.show(state.settings)
 
     def close(self) -> None:
-        """End what still plays."""
+        """Stop playing and plotting."""
         self._timeline.close()
         self._plot.close()
 
 
 def unused(settings: Any) -> set[str]:
-    """Names of the settings that mean nothing beside the others: `config` refuses them."""
+    """Names of the settings without effect given the others: `config` refuses them."""
     names: set[str] = set()
     if settings.solver == "levenberg-marquardt":
         names |= {"derivative", "neighborhood", "transport", "weights.joint_limits"}
@@ -134,7 +132,7 @@ def unused(settings: Any) -> set[str]:
 
 
 def words(state: State) -> str:
-    """What is being done, or what came out, in Markdown."""
+    """Text in Markdown on the running job, or on the outcome."""
     job = state.job
     if job is not None and job.kind == "refine":
         return f"**{'Paused' if job.paused else 'Refining'}**: {job.what}"
@@ -143,12 +141,12 @@ def words(state: State) -> str:
     if state.outcome is not None:
         return outcome_words(state.outcome)
     if state.trace is not None:
-        return "Stopped, or moved since. **Start** refines from where the hand is now."
+        return "Stopped, or moved since. **Start** refines from the present pose."
     return "**Start** moves the hand until its links touch the object as they should and it holds."
 
 
 def outcome_words(outcome: Outcome) -> str:
-    """What became of one grasp, before and after, and what to do about it; a table in Markdown."""
+    """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
     error = [np.nan if np.isnan(side).all() else np.nanmax(side) for side in outcome.contact_error[0]]
     rows = (
@@ -162,21 +160,21 @@ def outcome_words(outcome: Outcome) -> str:
     head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
     if outcome.usable[0]:
         verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"
-        head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Prove** simulates"
+        head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Validate** simulates"
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""
     return f"{head}{advice}\n\n| | before | after |\n|:---|---:|---:|\n{table}"
 
 
-def _as_it_came(state: State) -> bool:
-    """Whether there is nothing to reset."""
+def _nothing_to_reset(state: State) -> bool:
+    """Return whether there is nothing to reset."""
     return (
         state.trace is None
         and np.array_equal(state.T_world_object, np.eye(4))
         and state.pose.same(state.initial)
-        and _aims(state.targets) == _aims(targets_of(state.scene))
+        and _target_values(state.targets) == _target_values(targets_of(state.scene))
     )
 
 
-def _aims(targets: tuple[Target, ...]) -> list[tuple[str, list[float], list[float]]]:
+def _target_values(targets: tuple[Target, ...]) -> list[tuple[str, list[float], list[float]]]:
     """Targets as values that can be compared."""
     return [(target.link, target.point_link.tolist(), target.point_object.tolist()) for target in targets]

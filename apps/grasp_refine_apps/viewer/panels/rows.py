@@ -1,4 +1,4 @@
-"""Buttons beside each other: viser puts each on a line of its own."""
+"""Buttons beside each other: viser puts each on its own line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The timeline of a refinement: a slider over all iterations, which also plays them like a film, and their numbers."""
+"""Timeline of a refinement: a slider over all iterations, which also plays them, and their measures."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.held import Held
 from grasp_refine_apps.viewer.state import State
 
-RATE = 20.0
-"""Iterations that are shown in a second."""
-LONGEST = 10.0
-"""Seconds that the longest film takes: where there are more iterations, some are left out."""
+PLAY_RATE_HZ = 20.0
+"""Iterations played per second."""
+MAX_PLAY_S = 10.0
+"""Maximum seconds of playing: where there are more iterations, some are left out."""
 PLAY, STOP = "Play", "Stop playing"
 
 
@@ -27,7 +27,7 @@ class Timeline:
         self._controller = controller
         handle = gui.add_slider("Iteration", 0, 1, 1, 0, disabled=True, hint="Drag to see the hand in each iteration")
         self._slider = Held(handle, self._scrub)
-        self._play = gui.add_button(PLAY, icon=viser.Icon.MOVIE, hint="Show all iterations like a film")
+        self._play = gui.add_button(PLAY, icon=viser.Icon.MOVIE, hint="Play all iterations")
         self._play.on_click(lambda event: self._toggle())
         self._numbers = gui.add_markdown("")
         self._lock = Lock()
@@ -43,14 +43,14 @@ class Timeline:
         self._numbers.content = numbers(state)
 
     def close(self) -> None:
-        """End what is played."""
+        """Stop playing."""
         self._slider.close()
         with self._lock:
             if self._stop is not None:
                 self._stop.set()
 
     def _scrub(self, frame: int) -> None:
-        """Look at an iteration; at the last one of a refinement that runs, follow it."""
+        """Show an iteration; at the last one of a refinement that runs, follow it."""
         state = self._controller.state
         last = 0 if state.trace is None else len(state.trace) - 1
         runs = state.job is not None and state.job.kind == "refine"
@@ -67,15 +67,15 @@ class Timeline:
             Thread(target=self._run, args=(self._stop,), name="viewer timeline", daemon=True).start()
 
     def _run(self, stop: Event) -> None:
-        """Play until the end, a stop, or somebody else moves the timeline."""
+        """Play until the end, a stop, or another move of the timeline."""
         state = self._controller.state
         trace, frame = state.trace, state.frame
         if trace is not None:
-            last, stride = len(trace) - 1, ceil(len(trace) / (RATE * LONGEST))
+            last, stride = len(trace) - 1, ceil(len(trace) / (PLAY_RATE_HZ * MAX_PLAY_S))
             at = 0 if frame is None or frame >= last else frame
             while not stop.is_set():
                 self._controller.scrub(at)
-                ended = at >= last or stop.wait(1.0 / RATE)
+                ended = at >= last or stop.wait(1.0 / PLAY_RATE_HZ)
                 state = self._controller.state
                 if ended or state.trace is not trace or state.frame != at:
                     break
@@ -86,10 +86,10 @@ class Timeline:
 
 
 def numbers(state: State) -> str:
-    """What the iteration that is shown is worth, in words."""
+    """Text on the measures of the shown iteration."""
     trace = state.trace
     if trace is None:
-        return "Each iteration of a refinement can be looked at here."
+        return "Each iteration of a refinement can be shown here."
     k = len(trace) - 1 if state.frame is None else min(state.frame, len(trace) - 1)
     if state.frame is None and state.job is None and not state.pose.same(trace.pose(k)):
         return "The hand was moved since: drag the timeline to see the refinement again."
