@@ -146,7 +146,7 @@ def test_a_frame_is_told_in_words(motion: ShownMotion) -> None:
     at = motion.frame_at(0.8 + 0.2)
     assert_names(motion.text(at), "+x", "0.20 s", "204.0 mm", "0.0°", "lost")
     assert motion.lost[at] and not motion.lost[0] and "lost" not in motion.text(0)
-    assert len({motion.doing(frame) for frame in (0, motion.frame_at(0.6), at)}) == 3
+    assert len({motion.stage_text(frame) for frame in (0, motion.frame_at(0.6), at)}) == 3
 
 
 def test_frames_are_found_by_time_and_are_not_too_many(motion: ShownMotion, known: tuple) -> None:

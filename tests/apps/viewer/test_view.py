@@ -85,7 +85,7 @@ def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View
     deep = {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
     red = {
         link
-        for link, node, own in zip(parts.hand.links, parts.hand.nodes, parts.hand._own, strict=True)
+        for link, node, own in zip(parts.hand.links, parts.hand.nodes, parts.hand._colors, strict=True)
         if tuple(node.color) != own
     }
     assert deep and red == deep and len(DEEP_COLOR) == 3
