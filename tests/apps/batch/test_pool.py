@@ -79,7 +79,7 @@ if __name__ == "__main__":
     try:
         print("begun", flush=True)
         shards = some_shards(Path(sys.argv[1]), *sys.argv[2:])
-        for each in run_local(shards, work, workers=2, patience_s=3600.0, beat=lambda *_: None):
+        for each in run_local(shards, work, workers=2, patience_s=3600.0, heartbeat=lambda *_: None):
             print(type(each).__name__, each.number, flush=True)
     except KeyboardInterrupt:
         print("interrupted", flush=True)
