@@ -28,6 +28,7 @@ follow_imports = silent
 REVEALED = """
 import numpy as np
 import torch
+import grasp_refine as gr
 from grasp_refine.core.se3 import exp_se3, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
@@ -53,6 +54,7 @@ reveal_type(result)  # Refinement
 reveal_type(result.loss)  # ndarray
 reveal_type(metrics(hand, obj, result.T_world_root, result.q).quality)  # ndarray
 reveal_type(main([]))  # int
+reveal_type(gr.refine(gr.load_hand("allegro"), gr.load_object("mug"), gr.load_grasps("grasps.npz")))  # RefinedGrasps
 reveal_type(Kinematics(hand, hand.joint_names)(torch.eye(4), torch.zeros(16)))  # Tensor
 """
 
