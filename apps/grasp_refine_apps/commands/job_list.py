@@ -173,7 +173,7 @@ def _read_csv(path: Path) -> list[dict[str, Any]]:
     _check_keys(header, f"{path}: its header")
     for number, row in enumerate(rows, 1):
         if None in row or None in row.values():
-            raise GraspRefineError(f"{path}: job {number}: must have {len(header)} cells, as many as the header")
+            raise GraspRefineError(f"{path}: job {number}: needs as many cells as the header, {len(header)}")
     return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
 
 

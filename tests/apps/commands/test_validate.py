@@ -216,7 +216,7 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         ((*quick, "--film"), "for --replays"),
         ((*quick, "--replays", "r", "--direction", "up"), "there are +x, -x, +y, -y, +z, -z"),
         ((*quick, "--json", EXAMPLE), "would overwrite an input"),
-        (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "stands instead of FILE"),
+        (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "replaces FILE"),
         (("validate", "--compare", EXAMPLE, "other.npz"), "their objects differ"),
         (("validate", "--compare", EXAMPLE, "fewer.npz"), "4 against 2"),
         (("run", "--setting", "strict"), "--setting and --friction are for --validate"),

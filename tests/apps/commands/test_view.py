@@ -14,7 +14,7 @@ import pytest
 
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.force_closure_search import STAGES
+from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
@@ -53,7 +53,7 @@ def test_results_are_opened_with_the_grasps_as_they_came_and_what_simulation_sai
     state = opened(results / "allegro_mug.npz", results / "report.json").state
     assert len(state.collection) == 2 and state.collection.refined.all()
     assert np.abs(state.initial.q - state.pose.q).max() > 1e-2
-    assert set(state.trials_by_grasp) == {0, 1} and state.simulated is state.trials_by_grasp[0]
+    assert set(state.trials_by_grasp) == {0, 1} and state.trial is state.trials_by_grasp[0]
     assert [trial.held for trial in state.trials_by_grasp.values()] == [False, True]
     assert state.collection.columns["held"].values.tolist() == ["failed", "held"]
 
@@ -141,6 +141,6 @@ def test_settings_of_the_command_line_are_those_of_the_page() -> None:
         controller.start()
         settled(controller)
         assert controller.state.settings.geometry_only and controller.state.outcome is not None
-        assert not any(stage.name in label for stage in STAGES for label in controller.state.trace.label)
+        assert not any(phase.name in label for phase in PHASES for label in controller.state.trace.label)
     finally:
         controller.close()
