@@ -185,8 +185,8 @@ def test_what_is_wrong_in_a_toml_list_is_told_with_its_place(folder: Path, text:
     [
         ("grasps\n", ("jobs.csv",)),
         ("grasps,colour\nb9.npz,red\n", ("header", "'colour'")),
-        ("grasps,hand\nb9.npz\n", ("job 1", "header")),
-        ("grasps,hand\nb9.npz,leap,mug\n", ("job 1", "header")),
+        ("grasps,hand\nb9.npz\n", ("job 1", "header, 2")),
+        ("grasps,hand\nb9.npz,leap,mug\n", ("job 1", "header, 2")),
         ("grasps,scale\nb9.npz,nan\n", ("job 1", "scale", "'nan'")),
         ("hand\nleap\n", ("job 1", "grasps")),
         ('grasps\n"b9.npz\n', ("jobs.csv", "CSV")),
