@@ -146,17 +146,19 @@ def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prep
         # growth.
         for _ in range(warm):
             refine(scene, config, prepared=prepared)
-        gc.collect()
-        rss = resident()
-        before, _ = tracemalloc.get_traced_memory()
-        for _ in range(count):
-            refine(scene, config, prepared=prepared)
-        gc.collect()
-        after, _ = tracemalloc.get_traced_memory()
+        # What other tests left in caches may still be replaced once; a leak goes on.
+        for _ in range(2):
+            gc.collect()
+            rss, (before, _) = resident(), tracemalloc.get_traced_memory()
+            for _ in range(count):
+                refine(scene, config, prepared=prepared)
+            gc.collect()
+            grown, grown_rss = tracemalloc.get_traced_memory()[0] - before, resident() - rss
+            if grown < KEPT_ONCE + 300 * count and grown_rss < 16 * 2**20:
+                return
     finally:
         tracemalloc.stop()
-    assert after - before < KEPT_ONCE + 300 * count
-    assert resident() - rss < 16 * 2**20
+    pytest.fail(f"{grown} bytes traced and {grown_rss} resident are left of {count} refinements")
 
 
 CLOSING = Config(solver=LevenbergMarquardt(iterations=2, restarts=0), weights=GEOMETRY)
