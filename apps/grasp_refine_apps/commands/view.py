@@ -7,11 +7,11 @@ import sys
 import threading
 import time
 import webbrowser
-from contextlib import AbstractContextManager, closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tyro.conf import DisallowNone, Positional, arg
@@ -33,8 +33,6 @@ from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
-    import viser
-
     from grasp_refine.pipeline.problem import Problem
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.panels.app import Viewer
@@ -69,15 +67,15 @@ class Serving:
 class View:
     """Show grasps in a browser: watch their refinement, edit, validate, compare and export them.
 
-    Opens grasp files of any format, the files of `run` and `validate`, and tasks of `bench align --save`. Without
-    files, the example grasps of the embedded hand on the embedded mug. The page is served until Ctrl-C.
+    Opens grasp files of any format, and the files of `run` and `validate`. Without files, the example grasps of the
+    embedded hand on the embedded mug. The page is served until Ctrl-C.
     """
 
     files: Annotated[
         Positional[tuple[Path, ...]], arg(metavar="[FILE ...]", help_behavior_hint="(default: an example)")
     ] = ()
     """A grasp file or a folder of them, instead of --grasps, optionally with the `validate --json` or `run --json` file
-    about it; or a replay of `validate --replays`; or a task of `bench align --save`."""
+    about it; or a replay of `validate --replays`."""
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     serving: Annotated[Serving, arg(name="")] = field(default_factory=Serving)
@@ -96,7 +94,9 @@ class View:
         # First, so that a browser can load the page while the rest loads.
         server = open_server(self.serving.host, self.serving.port)
         try:
-            with self._open_page(server):
+            from grasp_refine_apps.viewer.panels.app import Viewer
+
+            with Viewer(server, self._controller()):
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
                 if self.serving.json is not None:
                     where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
@@ -110,24 +110,6 @@ class View:
         finally:
             close_server(server)
         return 0
-
-    def _open_page(self, server: viser.ViserServer) -> AbstractContextManager[Any]:
-        """Open the page with the files.
-
-        Raises:
-            GraspRefineError: they cannot be opened, or not together.
-        """
-        from grasp_refine_apps.bench.align.saved import is_task, load_task
-
-        if any(is_task(path) for path in self.files):
-            if len(self.files) > 1 or self.inputs != Inputs() or self.settings != Settings():
-                raise GraspRefineError("a task of bench align is opened alone: leave other files and options out")
-            from grasp_refine_apps.viewer.alignment import AlignmentPage
-
-            return closing(AlignmentPage(server, load_task(self.files[0])))
-        from grasp_refine_apps.viewer.panels.app import Viewer
-
-        return Viewer(server, self._controller())
 
     def _controller(self) -> Controller:
         """Load the grasps of the files, with the results of documents about them."""
