@@ -1,9 +1,27 @@
 """Fixtures that several tests share."""
 
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--part", metavar="I/N", help="run one of N parts of the chosen tests: those of number I, from 0")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests of one part; a test stays in its part whatever is added to others."""
+    if (part := config.getoption("--part")) is None:
+        return
+    number, _, count = part.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and int(number) < int(count)):
+        raise pytest.UsageError(f"--part {part}: two integers such as 0/8, the first below the second")
+    kept = [item for item in items if zlib.crc32(item.nodeid.encode()) % int(count) == int(number)]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
+    items[:] = kept
 
 
 @pytest.fixture(scope="session", autouse=True)
