@@ -27,7 +27,6 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 
 
-
 def random_transforms(count: int, seed: int = 0) -> np.ndarray:
     return exp_se3(np.random.default_rng(seed).normal(size=(count, 6)))
 
