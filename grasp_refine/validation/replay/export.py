@@ -1,8 +1,12 @@
-"""Export of a replay as one MuJoCo XML file, meshes and key frames inside, for any MuJoCo 3 or 4 and its viewer."""
+"""Export of a replay as one MuJoCo XML file, meshes and key frames inside, for MuJoCo from 3.3 on and its viewer."""
 
 from __future__ import annotations
 
+import ctypes
+import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -10,145 +14,159 @@ import numpy as np
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.replay.export_bodies import PUSH, write_bodies, write_meshes
-from grasp_refine.validation.replay.export_check import check_same_physics
-from grasp_refine.validation.replay.export_couplings import (
-    write_actuators,
-    write_contacts,
-    write_equalities,
-    write_tendons,
-)
-from grasp_refine.validation.replay.export_values import text_of
-from grasp_refine.validation.replay.replay import Replay, Stage, check_replay
+from grasp_refine.validation.geoms import set_compiled_inertias
+from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
-_INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
-_CONES = ("pyramidal", "elliptic")
-_JACOBIANS = ("dense", "sparse", "auto")
-_SOLVERS = ("PGS", "CG", "Newton")
-"""Keywords of MuJoCo's XML by the numbers in its enumerations, which versions 3 and 4 share."""
+PUSH = "push"
+"""Name of the actuator that pushes the object in an exported model, and of its site; its control is 1 in key frames
+of the push."""
+
+_NEW_WORDS = ("autoreset", "input")
+"""Attributes of MuJoCo 4 that MuJoCo 3 refuses; without them the motion is the same until a simulation diverges."""
+
+_PHYSICS = re.compile(
+    r"(body|jnt|dof|geom|exclude|pair|eq|tendon|wrap|actuator)_(?!.*(group|user|rgba|matid|aabb|rbound|sameframe|bvh|spec"
+    r"|objtype))|qpos"
+)
+"""Names of the arrays of a model that determine its motion; not those of its looks, of shortcuts, and of units."""
+_OF_MESH_FRAMES = ("geom_pos", "geom_quat", "geom_size")
+"""Of these, the arrays that depend for meshes on a frame that MuJoCo chooses anew."""
 
 
 def export_xml(
     spec: mujoco.MjSpec, model: mujoco.MjModel, replay: Replay, path: str | Path, keyframes: int = 60
 ) -> None:
-    """Write the world of a replay as one MuJoCo XML file without defaults, classes or other files beside it.
+    """Write the world of a replay as one MuJoCo XML file without other files beside it.
 
     Its key frames are frames of the replay: `pregrasp`, `grasp` and `squeeze` are the ends of the stages, the
     others are named after their stage and the seconds since it began ("push 0.200 s"). A further actuator, named
     "push", is the force on the object, as its control is 1 in key frames of the push: from such a key frame on, the
     simulation goes on as it was recorded.
 
-    Numbers are written so that they are read back exactly; only meshes from files, and those whose frame MuJoCo
-    chooses anew, may come back 1e-8 of a metre off. MuJoCo's own writer rounds to six digits, and uses words that
-    MuJoCo 3 refuses.
+    Numbers are written so that they are read back exactly; only meshes from files may come back 1e-8 of a metre off.
 
     Args:
-        spec: Specification of `model`, with the original meshes.
-        model: Model whose values are written.
+        spec: Specification of `model`.
+        model: Compiled model.
         replay: Recording of the model.
         path: File to write; missing folders are made.
         keyframes: Largest number of key frames; the ends of the stages are always among them.
 
     Raises:
-        GraspRefineError: The replay is of another model; the model has a feature that is not exported, such as
-            plugins, which the error names; or the file cannot be written.
+        GraspRefineError: The replay is of another model; MuJoCo does not write all of the model, where the error names
+            what differs; or the file cannot be written.
     """
     check_replay(model, replay)
     if replay.ctrl.shape[1] != model.nu:
         raise GraspRefineError(f"replay {replay.name}: has {replay.ctrl.shape[1]} controls, the model {model.nu}")
-    root = ET.Element("mujoco", model=replay.name)
-    ET.SubElement(root, "compiler", angle="radian", autolimits="false", inertiafromgeom="false")
-    _write_options(root, model)
-    _write_looks(root)
-    assets = ET.SubElement(root, "asset")
-    frames = write_meshes(assets, spec, model)
+    spec = spec.copy()
+    spec.modelname = replay.name
+    set_compiled_inertias(spec, model)
+    spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.4, 0.6
+    spec.worldbody.add_light(pos=[0.5, -0.5, 1.0], dir=[-0.4, 0.4, -0.8], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     pushed = bool(np.any(replay.force)) and Stage.PUSH in replay.stage
-    write_bodies(ET.SubElement(root, "worldbody"), model, frames, pushed=pushed)
-    write_contacts(root, model)
-    write_tendons(root, model)
-    write_equalities(root, model)
-    write_actuators(root, model, replay.force if pushed else None)
-    _write_keyframes(ET.SubElement(root, "keyframe"), replay, keyframes, pushed=pushed)
-    ET.indent(root)
+    if pushed:
+        _add_push(spec, model, replay.force)
+    _add_keyframes(spec, replay, keyframes, pushed=pushed)
+    with unlogged(), _all_digits():
+        spec.compile()
+        root = ET.fromstring(spec.to_xml())
+    _embed_files(root, model)
+    for node in root.iter():
+        for word in _NEW_WORDS:
+            node.attrib.pop(word, None)
     text = ET.tostring(root, encoding="unicode") + "\n"
-    check_same_physics(model, text, added=PUSH)
+    _check_same_physics(model, text)
     with written_whole(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
-def _write_options(root: ET.Element, model: mujoco.MjModel) -> None:
-    """Write all options that are not MuJoCo's defaults, and the common ones."""
-    option, default = model.opt, mujoco.MjModel.from_xml_string("<mujoco/>").opt
-    node = ET.SubElement(
-        root,
-        "option",
-        timestep=text_of(option.timestep),
-        integrator=_INTEGRATORS[option.integrator],
-        cone=_CONES[option.cone],
-        jacobian=_JACOBIANS[option.jacobian],
-        solver=_SOLVERS[option.solver],
-        impratio=text_of(option.impratio),
-        gravity=text_of(option.gravity),
-        iterations=str(option.iterations),
-        tolerance=text_of(option.tolerance),
-        noslip_iterations=str(option.noslip_iterations),
-        noslip_tolerance=text_of(option.noslip_tolerance),
-    )
-    for name in ("ls_iterations", "ls_tolerance", "ccd_iterations", "ccd_tolerance", "wind", "density", "viscosity"):
-        value = np.asarray(getattr(option, name))
-        if (value != getattr(default, name)).any():
-            node.set(name, str(value) if value.dtype.kind == "i" else text_of(value))
-    flags = {}
-    for members, values, default_values, word in (
-        (mujoco.mjtDisableBit, option.disableflags, default.disableflags, "disable"),
-        (mujoco.mjtEnableBit, option.enableflags, default.enableflags, "enable"),
-    ):
-        other = {"disable": "enable", "enable": "disable"}[word]
-        for label, bit in members.__members__.items():
-            if not label.startswith("mjN") and (values ^ default_values) & bit:
-                flags[label.partition("_")[2].lower()] = word if values & bit else other
-    # Not known before 3.2, and without it a person who watches sees a diverged simulation start again.
-    flags.pop("autoreset", None)
-    # On by default in 4, off by default in 3.
-    multi = getattr(mujoco.mjtDisableBit, "mjDSBL_MULTICCD", None)
-    if multi is not None:
-        flags["multiccd"] = "disable" if option.disableflags & multi else "enable"
-    if flags:
-        ET.SubElement(node, "flag", dict(sorted(flags.items())))
+@contextmanager
+def _all_digits() -> Iterator[None]:
+    """Let MuJoCo write numbers within the context with the 17 digits that identify them, instead of 6.
+
+    The setting is one for MuJoCo's own tests; where a version lacks it, `_check_same_physics` refuses what is rounded.
+    """
+    names = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
+    files = (file for name in names for file in Path(mujoco.__file__).parent.glob(name))
+    library = next(map(str, files), None)
+    set_digits = getattr(ctypes.CDLL(library), "_mjPRIVATE__set_xml_precision", lambda digits: None)
+    set_digits(17)
+    try:
+        yield
+    finally:
+        set_digits(6)
 
 
-def _write_looks(root: ET.Element) -> None:
-    """Write the light of the viewer, which has no effect on physics."""
-    visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6", specular="0.1 0.1 0.1")
-    ET.SubElement(visual, "global", azimuth="130", elevation="-25")
+def _add_push(spec: mujoco.MjSpec, model: mujoco.MjModel, force: np.ndarray) -> None:
+    """Add the actuator that pushes the object's centre of mass with a force (3,)."""
+    # At a site with a reference site in the world, a force keeps its direction when the object turns.
+    spec.worldbody.add_site(name=f"{PUSH}_frame", size=[0.001] * 3, rgba=[0, 0, 0, 0], group=5)
+    spec.body(OBJECT).add_site(name=PUSH, size=[0.002] * 3, rgba=[1, 0, 0, 1], pos=model.body(OBJECT).ipos)
+    push = spec.add_actuator(name=PUSH, trntype=mujoco.mjtTrn.mjTRN_SITE, target=PUSH, refsite=f"{PUSH}_frame")
+    push.gear = [*force, 0.0, 0.0, 0.0]
+    push.ctrllimited, push.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, 1.0]
 
 
-def _write_keyframes(node: ET.Element, replay: Replay, count: int, *, pushed: bool) -> None:
-    since = replay.since_stage()
+def _add_keyframes(spec: mujoco.MjSpec, replay: Replay, count: int, *, pushed: bool) -> None:
+    since, ends = replay.since_stage(), {Stage.CLOSE: "grasp", Stage.SQUEEZE: "squeeze"}
     for frame in replay.subsample(count):
-        control = replay.ctrl[frame]
-        stage = Stage(int(replay.stage[frame]))
-        last = frame + 1 == len(replay) or replay.stage[frame + 1] != stage
         # The last frame of a stage is the start of the next one.
-        following = stage if frame + 1 == len(replay) else Stage(int(replay.stage[frame + 1]))
-        name = f"{stage.label} {since[frame]:.3f} s"
-        if frame == 0:
-            name = "pregrasp"
-        elif last and stage == Stage.CLOSE:
-            name = "grasp"
-        elif last and stage == Stage.SQUEEZE:
-            name = "squeeze"
-        if pushed:
-            control = np.append(control, float(following == Stage.PUSH))
-        ET.SubElement(
-            node,
-            "key",
+        stage, following = (Stage(int(replay.stage[min(at, len(replay) - 1)])) for at in (frame, frame + 1))
+        name = "pregrasp" if frame == 0 else f"{stage.label} {since[frame]:.3f} s"
+        if frame > 0 and (stage != following or frame + 1 == len(replay)):
+            name = ends.get(stage, name)
+        spec.add_key(
             name=name,
-            time=text_of(replay.time[frame]),
-            qpos=text_of(replay.qpos[frame]),
-            qvel=text_of(replay.qvel[frame]),
-            ctrl=text_of(control),
-            mpos=text_of(replay.mocap_pos[frame]),
-            mquat=text_of(replay.mocap_quat[frame]),
+            time=replay.time[frame],
+            qpos=replay.qpos[frame],
+            qvel=replay.qvel[frame],
+            ctrl=[*replay.ctrl[frame], *[float(following == Stage.PUSH)] * pushed],
+            mpos=replay.mocap_pos[frame],
+            mquat=replay.mocap_quat[frame],
         )
+
+
+def _embed_files(root: ET.Element, model: mujoco.MjModel) -> None:
+    """Replace meshes from files by their vertices and faces; textures, which have no effect on motion, are left out."""
+    for node in root.findall("asset/mesh[@file]"):
+        mesh, turn = model.mesh(node.attrib["name"]), np.zeros(9)
+        number = mesh.id
+        # The compiled mesh has a frame of its own: this is the frame of the file.
+        mujoco.mju_quat2Mat(turn, model.mesh_quat[number])
+        begin, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
+        points = model.mesh_vert[begin : begin + model.mesh_vertnum[number]].astype(float) @ turn.reshape(3, 3).T
+        points = (points + model.mesh_pos[number]).astype(np.float32)
+        faces = model.mesh_face[face : face + model.mesh_facenum[number]]
+        node.attrib = {key: node.attrib[key] for key in ("name", "inertia") if key in node.attrib}
+        node.set("vertex", " ".join(map(str, points.ravel())))
+        node.set("face", " ".join(map(str, faces.ravel())))
+    for assets in root.findall("asset"):
+        for texture in assets.findall("texture"):
+            assets.remove(texture)
+    for material in root.iter("material"):
+        material.attrib.pop("texture", None)
+        for layer in material.findall("layer"):
+            material.remove(layer)
+
+
+def _check_same_physics(model: mujoco.MjModel, text: str) -> None:
+    """Refuse an exported model that does not move as the original; it costs a second compilation.
+
+    Raises:
+        GraspRefineError: It does not, naming the array that differs; or it cannot be compiled.
+    """
+    try:
+        with unlogged():
+            written = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise GraspRefineError(f"the exported model cannot be compiled: {complaint(error)}") from None
+    for name in filter(_PHYSICS.match, dir(model)):
+        # Of sites and actuators, those of the push are the last.
+        ours, theirs = getattr(model, name), getattr(written, name)[: len(getattr(model, name))]
+        if name in _OF_MESH_FRAMES and ours.shape == theirs.shape:
+            solid = model.geom_type != mujoco.mjtGeom.mjGEOM_MESH
+            ours, theirs = ours[solid], theirs[solid]
+        if ours.shape != theirs.shape or not np.allclose(ours, theirs, rtol=1e-6, atol=1e-9):
+            raise GraspRefineError(f"the model has something that is not exported: {name} would differ")
