@@ -1,15 +1,19 @@
-"""CPU times of several ways to do one thing, measured alternately, so that a busy machine disturbs all alike."""
+"""Time and machine: CPU times measured alternately, shares of CPU time by stage, and the processor."""
 
 from __future__ import annotations
 
+import os
+import platform
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from grasp_refine.collision.engine import why_not_native
+from grasp_refine.core.profiling import STAGES, Stage, Stopwatch
 
 WARM_UP_CALLS = 2
 """Calls before the first measurement."""
@@ -17,11 +21,19 @@ WARM_UP_CALLS = 2
 MAX_CALLS = 1000
 """Largest number of calls in a measurement."""
 
+REST = "solver"
+"""Name of all other stages: mostly loss, linear algebra and bookkeeping of the loop."""
+
+Parts = Mapping[str, tuple[Stage, ...]]
+"""Name of a part, one word -> its stages."""
+
 Name = TypeVar("Name", bound=Hashable)
 
 
 def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: float) -> dict[Name, np.ndarray]:
     """Measure CPU seconds of a call of each (rounds,), over all threads; element k of all is from the same round.
+
+    The calls alternate, so that a busy machine disturbs all alike.
 
     Args:
         runs: Name -> the call to measure.
@@ -61,3 +73,32 @@ def _timed(run: Callable[[], object], calls: int) -> float:
     for _ in range(calls):
         run()
     return (time.process_time() - start) / calls
+
+
+def split_stages(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
+    """Return each of the given stages as a part, and the rest as one more."""
+    rest = tuple(stage for stage in STAGES if stage not in apart)
+    return {stage.replace(" ", ""): (stage,) for stage in apart} | {REST: rest}
+
+
+def cpu_share(watches: Sequence[Stopwatch], parts: Parts) -> dict[str, float | None]:
+    """Return the share of each part in the CPU time of all stopwatches; None where they counted nothing."""
+    whole = sum(watch.cpu_s for watch in watches)
+    return {
+        name: sum(watch.spent[stage].cpu_s for watch in watches for stage in stages) / whole if whole > 0 else None
+        for name, stages in parts.items()
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Return number and name of the processors, and the system."""
+    return {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()}
+
+
+def _processor() -> str:
+    """Return the model name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())

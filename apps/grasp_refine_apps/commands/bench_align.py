@@ -21,7 +21,7 @@ from grasp_refine_apps.bench.align.saved import save_task
 from grasp_refine_apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.align.table import bench_table
 from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers, flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -138,7 +138,7 @@ class BenchAlign:
                 save_task(self.save, outcome.recorded)
             return outcome
 
-        return run_benchmark(
+        return run_old_benchmark(
             "bench align",
             replace(self, json=None, html=None, overwrite=False, save=None),
             self,

@@ -27,7 +27,7 @@ from grasp_refine_apps.bench.grasp.study import COUNT, Outcome, Study, run_study
 from grasp_refine_apps.bench.grasp.table import bench_tables
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Kind
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, SolverName, Variant
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -130,7 +130,7 @@ class BenchGrasp:
 
             return run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
 
-        return run_benchmark(
+        return run_old_benchmark(
             "bench grasp",
             replace(self, options=replace(self.options, json=None, html=None, overwrite=False)),
             self.options,

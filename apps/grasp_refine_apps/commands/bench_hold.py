@@ -26,7 +26,7 @@ from grasp_refine_apps.bench.hold.presets import PRESETS, Preset
 from grasp_refine_apps.bench.hold.runner import Group
 from grasp_refine_apps.bench.hold.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.hold.table import bench_tables
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -114,7 +114,7 @@ class BenchHold:
             )
             return run_study(study, model, _groups(problem, count, stages=stages), progress)
 
-        return run_benchmark(
+        return run_old_benchmark(
             "bench hold",
             replace(self, options=replace(options, json=None, html=None, overwrite=False)),
             options,

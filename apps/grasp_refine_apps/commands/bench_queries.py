@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.refinement.config import Config
-from grasp_refine_apps.bench.queries.cases import Kind, State
-from grasp_refine_apps.bench.queries.page import page
+from grasp_refine_apps.bench.queries.measure import Measurement, MethodName
 from grasp_refine_apps.bench.queries.peers import PeerName
-from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS, Preset, cases_of
-from grasp_refine_apps.bench.queries.runner import MethodName
-from grasp_refine_apps.bench.queries.skip import Example, several
-from grasp_refine_apps.bench.queries.study import Outcome, Study, run_study
-from grasp_refine_apps.bench.queries.table import bench_tables
+from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS, Kind, Preset, State, cases_of
+from grasp_refine_apps.bench.queries.study import QueryStudy
 from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -61,15 +51,15 @@ class BenchQueries:
         None
     )
     """Collision engines; the others are compared with the first."""
-    methods: tuple[MethodName, ...] = Study.methods
+    methods: tuple[MethodName, ...] = Measurement.methods
     """Derivatives of the witness points."""
-    peers: tuple[PeerName, ...] = Study.peers
+    peers: tuple[PeerName, ...] = Measurement.peers
     """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
     mujoco: mj_geomDistance."""
     rounds: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 7, or the preset's)")] = None
     """Number of timings of each query; their median counts."""
     skips: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: yes, see --kinds)")] = None
-    """Run the program without its skips, and count the extra cost."""
+    """Refine example grasps, and count the work that the program skips."""
     hands: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: allegro shadow)")] = None
     """Hands whose example grasps show the savings by skipping."""
     objects: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: mug rounded_box)")] = (
@@ -92,22 +82,8 @@ class BenchQueries:
         Raises:
             GraspRefineError: options that do not go together, or an engine or example that is not available.
         """
-        preset, study = self.preset_of(), self.study()
-
-        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            def say(line: str) -> None:
-                console.print(escape(line), style="dim", soft_wrap=True)
-
-            return run_study(study, [self._example(*both, preset.count, say) for both in preset.examples], progress)
-
-        return run_benchmark(
-            "bench queries",
-            replace(self, json=None, html=None, overwrite=False),
-            self,
-            run,
-            lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],
-            lambda document, outcome: page(document),
-        )
+        study = QueryStudy(self.preset_of(), self.measurement())
+        return run_benchmark("bench queries", replace(self, json=None, html=None, overwrite=False), self, study)
 
     def preset_of(self) -> Preset:
         """Return the experiment that the options define.
@@ -139,34 +115,25 @@ class BenchQueries:
                 raise GraspRefineError("--hands, --objects and --count are for skips: add --skips, or leave them out")
             if not preset.cases:
                 raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
-            return replace(preset, examples=(), commands=())
+            return replace(preset, examples=())
         hands, objects = (
             tuple(dict.fromkeys(names or (both[side] for both in preset.examples)))
             for side, names in enumerate((self.hands, self.objects))
         )
         return replace(preset, examples=tuple(product(hands, objects)))
 
-    def study(self) -> Study:
-        """Return the study that the options define.
+    def measurement(self) -> Measurement:
+        """Return how cases are measured.
 
         Raises:
             GraspRefineError: as `preset_of`, or an engine that is not available.
         """
         preset = self.preset_of()
-        names = dict.fromkeys(self.engines or engines())
-        return Study(
-            cases=preset.cases,
-            engines=tuple(chosen(name) for name in names),
+        return Measurement(
+            engines=tuple(chosen(name) for name in dict.fromkeys(self.engines or engines())),
             methods=tuple(dict.fromkeys(self.methods)),
             peers=tuple(dict.fromkeys(self.peers)),
             rounds=preset.rounds if self.rounds is None else self.rounds,
             least_s=preset.least_s,
-            skip_rounds=preset.skip_rounds,
-            commands=preset.commands,
             seed=self.seed,
         )
-
-    def _example(self, hand: str, obj: str, count: int, say: Callable[[str], None]) -> Example:
-        """Load `count` grasps of a hand on an object, the example's own first."""
-        (group,) = load_problem(ProblemSpec(hand=hand, object=obj), seed=self.seed, on_message=say).groups
-        return Example(hand, obj, several(group.scene, count, self.seed), Config(seed=self.seed))

@@ -20,7 +20,7 @@ from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import Outcome, run_study
 from grasp_refine_apps.bench.stability.table import bench_tables
 from grasp_refine_apps.bench.stability.task import Task
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["full", "quick", "smoke"]
@@ -101,7 +101,7 @@ class BenchStability:
             found.append(run_study(tasks, self.workers, progress))
             return found[0]
 
-        code = run_benchmark(
+        code = run_old_benchmark(
             "bench stability",
             replace(self, json=None, html=None, overwrite=False),
             self,

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
@@ -16,12 +18,16 @@ from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine.results.document import settings
-from grasp_refine_apps.bench.bar import progress_bar
-from grasp_refine_apps.bench.machine import machine
+from grasp_refine_apps.bench.jobs import run_jobs
+from grasp_refine_apps.bench.study import Study
+from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.ending import NOTHING_USABLE
 from grasp_refine_apps.commands.invocation import invocation
 from grasp_refine_apps.commands.options import flag
 from grasp_refine_apps.report.screen import screen
+
+SOMETHING_WRONG = 1
+"""Exit code when a study found something wrong."""
 
 
 @runtime_checkable
@@ -56,6 +62,96 @@ class Options(Protocol):
         ...
 
 
+def check_comparison(options: Options, compared: Sequence[str]) -> None:
+    """Refuse options without a value, and beside a preset those that choose the comparison.
+
+    Raises:
+        GraspRefineError: names the option.
+    """
+    for option in fields(options):
+        if getattr(options, option.name) == ():
+            raise GraspRefineError(f"{flag(option.name)} needs at least one value")
+    if options.preset is not None:
+        for name in compared:
+            if getattr(options, name) is not None:
+                raise GraspRefineError(
+                    f"--preset {options.preset} defines the comparison itself: leave out {flag(name)}"
+                )
+
+
+def progress_bar(console: Console) -> Progress:
+    """Make a bar that disappears at the end, and is shown only in a terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def run_benchmark(command: str, invoked: Any, options: Options, study: Study) -> int:
+    """Run a study, write and show its results, and return the exit code.
+
+    Args:
+        command: Words of the command, such as "bench align".
+        invoked: Dataclass of the command, for the invocation and the settings.
+        options: Its part with the options common to all benchmarks.
+        study: The study.
+
+    Raises:
+        GraspRefineError: files that cannot be written, or inputs that the study cannot use.
+    """
+    wall, cpu = time.perf_counter(), cpu_seconds()
+    files = [path for path in (options.json, options.html) if path is not None]
+    check_writable(*files, overwrite=options.overwrite)
+    with progress_bar(screen(stderr=True)) as bar:
+        task = bar.add_task("loading", total=1.0)
+
+        def progress(share: float, what: str) -> None:
+            bar.update(task, completed=share, description=what)
+
+        def say(line: str) -> None:
+            bar.console.print(escape(line), style="dim", soft_wrap=True)
+
+        done, problems = run_jobs(study.jobs(say), study.workers, progress)
+    rows = study.rows(done)
+    document = {
+        "schema": SCHEMA,
+        "command": command,
+        "invocation": invocation(command, invoked),
+        "versions": versions(),
+        "machine": machine(),
+        "engine": chosen("auto"),
+        "preset": options.preset,
+        "config": settings(invoked),
+        "seed": options.seed,
+        "wall_s": time.perf_counter() - wall,
+        "cpu_s": cpu_seconds() - cpu,
+        "problems": problems,
+        "rows": rows,
+    }
+    console = screen()
+    for problem in problems:
+        screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
+    if not rows:
+        console.print("no usable results; nothing was written")
+        return NOTHING_USABLE
+    report = study.report(rows, problems)
+    if options.json is not None:
+        save_json(options.json, document)
+    if options.html is not None:
+        save_text(options.html, report.page(document))
+    for part in report.printed():
+        console.print(part)
+    wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
+    console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
+    return SOMETHING_WRONG if report.failed else 0
+
+
 @runtime_checkable
 class Outcome(Protocol):
     """Outcome of a study."""
@@ -74,24 +170,7 @@ class Outcome(Protocol):
 Found = TypeVar("Found", bound=Outcome)
 
 
-def check_comparison(options: Options, compared: Sequence[str]) -> None:
-    """Refuse options without a value, and beside a preset those that choose the comparison.
-
-    Raises:
-        GraspRefineError: names the option.
-    """
-    for option in fields(options):
-        if getattr(options, option.name) == ():
-            raise GraspRefineError(f"{flag(option.name)} needs at least one value")
-    if options.preset is not None:
-        for name in compared:
-            if getattr(options, name) is not None:
-                raise GraspRefineError(
-                    f"--preset {options.preset} defines the comparison itself: leave out {flag(name)}"
-                )
-
-
-def run_benchmark(
+def run_old_benchmark(
     command: str,
     invoked: Any,
     options: Options,

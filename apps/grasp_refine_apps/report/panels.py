@@ -14,23 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grasp_refine_apps.report.html_page import COLORS, PLAIN
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLORS = (
-    ("#0067a5", "#62b8f2"),
-    ("#c2410c", "#f58a50"),
-    ("#047857", "#34c99a"),
-    ("#a23b7d", "#e992c6"),
-    ("#97650a", "#e8b33d"),
-    ("#24292f", "#e6e9ed"),
-    ("#7a828e", "#949daa"),
-    ("#6b3fc4", "#b49bf5"),
-)
-"""Colours of lines on a light and on a dark page, chosen to differ in brightness too."""
-PLAIN = {"ink": ("#1b2430", "#e3e8ee"), "muted": ("#5b6676", "#9aa6b5"), "line": ("#d9dee6", "#343d49")}
-PLAIN["page"] = ("#fffffe", "#14181d")
-"""Text, side remarks, rules and the page itself."""
 MARKERS = "os^DvPX*<>p"
 
 
@@ -53,13 +41,6 @@ class Line:
     y: tuple[float, ...]
     open: tuple[bool, ...]
     """True for points whose value is smaller than drawn."""
-
-
-def stylesheet() -> tuple[str, str]:
-    """Declarations of all colours for a light and for a dark page."""
-    pairs = {**{f"c{k}": pair for k, pair in enumerate(COLORS)}, **PLAIN}
-    light, dark = (" ".join(f"--{name}: {pair[mode]};" for name, pair in pairs.items()) for mode in (0, 1))
-    return light, dark
 
 
 def draw(

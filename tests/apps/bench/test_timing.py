@@ -1,4 +1,4 @@
-"""How benchmarks take times: in turn, and with one thread."""
+"""Times are taken in turn and with one thread; shares of CPU time can be counted by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.engine import why_not_native
-from grasp_refine_apps.bench.timing import MAX_CALLS, WARM_UP_CALLS, cpu_times, one_thread
+from grasp_refine.core.profiling import STAGES, Stopwatch
+from grasp_refine_apps.bench.timing import MAX_CALLS, WARM_UP_CALLS, cpu_share, cpu_times, one_thread, split_stages
 
 
 def test_times_are_taken_in_turn_after_a_warm_up():
@@ -31,3 +32,19 @@ def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pyte
         assert native_search._threads(10**6) == 1
         raise KeyError
     assert native_search._threads(10**6) == 8
+
+
+def test_what_is_not_told_apart_is_one_part():
+    parts = split_stages("broad phase", "derivative")
+    assert list(parts) == ["broadphase", "derivative", "solver"]
+    assert parts["broadphase"] == ("broad phase",)
+    assert sorted(stage for part in parts.values() for stage in part) == sorted(STAGES)
+
+
+def test_shares_are_of_the_time_of_all_stopwatches():
+    parts = split_stages("broad phase", "narrow phase")
+    one, other = Stopwatch(), Stopwatch()
+    assert cpu_share([one, other], parts) == dict.fromkeys(parts)
+    one.spent["broad phase"].cpu_s, one.spent["forces"].cpu_s = 1.0, 2.0
+    other.spent["broad phase"].cpu_s, other.spent["other"].cpu_s = 3.0, 2.0
+    assert cpu_share([one, other], parts) == pytest.approx({"broadphase": 0.5, "narrowphase": 0.0, "solver": 0.5})

@@ -22,10 +22,9 @@ from grasp_refine_apps.bench.align.labels import (
     name_of,
     swept,
 )
+from grasp_refine_apps.report.html_page import COLORS, PLAIN
 from grasp_refine_apps.report.panels import (
-    COLORS,
     MARKERS,
-    PLAIN,
     Line,
     Style,
     draw,

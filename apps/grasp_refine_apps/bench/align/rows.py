@@ -11,7 +11,7 @@ from grasp_refine_apps.bench.align.runner import JobResult
 from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share
+from grasp_refine_apps.bench.timing import cpu_share
 
 ERROR_LEVELS_M2 = {"acc_1e6": 1e-6, "acc_1e8": 1e-8}
 """Errors (m^2) below which a task counts as solved."""

@@ -14,7 +14,7 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import Sides, WitnessScene
-from grasp_refine_apps.bench.shares import split_stages
+from grasp_refine_apps.bench.timing import split_stages
 
 PARTS = split_stages("broad phase", "narrow phase", "derivative")
 """Parts of the CPU time that are measured separately. Broad phase: all of a query but its narrow phase."""

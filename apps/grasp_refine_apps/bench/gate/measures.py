@@ -32,13 +32,11 @@ from grasp_refine_apps.bench.grasp.sets import GraspSet
 from grasp_refine_apps.bench.grasp.sets import Group as Grasps
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
 from grasp_refine_apps.bench.grasp.variants import Variant
-from grasp_refine_apps.bench.queries.bodies import make_pairs
-from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
+from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs
+from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import fresh_coal
-from grasp_refine_apps.bench.queries.poses import draw_poses
-from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult
-from grasp_refine_apps.bench.shares import REST, cpu_share
-from grasp_refine_apps.bench.timing import cpu_times, one_thread
+from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case
+from grasp_refine_apps.bench.timing import REST, cpu_share, cpu_times, one_thread
 
 ROUNDS, MIN_TIMED_S = 5, 0.02
 """Number of measurements of each time, and minimum CPU seconds of one, for which short calls are repeated."""
@@ -66,25 +64,31 @@ def measure(group: Group, progress: Callable[[float], None]) -> dict[str, float]
 
 def queries(progress: Callable[[float], None]) -> dict[str, float]:
     """Measure costs of witness queries, relative to coal and to each other."""
-    cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
-    convex, single, concave = (_of_case(case, partial(_part, progress, k / 3, 1 / 3)) for k, case in enumerate(cases))
     usual = chosen("auto")
-    cold, warm = (concave.engines[usual, state] for state in (False, True))
+    engines = tuple(dict.fromkeys((usual, "python")))
+    measurement = Measurement(engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, MIN_TIMED_S, SEED)
+    cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
+    convex, single, concave = (
+        {(row["by"], row["warm"]): row for row in measurement.rows(case, partial(_part, progress, k / 3, 1 / 3))}
+        for k, case in enumerate(cases)
+    )
+    cold, warm = (concave[usual, state] for state in (False, True))
+    # Ratios of rows are those to our engine, cold.
+    over_coal = [1.0 / rows["coal-fresh", False]["forward_ratio"] for rows in (convex, single, concave)]
+    first = convex[usual, False]
     found = {
-        "convex-query": _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
-        "concave-query": _median(cold.forward_s, concave.peers["coal-fresh"].forward_s),
-        "concave-asked": cold.num_queries / cold.poses,
-        "warm-asked": warm.num_queries / cold.num_queries,
-        "warm-query": _median(warm.forward_s, cold.forward_s),
-        # CaseResult in other rounds: each relative to coal in its own rounds.
-        "single-query": _median(single.engines[usual, False].forward_s, single.peers["coal-fresh"].forward_s)
-        / _median(convex.engines[usual, False].forward_s, convex.peers["coal-fresh"].forward_s),
-        "backward": _median(convex.backward_s["contact-kinematics"], convex.layer_s),
+        "convex-query": over_coal[0],
+        "concave-query": over_coal[2],
+        "concave-asked": cold["queries_asked"] / cold["poses"],
+        "warm-asked": warm["queries_asked"] / cold["queries_asked"],
+        "warm-query": warm["forward_ratio"],
+        # Measured in other rounds: each relative to coal in its own rounds.
+        "single-query": over_coal[1] / over_coal[0],
+        "backward": first["backward_contact_kinematics_us"] / first["layer_us"],
     }
     if usual == "native":
-        assert concave.bare_s is not None
-        found["engines"] = _median(concave.engines["python", False].forward_s, cold.forward_s)
-        found["bare-loop"] = _median(cold.forward_s, concave.bare_s)
+        found["engines"] = concave["python", False]["forward_ratio"]
+        found["bare-loop"] = 1.0 / concave["bare-loop", False]["forward_ratio"]
     return found
 
 
@@ -166,12 +170,6 @@ MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] 
     {"queries": queries, "grasps": grasps, "forces": forces}
 )
 """Group -> its measurement."""
-
-
-def _of_case(case: Case, progress: Callable[[float], None]) -> CaseResult:
-    engines = tuple(dict.fromkeys((chosen("auto"), "python")))
-    job = CaseJob(case, engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, MIN_TIMED_S, SEED)
-    return job.do(progress)
 
 
 def _part(progress: Callable[[float], None], before: float, size: float, share: float) -> None:

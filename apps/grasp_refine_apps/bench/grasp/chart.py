@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 from grasp_refine_apps.bench.grasp.labels import SIZES, label, sets_of
 from grasp_refine_apps.bench.grasp.rows import Row
+from grasp_refine_apps.report.html_page import COLORS, PLAIN
 from grasp_refine_apps.report.panels import (
-    COLORS,
     MARKERS,
-    PLAIN,
     Line,
     Style,
     count_axis,

@@ -11,7 +11,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, calls
 from grasp_refine_apps.bench.grasp.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share, split_stages
+from grasp_refine_apps.bench.timing import cpu_share, split_stages
 
 PARTS = split_stages("kinematics", "broad phase", "narrow phase", "derivative")
 """Parts of the CPU time that are measured separately."""

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine_apps.bench.hold.rows import Row, column
-from grasp_refine_apps.report.panels import COLORS, MARKERS, PLAIN, Line, Style, draw, spread, time_axis
+from grasp_refine_apps.report.html_page import COLORS, PLAIN
+from grasp_refine_apps.report.panels import MARKERS, Line, Style, draw, spread, time_axis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,20 +1,35 @@
-"""Generated bodies: ellipsoids, and concave coils of them, with any number of pieces and vertices."""
+"""Generated bodies, ellipsoids and concave coils of them, and poses in which two of them are a given distance apart."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from grasp_refine.collision.engine import Engine
-from grasp_refine.collision.query import Pairs
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, hull
-from grasp_refine_apps.bench.queries.cases import Case
+from grasp_refine_apps.bench.queries.presets import Case
 
 HALF_AXES_M = (0.05, 0.03, 0.02)
 """Half axes in metres of the ellipsoid of a convex body."""
 
 COIL_RADIUS_M, COIL_THICKNESS_M, COIL_PITCH_M, PIECE_OVERLAP = 0.045, 0.016, 0.024, 1.2
 """Dimensions of a coil: radius, thickness, rise per turn (metres), and length of pieces over their spacing."""
+
+START_GAP_M = 0.3
+"""Initial gap of the bodies in metres, larger than their length."""
+
+DISTANCE_TOLERANCE = 0.1
+"""Largest difference of the signed distance from the desired one, as its share; in contact: `CONTACT_TOLERANCE_M`."""
+CONTACT_TOLERANCE_M = 1e-9
+
+DRAWS_PER_POSE = 40
+"""Largest number of poses drawn per requested pose."""
+
+STEP_DEVIATIONS = (0.001, 0.02)
+"""Standard deviations of a solver's step, in metres and radians: the offset of the poses of a warm start."""
 
 
 def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float, float], T: np.ndarray) -> Piece:
@@ -63,3 +78,54 @@ def make_pairs(case: Case, seed: int, engine: Engine = "auto") -> Pairs:
     first, second = case.sides
     a, b = make_body(first, case.vertices, seed), make_body(second, case.vertices, seed + 1)
     return Pairs((a,), (b,), engine=engine)
+
+
+def draw_poses(pairs: Pairs, distance: float, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw poses (count, 1, 4, 4) of the first and of the second body, at a signed distance.
+
+    Apart, a body that moves by d - d' along the witness normal is d' away, whatever its shape. Beyond contact, the
+    move reaches the depth only where no other direction is shallower: other draws are rejected.
+
+    Args:
+        pairs: One pair of bodies.
+        distance: Desired signed distance in metres.
+        count: Number of poses.
+        seed: Seed of all draws.
+
+    Raises:
+        GraspRefineError: too few draws reached that distance.
+    """
+    rng = np.random.default_rng(seed)
+    allowed = DISTANCE_TOLERANCE * abs(distance) + CONTACT_TOLERANCE_M
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for _ in range(DRAWS_PER_POSE):
+        T_a, T_b = _apart(rng, count)
+        for wanted in (max(distance, 0.0), distance):
+            witness = query(pairs, T_a, T_b)
+            T_b[..., :3, 3] += (wanted - witness.distance)[..., None] * witness.normal
+        off = np.abs(query(pairs, T_a, T_b).distance[:, 0] - distance)
+        good = np.flatnonzero(off <= allowed)
+        found.append((T_a[good], T_b[good]))
+        if sum(len(first) for first, _ in found) >= count:
+            first, second = (np.concatenate(side)[:count] for side in zip(*found, strict=True))
+            return first, second
+    raise GraspRefineError(f"bodies of this kind cannot be {1e3 * distance:g} mm apart: choose other states or pieces")
+
+
+def nearby(T: np.ndarray, seed: int, step: tuple[float, float] = STEP_DEVIATIONS) -> np.ndarray:
+    """Return poses a random step from `T` (..., 4, 4), with standard deviations in metres and radians."""
+    rng = np.random.default_rng(seed)
+    scale = np.repeat(step, 3)
+    noise = exp_se3(rng.normal(size=(*T.shape[:-2], 6)) * scale)
+    moved = T.copy()
+    moved[..., :3, :3] = noise[..., :3, :3] @ T[..., :3, :3]
+    moved[..., :3, 3] += noise[..., :3, 3]
+    return moved
+
+
+def _apart(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw relative poses in any direction, with the bodies apart."""
+    T_a, T_b = exp_se3(rng.normal(size=(2, count, 1, 6)) * [0.02, 0.02, 0.02, 2, 2, 2])
+    away = rng.normal(size=(count, 1, 3))
+    T_b[..., :3, 3] = T_a[..., :3, 3] + START_GAP_M * away / np.linalg.norm(away, axis=-1, keepdims=True)
+    return T_a, T_b

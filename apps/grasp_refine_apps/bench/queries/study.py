@@ -1,111 +1,278 @@
-"""A run of the benchmark: measures cases, undoes skips, and returns rows."""
+"""The benchmark of witness queries: cost of each case, and what a refinement skips, by its own counters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from grasp_refine.collision.engine import Engine
-from grasp_refine.objects.object import Object
-from grasp_refine_apps.bench.jobs import Job, run_jobs
-from grasp_refine_apps.bench.queries.cases import Case
-from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
-from grasp_refine_apps.bench.queries.rows import rows
-from grasp_refine_apps.bench.queries.runner import CaseJob, CaseResult, MethodName
-from grasp_refine_apps.bench.queries.skip import Example, Skip
-from grasp_refine_apps.bench.queries.skips_querying import query_skips
-from grasp_refine_apps.bench.queries.skips_solving import frame_skip, solving_skips
-from grasp_refine_apps.bench.queries.skips_starting import decomposition_skip, import_skips, self_collision_skips
+import numpy as np
+
+from grasp_refine.collision.query import Pairs
+from grasp_refine.hands.self_collision import candidate_pairs, judged_pairs
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.queries.bodies import nearby
+from grasp_refine_apps.bench.queries.measure import Measurement
+from grasp_refine_apps.bench.queries.peers import PEERS
+from grasp_refine_apps.bench.queries.presets import Preset
+from grasp_refine_apps.bench.report import Column, Note, Report, Table
+from grasp_refine_apps.bench.study import Job, Progress
 from grasp_refine_apps.bench.timing import one_thread
 
+PALM_DEVIATIONS = (0.005, 0.05)
+"""Standard deviations of the palms of disturbed grasps, in metres and radians; the latter of their joints, too."""
+
+SWEPT = {"batch": "poses in a call", "vertices": "vertices of a piece", "pieces": "pieces of a body"}
+"""Quantities with a chart where they vary -> their names."""
+
+MAX_PANELS = 4
+"""Largest number of panels of a chart."""
+
+INTRO = """Costs of finding the closest or deepest points of two bodies, and of their derivatives in the motion of both,
+in CPU time per pose. Bodies are generated: convex is an ellipsoid against another, mixed an ellipsoid against a coil of
+convex pieces, concave two coils. They are 200 mm apart (far), 4 mm apart (near), touching, 1 mm deep (shallow) or 5 mm
+deep. Warm queries use the answer a step of about 1 mm and 1° away. All measurements of a case alternate, several times.
+
+Ratios are to the first engine, cold. bare-loop is a loop in C++ over the queries of the compiled engine. Coal and
+MuJoCo query every pair of pieces, in a loop in Python over a library in C++; MuJoCo keeps vertices in single precision.
+"""
+
+SKIPPED = """The program skips work that has no effect. Counted is what a refinement did, by its own counters, and what
+it would have done if every iteration of every grasp had queried every pair of pieces, if grasps that are done had
+stayed in the batch, and so on."""
+
 
 @dataclass(frozen=True)
-class Study:
+class QueryStudy:
     """Settings of a run."""
 
-    cases: tuple[Case, ...]
-    """Cases to measure."""
-    engines: tuple[Engine, ...]
-    """Our engines; ratios are to the first."""
-    methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
-    """Derivative methods of the witness points."""
-    peers: tuple[PeerName, ...] = tuple(peer.name for peer in PEERS)
-    """Peers to compare with."""
-    rounds: int = 7
-    """Number of measurements of each time."""
-    least_s: float = 0.004
-    """Minimum CPU seconds of a measurement of a query."""
-    skip_rounds: int = 1
-    """Number of measurements of each refinement."""
-    commands: tuple[str, ...] = ()
-    """Command lines whose imports are counted."""
-    seed: int = 0
-    """Seed of bodies, poses and solvers."""
+    preset: Preset
+    """Cases, and grasps on which skips are shown."""
+    measurement: Measurement
+    """How cases are measured."""
+    workers: int = 1
+
+    def jobs(self, say: Callable[[str], None]) -> list[Job]:
+        """Return a job for each case, and for each example of a hand on an object.
+
+        Raises:
+            GraspRefineError: a hand or an object without an example.
+        """
+        found = [self.measurement.job(case) for case in self.preset.cases]
+        for hand, obj in self.preset.examples:
+            (group,) = load_problem(
+                ProblemSpec(hand=hand, object=obj), seed=self.measurement.seed, on_message=say
+            ).groups
+            scene = several(group.scene, self.preset.count, self.measurement.seed)
+            work = partial(skips, f"{hand}, {obj}", scene, self.measurement.seed)
+            found.append(Job(f"{hand}, {obj}", work, 4.0))
+        return found
+
+    def rows(self, done: Sequence[Any]) -> list[Row]:
+        """Return the rows of all cases, then those of the skips."""
+        return [row for rows in done for row in rows]
+
+    def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
+        """Return charts over what varies, ratios to the peers, all numbers, and the skips."""
+        queries, skipped = ([row for row in rows if row["table"] == name] for name in ("queries", "skips"))
+        parts: list[Table | Chart | Note] = []
+        if queries:
+            parts = [Note(INTRO), *_charts(queries), _printed(queries), _numbers(queries)]
+        if skipped:
+            parts.append(Table("Skipped work", SKIPS, skipped, note=SKIPPED))
+        return Report("Witness queries", parts)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Results of a study."""
-
-    rows: list[dict[str, Any]]
-    """Entries of the tables."""
-    problems: list[str]
-    """Errors of jobs without a result."""
-
-
-@dataclass(frozen=True)
-class SkipJob:
-    """Some skips to be undone."""
-
-    label: str
-    work: float
-    run: Callable[[], Iterable[Skip]]
-
-    def do(self, progress: Callable[[float], None]) -> tuple[Skip, ...]:
-        """Measure their savings."""
-        with one_thread():
-            return tuple(self.run())
+def several(scene: Scene, count: int, seed: int) -> Scene:
+    """Return `count` grasps: those of the scene, then copies of them, each disturbed at random."""
+    own = len(scene.q)
+    rows = np.arange(count) % own
+    T, q = scene.T_world_root[rows], scene.q[rows]
+    again = np.arange(count) >= own
+    noise = PALM_DEVIATIONS[1] * np.random.default_rng(seed).normal(size=q.shape)
+    T = np.where(again[:, None, None], nearby(T, seed, PALM_DEVIATIONS), T)
+    return replace(
+        scene, T_world_root=T, q=np.clip(np.where(again[:, None], q + noise, q), scene.hand.lower, scene.hand.upper)
+    )
 
 
-def run_study(study: Study, examples: Sequence[Example], progress: Callable[[float, str], None]) -> Outcome:
-    """Measure all cases, and undo all skips.
+def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
+    """Refine grasps and count what was done, and what would have been done without skipping.
 
     Args:
-        study: The settings.
-        examples: Grasps on which skips are shown; empty: no skips but those of imports.
-        progress: Called with the share of the work that is done, and its label.
+        name: Names of hand and object.
+        scene: The grasps.
+        seed: Seed of the solver.
+        progress: Called with the share that is done.
     """
-    todo: list[Job] = [
-        CaseJob(case, study.engines, study.methods, study.peers, study.rounds, study.least_s, study.seed)
-        for case in study.cases
+    prepared, hand = HandObject.of(scene), scene.hand
+    with one_thread():
+        found = refine(scene, Config(seed=seed), prepared=prepared)
+    pairs = [its for its in (prepared.pairs, prepared.self_collision_pairs) if its is not None]
+    judged = judged_pairs(hand)
+    apart = set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always}
+    # Each start is evaluated before its first iteration.
+    evaluated = int((found.iterations + found.starts).sum())
+    every = evaluated * sum(map(_piece_pairs, pairs))
+    counts = (
+        ("far links, pieces that cannot win", "queries", every, found.queries.sum()),
+        ("grasps that are done", "iterations", len(scene.q) * found.iterations.max(), found.iterations.sum()),
+        ("links that never meet", "pairs of links", len(apart), len(judged.watched)),
+        ("links without bodies", "frames", len(hand.links), len(prepared.chain.links)),
+    )
+    return [
+        {
+            "table": "skips",
+            "skip": skip,
+            "unit": unit,
+            "scene": name,
+            "without": int(without),
+            "with": int(with_),
+            "saved_share": 1.0 - float(with_) / float(without) if without else 0.0,
+        }
+        for skip, unit, without, with_ in counts
     ]
-    todo += skip_jobs(study, examples)
-    done, problems = run_jobs(todo, 1, progress)
-    found = rows([one for one in done if isinstance(one, CaseResult)])
-    found += [skip.row() for one in done if not isinstance(one, CaseResult) for skip in one]
-    return Outcome(found, problems)
 
 
-def skip_jobs(study: Study, examples: Sequence[Example]) -> Iterator[SkipJob]:
-    """Make the jobs of the skips: in refinements, then at the start of hands, objects and commands."""
-    rounds = study.skip_rounds
-    for one in examples:
-        yield SkipJob(f"{one.name}, queries", 8.0 * rounds, partial(query_skips, one, rounds))
-        yield SkipJob(f"{one.name}, solver", 4.0 * rounds, partial(solving_skips, one, rounds))
-    for hand, one in {one.hand: one for one in examples}.items():
-        yield SkipJob(hand, 1.0, partial(_of_hand, one, study.seed, rounds))
-    for obj in {one.object: one.scene.object for one in examples if one.scene.object.convex}.values():
-        yield SkipJob(obj.name, 1.0, partial(_of_object, obj))
-    for command in study.commands:
-        yield SkipJob(f"imports of {command}", 5.0, partial(import_skips, [command]))
+def _piece_pairs(pairs: Pairs) -> int:
+    """Number of pairs of pieces of all pairs of bodies."""
+    return sum(len(a.pieces) * len(b.pieces) for a, b in zip(pairs.a, pairs.b, strict=True))
 
 
-def _of_object(obj: Object) -> Iterator[Skip]:
-    yield decomposition_skip(obj)
+def _bodies(row: Row) -> str:
+    """Format the two bodies: pieces by vertices of each."""
+    return f"{row['kind']} {row['pieces']}x{row['vertices']}"
 
 
-def _of_hand(example: Example, seed: int, rounds: int) -> Iterator[Skip]:
-    yield frame_skip(example, rounds)
-    yield from self_collision_skips(example.scene.hand, seed, rounds)
+def _methods(rows: Sequence[Row]) -> list[str]:
+    """Keys of the times of backward passes."""
+    return [key for key in rows[0] if key.startswith("backward_")]
+
+
+def _method(key: str) -> str:
+    """Name of the derivative method in such a key."""
+    return key.removeprefix("backward_").removesuffix("_us").replace("_", " ")
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.995 else f"{value:.2f}"
+
+
+def _charts(rows: Sequence[Row]) -> Iterator[Chart]:
+    """Chart times over each quantity that varies; a panel for all cases that differ only in it."""
+    for axis, name in SWEPT.items():
+        fixed = [key for key in ("kind", "pieces", "vertices", "state", "batch") if key != axis]
+        panels: dict[str, list[Row]] = {}
+        for row in rows:
+            panels.setdefault(", ".join(f"{key} {row[key]}" for key in fixed), []).append(row)
+        swept = [key for key, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
+        points = [
+            {"panel": panel, "line": line, axis: row[axis], "s": 1e-6 * time}
+            for panel in swept
+            for row in panels[panel]
+            for line, time in _times(row)
+            if time is not None
+        ]
+        if points:
+            yield Chart(
+                f"Time of a query over {name}",
+                points,
+                Axis(axis, name),
+                (Axis("s", "CPU time per pose", "s"),),
+                lambda row: row["line"],
+                lambda row: row["panel"],
+            )
+
+
+def _times(row: Row) -> Iterator[tuple[str, float | None]]:
+    """Yield the lines that a row has a point on, and its times in microseconds."""
+    yield (f"{row['by']}, warm" if row["warm"] else row["by"]), row["forward_us"]
+    for key in _methods([row]):
+        yield f"backward, {_method(key)}", row[key]
+
+
+def _printed(rows: Sequence[Row]) -> Table:
+    """Make a table with a line for each case: times of the first engine, and multiples of them of the others."""
+    cases: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        cases.setdefault(tuple(row[key] for key in ("kind", "pieces", "vertices", "state", "batch")), []).append(row)
+    others = list(dict.fromkeys(row["by"] for row in rows if row["by"] != rows[0]["by"]))
+    lines = []
+    for its in cases.values():
+        cold, warm = (next(row for row in its if row["warm"] == which) for which in (False, True))
+        ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
+        per_pose = cold["queries_asked"] / cold["poses"]
+        lines.append({**cold, **ratios, "bodies": _bodies(cold), "warm_us": warm["forward_us"], "per_pose": per_pose})
+    what = {peer.name: peer.what for peer in PEERS}
+    return Table(
+        f"CPU µs of a witness query by engine {rows[0]['by']}; of others, multiples",
+        (
+            Column("bodies", "bodies", hint="pieces by vertices of each"),
+            Column("state", "state"),
+            Column("batch", "batch", form="d"),
+            Column("forward_us", "for\u00adward", form=_two_digits),
+            Column("warm_us", "warm", form=_two_digits),
+            Column("per_pose", "asks", form=".2f", hint="queries of pieces per pose"),
+            *(Column(key, f"back {_method(key).split()[-1][:4]}", form=_two_digits) for key in _methods(rows)),
+            *(Column(name, name.replace("-", " "), form=_two_digits, hint=what.get(name, "")) for name in others),
+        ),
+        lines,
+        note=_errors(rows),
+    )
+
+
+def _errors(rows: Sequence[Row]) -> str:
+    """Describe the largest difference of each peer's distances from ours, beside its own tolerance."""
+    worst: dict[str, Row] = {}
+    for row in rows:
+        if row["peer"] and row["distance_error_m"] >= worst.get(row["by"], row)["distance_error_m"]:
+            worst[row["by"]] = row
+    told = (f"{name} {row['distance_error_m']:.0e} (its {row['tolerance_m']:.0e})" for name, row in worst.items())
+    return f"Largest difference of signed distances from ours, and its own tolerance, in m: {'; '.join(told)}."
+
+
+def _numbers(rows: Sequence[Row]) -> Table:
+    """Make a table of all numbers."""
+    return Table(
+        "All numbers",
+        (
+            Column("bodies", "bodies"),
+            Column("state", "state", hint="how the bodies lie to each other"),
+            Column("batch", "batch", form="d", hint="poses in a call"),
+            Column("by", "by", hint="engine or peer"),
+            Column("warm", "warm", hint="whether the last answer, a step away, was known"),
+            Column("forward_us", "forward", "µs CPU", _two_digits, hint="a query per pose, median"),
+            Column("layer_us", "layer", "µs CPU", _two_digits, hint="a forward pass of the torch layer, median"),
+            *(
+                Column(key, f"backward {_method(key)}", "µs CPU", _two_digits, hint="a backward pass per pose, median")
+                for key in _methods(rows)
+            ),
+            Column("forward_ratio", "ratio", form=_two_digits, hint="time over that of the first engine, median"),
+            Column("poses", "poses", form="d", hint="queried poses"),
+            Column("queries_asked", "queried", form="d", hint="queries of piece pairs in all"),
+            Column("pruned", "pruned", form="d", hint="piece pairs that were not queried"),
+            Column("queries_warm", "warm starts", form="d", hint="poses with a warm start of GJK"),
+            Column("distance_error_m", "error", "m", ".1e", hint="largest difference from ours in Python"),
+        ),
+        [{**row, "bodies": _bodies(row)} for row in rows],
+        only="page",
+        folded=True,
+    )
+
+
+SKIPS = (
+    Column("skip", "skipped"),
+    Column("scene", "where"),
+    Column("unit", "counted"),
+    Column("without", "without", form="d", hint="count if it were done"),
+    Column("with", "with", form="d", hint="count as the program is"),
+    Column("saved_share", "saved", "%", ".0f", hint="of the count"),
+)
+"""Columns of the table of skips."""

@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marq
 from grasp_refine_apps.bench.align.stopwatch import PARTS, PASSES, Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
-from grasp_refine_apps.bench.shares import cpu_share
+from grasp_refine_apps.bench.timing import cpu_share
 from shapes_for_tests import cluster_body, convex_body, ring_body
 
 

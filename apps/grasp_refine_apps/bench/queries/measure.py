@@ -1,9 +1,9 @@
-"""Measurements of a case: our engines, cold and warm, forward and backward, and the peers, in the same rounds."""
+"""Measurement of a case: our engines, cold and warm, forward and backward, and the peers, in the same rounds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal
@@ -19,10 +19,11 @@ from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
-from grasp_refine_apps.bench.queries.bodies import make_pairs
-from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
-from grasp_refine_apps.bench.queries.peers import PEERS, Loop, Peer
-from grasp_refine_apps.bench.queries.poses import draw_poses, nearby
+from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs, nearby
+from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
+from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case
+from grasp_refine_apps.bench.study import Job, Progress
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
@@ -44,83 +45,40 @@ MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
 """Largest number of poses for a peer, and of queries unless there are only 4 poses; evenly from all poses."""
 
 
-@dataclass(frozen=True, eq=False)
-class CaseResult:
-    """Results of a case."""
-
-    case: Case
-    engines: dict[tuple[str, bool], EngineResult]
-    """Engine, and whether it was warm -> its results."""
-    backward_s: dict[MethodName, np.ndarray]
-    """Method -> CPU seconds of a backward pass per pose, in each round."""
-    layer_s: np.ndarray
-    """CPU seconds of a forward pass of the torch layer per pose, in each round."""
-    bare_s: np.ndarray | None
-    """CPU seconds per pose, in each round, of a bare loop in C++ over the queries of the compiled engine, cold; None:
-    that engine is not compared."""
-    peers: dict[str, PeerResult]
-    """Peer -> its results."""
-
-
-@dataclass(frozen=True, eq=False)
-class EngineResult:
-    """Results of an engine at all poses."""
-
-    forward_s: np.ndarray
-    """CPU seconds per pose, in each round."""
-    poses: int
-    num_queries: int
-    """Narrow-phase queries at all poses."""
-    warm: int
-    """Poses whose first query had a warm start of GJK."""
-    error: float
-    """Largest difference of a signed distance from that of the engine in Python, cold, in metres."""
-
-
-@dataclass(frozen=True, eq=False)
-class PeerResult:
-    """Results of a peer at some of the poses."""
-
-    forward_s: np.ndarray
-    poses: int
-    errors: np.ndarray
-    """Differences (N,) of its signed distances from ours, in metres."""
-
-
 @dataclass(frozen=True)
-class CaseJob:
-    """The measurement of one case."""
+class Measurement:
+    """How cases are measured."""
 
-    case: Case
     engines: tuple[Engine, ...]
-    methods: tuple[MethodName, ...]
-    peers: tuple[str, ...]
-    rounds: int
+    """Our engines; ratios are to the first."""
+    methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
+    """Derivative methods of the witness points."""
+    peers: tuple[PeerName, ...] = tuple(peer.name for peer in PEERS)
+    """Peers to compare with."""
+    rounds: int = 7
     """Number of measurements of each time."""
-    least_s: float
-    """Minimum CPU seconds of a measurement."""
-    seed: int
+    least_s: float = 0.004
+    """Minimum CPU seconds of a measurement of a query."""
+    seed: int = 0
+    """Seed of bodies and poses."""
 
-    @property
-    def work(self) -> float:
-        """Approximate duration: the calls of a batch, and the queries of the peers."""
-        peers = min(MAX_PEER_QUERIES, MAX_PEER_POSES * self.case.piece_pairs) if self.peers else 0
-        return 1.0 + 1e-3 * self.case.batch + 5e-4 * peers
+    def job(self, case: Case) -> Job:
+        """Return the job of a case; its duration is that of the calls of a batch, and of the queries of the peers."""
+        peers = min(MAX_PEER_QUERIES, MAX_PEER_POSES * case.piece_pairs) if self.peers else 0
+        label = f"{case.kind}, {case.pieces} x {case.vertices}, {case.state}, batch {case.batch}"
+        return Job(label, partial(self.rows, case), 1.0 + 1e-3 * case.batch + 5e-4 * peers)
 
-    @property
-    def label(self) -> str:
-        """Label of the job, for a progress bar."""
-        case = self.case
-        return f"{case.kind}, {case.pieces} x {case.vertices}, {case.state}, batch {case.batch}"
+    def rows(self, case: Case, progress: Progress = lambda share: None) -> list[Row]:
+        """Measure a case, in this process and with one thread; return the rows of our engines, then of the peers.
 
-    def do(self, progress: Callable[[float], None]) -> CaseResult:
-        """Measure the case, in this process and with one thread of torch."""
+        Times are medians over the rounds; ratios are medians of ratios within a round, in which all are timed
+        alternately.
+        """
         torch.set_num_threads(1)
         with one_thread():
-            return self._measured(progress)
+            return self._rows(case, progress)
 
-    def _measured(self, progress: Callable[[float], None]) -> CaseResult:
-        case = self.case
+    def _rows(self, case: Case, progress: Progress) -> list[Row]:
         pairs = {engine: make_pairs(case, self.seed, engine) for engine in self.engines}
         first = pairs[self.engines[0]]
         count = max(case.batch, MIN_POSES)
@@ -138,46 +96,58 @@ class CaseJob:
         if "native" in pairs:
             runs["bare",] = _bare(pairs["native"], T_a, T_b, case.batch)
         some = _peer_rows(count, case.piece_pairs)
-        loops: dict[str, Loop] = {}
-        for peer in _chosen(self.peers):
-            loops[peer.name] = peer.loop(first, T_a[some], T_b[some])
-            runs["peer", peer.name] = loops[peer.name]
-        times = cpu_times(runs, self.rounds, self.least_s)
-        return CaseResult(
-            case,
-            {
-                (engine, warm): self._answers(own, T_a, T_b, before[engine] if warm else None, reference, times)
-                for engine, own in pairs.items()
-                for warm in (False, True)
-            },
-            {name: times["backward", name] / count for name in self.methods},
-            times["layer",] / count,
-            times["bare",] / count if "native" in pairs else None,
-            {
-                name: PeerResult(times["peer", name] / len(some), len(some), loop() - reference.distance[some, 0])
-                for name, loop in loops.items()
-            },
-        )
+        peers = {peer: peer.loop(first, T_a[some], T_b[some]) for peer in PEERS if peer.name in self.peers}
+        runs |= {("peer", peer.name): loop for peer, loop in peers.items()}
+        poses = {key: len(some) if key[0] == "peer" else count for key in runs}
+        times = {key: its / poses[key] for key, its in cpu_times(runs, self.rounds, self.least_s).items()}
 
-    def _answers(
-        self,
-        pairs: Pairs,
-        T_a: np.ndarray,
-        T_b: np.ndarray,
-        previous: Witness | None,
-        reference: Witness,
-        times: Mapping[tuple[str, ...], np.ndarray],
-    ) -> EngineResult:
-        found = query(pairs, T_a, T_b, previous=previous)
-        apart = 0 if previous is None else int((previous.status == QueryStatus.SEPARATED).sum())
-        state = "cold" if previous is None else "warm"
-        return EngineResult(
-            forward_s=times["engine", pairs.engine, state] / len(T_a),
-            poses=len(T_a),
-            num_queries=int(found.num_queries.sum()),
-            warm=apart,
-            error=float(np.abs(found.distance - reference.distance).max()),
-        )
+        backward = {
+            f"backward_{name.replace('-', '_')}_us": 1e6 * float(np.median(times["backward", name]))
+            for name in self.methods
+        }
+        # Code around the query, and the derivative, are the same for all engines.
+        shared = {"layer_us": 1e6 * float(np.median(times["layer",])), **backward}
+
+        def row(by: str, key: tuple[str, ...], num_queries: int | None, **more: Any) -> Row:
+            every = poses[key] * case.piece_pairs
+            asked = every if num_queries is None else num_queries
+            return {
+                "table": "queries",
+                **asdict(case),
+                "by": by,
+                "peer": False,
+                "warm": False,
+                "poses": poses[key],
+                "forward_us": 1e6 * float(np.median(times[key])),
+                **dict.fromkeys(shared),
+                "forward_ratio": float(np.median(times[key] / times["engine", self.engines[0], "cold"])),
+                "queries_asked": asked,
+                "piece_pairs": every,
+                "pruned": every - asked,
+                "queries_warm": 0,
+                **dict.fromkeys(("distance_error_m", "distance_error_median_m", "tolerance_m")),
+                **more,
+            }
+
+        rows: list[Row] = []
+        asked: dict[str, int] = {}
+        for engine, own in pairs.items():
+            for warm in (False, True):
+                answers = query(own, T_a, T_b, previous=before[engine] if warm else None)
+                num_queries = int(answers.num_queries.sum())
+                asked.setdefault(engine, num_queries)
+                apart = int((before[engine].status == QueryStatus.SEPARATED).sum()) if warm else 0
+                error = float(np.abs(answers.distance - reference.distance).max())
+                counts = {"warm": warm, "queries_warm": apart, "distance_error_m": error}
+                key = "engine", engine, "warm" if warm else "cold"
+                rows.append(row(engine, key, num_queries, **counts, **({} if rows else shared)))
+        if "native" in pairs:
+            rows.append(row("bare-loop", ("bare",), asked["native"]))
+        for peer, loop in peers.items():
+            errors = np.abs(loop() - reference.distance[some, 0])
+            found = {"distance_error_m": float(errors.max()), "distance_error_median_m": float(np.median(errors))}
+            rows.append(row(peer.name, ("peer", peer.name), None, peer=True, tolerance_m=peer.tolerance_m, **found))
+        return rows
 
 
 def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:
@@ -195,10 +165,6 @@ def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callabl
             loop()
 
     return run
-
-
-def _chosen(names: tuple[str, ...]) -> list[Peer]:
-    return [peer for peer in PEERS if peer.name in names]
 
 
 def _peer_rows(count: int, piece_pairs: int) -> np.ndarray:

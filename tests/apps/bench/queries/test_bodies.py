@@ -1,4 +1,4 @@
-"""Generated bodies and their poses: what the cases of the benchmark say of them is true, and again the same."""
+"""Generated bodies and their poses are as their case says, in every run; distances of the peers are ours."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from grasp_refine.collision.query import query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, log_so3
-from grasp_refine_apps.bench.queries.bodies import make_body, make_pairs
-from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, State
-from grasp_refine_apps.bench.queries.poses import STEP_DEVIATIONS, draw_poses, nearby
+from grasp_refine_apps.bench.queries.bodies import STEP_DEVIATIONS, draw_poses, make_body, make_pairs, nearby
+from grasp_refine_apps.bench.queries.peers import PEERS, Peer
+from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case, State
 from refusals import refused
 
 
@@ -65,3 +65,13 @@ def test_nearby_poses_are_a_step_away():
     assert not np.array_equal(moved, T) and np.array_equal(T, np.tile(np.eye(4), (400, 1, 1, 1)))
     assert moved[:, 0, :3, 3].std() == pytest.approx(STEP_DEVIATIONS[0], rel=0.1)
     assert log_so3(moved[:, 0, :3, :3]).std() == pytest.approx(STEP_DEVIATIONS[1], rel=0.1)
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
+@pytest.mark.parametrize("state", get_args(State))
+@pytest.mark.parametrize("case", [Case(vertices=128), Case("concave", 4)], ids=["convex", "concave"])
+def test_distances_of_peers_are_ours(case: Case, state: State, peer: Peer):
+    pairs = make_pairs(case, 0)
+    T_a, T_b = draw_poses(pairs, STATE_DISTANCES_M[state], 16, 1)
+    # MuJoCo keeps vertices in single precision, 6e-9 m at 0.1 m.
+    np.testing.assert_allclose(peer.loop(pairs, T_a, T_b)(), query(pairs, T_a, T_b).distance[:, 0], rtol=0, atol=1e-7)

@@ -1,0 +1,179 @@
+"""The chart of benchmarks: lines of points in panels, as SVG in the colours of the page."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from grasp_refine_apps.report.html_page import COLORS, PLAIN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Row = dict[str, Any]
+"""A flat entry of the results."""
+
+MARKERS, DASHES = "os^DvPX*<>p", ("-", "--", ":")
+"""Markers and dashes of lines; dashes change when the colours are used up."""
+
+PANEL_WIDTH_IN, PANEL_HEIGHT_IN = 4.2, 2.8
+"""Size of a panel in inches."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a chart, and the number that it shows."""
+
+    key: str
+    """Key of the number in a row."""
+    name: str
+    """Name of the quantity."""
+    unit: str = ""
+    """Unit of the number: "s" and "m" get prefixes, "%" is of shares from 0 to 1."""
+    log: bool = True
+    """Whether the axis is logarithmic."""
+    least: float | None = None
+    """Smallest number that is drawn; smaller ones are at this height, with a hollow marker."""
+    marks: tuple[float, ...] = ()
+    """Numbers at which a dashed line is drawn."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A row of panels for each vertical axis, a column for each kind of rows, and a line for each label."""
+
+    title: str
+    rows: Sequence[Row]
+    """Points; one whose number on the horizontal axis is None is a level, a line across the panel."""
+    x: Axis
+    y: Sequence[Axis]
+    line: Callable[[Row], str]
+    """Label of the line that a row is on."""
+    panel: Callable[[Row], str] = lambda row: ""
+    """Heading of the panel that a row is in."""
+    note: str = ""
+    """Paragraph below the chart."""
+
+    def svg(self) -> str:
+        """Draw the SVG element; equal rows give equal bytes. Empty without a point."""
+        import matplotlib
+        from matplotlib.figure import Figure
+
+        panels = list(dict.fromkeys(map(self.panel, self.rows)))
+        if not panels:
+            return ""
+        labels = list(dict.fromkeys(map(self.line, self.rows)))
+        settings: dict[Any, Any] = {
+            "svg.fonttype": "none",
+            "svg.hashsalt": f"grasp-refine {self.title}",
+            "font.family": ["DejaVu Sans"],
+            "font.size": 8.5,
+            "text.color": PLAIN["ink"][0],
+            "axes.labelcolor": PLAIN["ink"][0],
+            "axes.edgecolor": PLAIN["muted"][0],
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": True,
+            "axes.axisbelow": True,
+            "axes.facecolor": "none",
+            "figure.facecolor": "none",
+            "legend.frameon": False,
+            "xtick.color": PLAIN["muted"][0],
+            "ytick.color": PLAIN["muted"][0],
+            "grid.color": PLAIN["line"][0],
+        }
+        with matplotlib.rc_context(settings):
+            size = PANEL_WIDTH_IN * len(panels) + 1.8, PANEL_HEIGHT_IN * len(self.y)
+            figure = Figure(figsize=size, layout="constrained")
+            grid = figure.subplots(len(self.y), len(panels), squeeze=False)
+            for row, y in enumerate(self.y):
+                for column, panel in enumerate(panels):
+                    its = [one for one in self.rows if self.panel(one) == panel]
+                    self._draw(grid[row, column], its, y, labels)
+                    grid[row, column].set_title(panel, loc="left", fontsize=9, fontweight="bold")
+            handles = {label: handle for axes in grid.flat for handle, label in zip(*_legend(axes), strict=True)}
+            known = [label for label in labels if label in handles]
+            figure.legend([handles[label] for label in known], known, loc="outside right upper")
+            out = io.StringIO()
+            figure.savefig(out, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+        return _inlined(out.getvalue(), self.title)
+
+    def _draw(self, axes: Axes, rows: Sequence[Row], y: Axis, labels: Sequence[str]) -> None:
+        """Draw one panel."""
+        for k, label in enumerate(labels):
+            color, marker = COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)]
+            dash = DASHES[k // len(COLORS) % len(DASHES)]
+            points = [
+                (entry(row, self.x.key), entry(row, y.key))
+                for row in rows
+                if self.line(row) == label and _drawable(entry(row, y.key), y)
+            ]
+            for _, level in (point for point in points if point[0] is None):
+                axes.axhline(level, color=color, linewidth=0.9, linestyle="--", label=label)
+            points = sorted(point for point in points if point[0] is not None)
+            if not points:
+                continue
+            across, height = np.array(points, dtype=float).T
+            low = -np.inf if y.least is None else y.least
+            drawn = np.maximum(height, low)
+            axes.plot(across, drawn, dash, marker=marker, color=color, markersize=4.5, linewidth=1.6, label=label)
+            hollow = height < low
+            axes.plot(
+                across[hollow], drawn[hollow], marker, color=color, markersize=4.5, markerfacecolor=PLAIN["page"][0]
+            )
+        for mark in y.marks:
+            axes.axhline(mark, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
+        for axis, its, scale in ((axes.xaxis, self.x, axes.set_xscale), (axes.yaxis, y, axes.set_yscale)):
+            if its.log:
+                scale("log")
+            _set_ticks(axis, its)
+        axes.set(xlabel=self.x.name, ylabel=y.name)
+
+
+def entry(row: Row, key: str) -> Any:
+    """Return the entry of a row, or with a key such as "last.acc_1e6" that of its entry; None where that is None."""
+    found: Any = row
+    for name in key.split("."):
+        found = None if found is None else found[name]
+    return found
+
+
+def _drawable(value: float | None, axis: Axis) -> bool:
+    """Return True where a number has a place on the axis."""
+    return value is not None and bool(np.isfinite(value)) and (not axis.log or value > 0 or axis.least is not None)
+
+
+def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
+    return axes.get_legend_handles_labels()
+
+
+def _set_ticks(axis: Any, its: Axis) -> None:
+    """Set ticks at 1, 2 and 5 where there are few decades, and write them with their unit."""
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+    if its.log:
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high < 200 * low else (1,), numticks=10))
+        axis.set_minor_formatter(NullFormatter())
+    if its.unit in ("s", "m"):
+        axis.set_major_formatter(EngFormatter(unit=its.unit))
+    else:
+        factor, unit = (100.0, " %") if its.unit == "%" else (1.0, f" {its.unit}".rstrip())
+        axis.set_major_formatter(lambda value, _: f"{factor * value:.6g}{unit}")
+
+
+def _inlined(svg: str, title: str) -> str:
+    """Extract the SVG element, at full width, with the page's variables for colours."""
+    head, body = svg[svg.index("<svg") :].split(">", 1)
+    head = re.sub(r' (width|height)="[^"]*"', "", head)
+    # Names of groups would occur twice on a page with two charts; nothing refers to them.
+    body = re.sub(r' id="[A-Za-z0-9]+_\d+"', "", body)
+    body = body.replace("font-family: 'DejaVu Sans'", "font-family: inherit").replace("'DejaVu Sans'", "inherit")
+    for name, (light, _) in {**{f"c{k}": pair for k, pair in enumerate(COLORS)}, **PLAIN}.items():
+        body = body.replace(light, f"var(--{name})")
+    return f'{head} class="chart" role="img" aria-label="{title}">{body}'

@@ -1,0 +1,177 @@
+"""Reports of benchmarks: tables, charts and notes, as text for a terminal and as one HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import degrees, isfinite
+from typing import Any, Literal
+
+from rich.box import SIMPLE
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table as RichTable
+
+from grasp_refine_apps.bench.chart import Chart, Row, entry
+from grasp_refine_apps.report.html_page import rendered
+
+SCALES = {"%": 100.0, "mm": 1e3, "µm": 1e6, "°": degrees(1.0)}
+"""Unit of a table -> its number in the unit of rows, which are shares, metres and radians; others are as in rows."""
+
+MISSING = "–"
+"""Text of a number that was not measured."""
+
+MAX_LABEL_CHARACTERS = 26
+"""Width of the first column in a terminal."""
+
+Only = Literal["terminal", "page"]
+"""Where something is shown that is not shown everywhere."""
+
+
+@dataclass(frozen=True)
+class Shade:
+    """Colour of a cell of a heat map."""
+
+    look: Literal["right", "wrong", "refused", "none"]
+    """Style of the cell."""
+    depth: int = 0
+    """Percent of the darkest colour of "right"."""
+    hint: str = ""
+    """Full description."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of a table, in a terminal and on a page."""
+
+    key: str
+    """Key in a row; "last.acc_1e6" is an entry of an entry."""
+    head: str
+    """Heading without the unit; in a terminal each word has a line of its own, and breaks at soft hyphens."""
+    unit: str = ""
+    """Unit in which the number is shown, see `SCALES`."""
+    form: str | Callable[[Any], str] = ".3g"
+    """Format of a number; or a function that formats any value but None."""
+    better: Literal["higher", "lower"] | None = None
+    """Which numbers are better; the best of a table stands out on a page."""
+    hint: str = ""
+    """Explanation of the number."""
+    only: Only | None = None
+    """Where the column is shown; None: everywhere."""
+    shade: Callable[[Any], Shade] | None = None
+    """Colour of the cell of a value; None: plain."""
+
+    def text(self, row: Row) -> str:
+        """Format the value of a row."""
+        value = entry(row, self.key)
+        if value is None or (isinstance(value, float) and not isfinite(value)):
+            return MISSING
+        if callable(self.form):
+            return self.form(value)
+        if isinstance(value, bool):
+            return "yes" if value else ""
+        if isinstance(value, str):
+            return value
+        text = f"{value * SCALES[self.unit] if self.unit in SCALES else value:{self.form}}"
+        return text.replace("e-0", "e-").replace("e+0", "e+")
+
+    def best(self, rows: Sequence[Row]) -> str | None:
+        """Return the text of the best number of a table; None where no number is better than the others."""
+        values = [row for row in rows if self.better is not None and self.text(row) != MISSING]
+        if len({self.text(row) for row in values}) < 2:
+            return None
+        choose = max if self.better == "higher" else min
+        return self.text(choose(values, key=lambda row: entry(row, self.key)))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table on a page."""
+
+    text: str
+    best: bool = False
+    shade: Shade | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows side by side; the first column names them."""
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Row]
+    note: str = ""
+    """Paragraph above the table, on a page."""
+    only: Only | None = None
+    """Where the table is shown; None: everywhere."""
+    folded: bool = False
+    """Whether the table is folded on a page."""
+
+    def shown(self, where: Only) -> list[Column]:
+        """Return the columns that are shown in a terminal, or on a page."""
+        return [column for column in self.columns if column.only in (None, where)]
+
+    def cells(self) -> list[list[Cell]]:
+        """Return the cells of each row on a page."""
+        columns = self.shown("page")
+        best = [column.best(self.rows) for column in columns]
+        return [
+            [
+                Cell(text := column.text(row), text == top, column.shade and column.shade(entry(row, column.key)))
+                for column, top in zip(columns, best, strict=True)
+            ]
+            for row in self.rows
+        ]
+
+    def printed(self) -> RichTable:
+        """Return the table for a terminal."""
+        first, *columns = self.shown("terminal")
+        table = RichTable(title=self.title, title_justify="left", box=SIMPLE, padding=0, show_edge=False)
+        table.add_column(first.head, overflow="fold", min_width=7, max_width=MAX_LABEL_CHARACTERS)
+        for column in columns:
+            words = f"{column.head} {column.unit}".strip().replace("\u00ad", "-\n").replace(" ", "\n")
+            table.add_column(words, justify="right", no_wrap=True)
+        for row in self.rows:
+            table.add_row(*(escape(column.text(row)) for column in (first, *columns)))
+        return table
+
+
+@dataclass(frozen=True)
+class Note:
+    """Paragraphs of text, separated by empty lines."""
+
+    text: str
+    title: str = ""
+    only: Only | None = "page"
+    """Where it is shown; None: everywhere."""
+    verbatim: bool = False
+    """Whether lines are kept as they are."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report of a run."""
+
+    title: str
+    parts: Sequence[Table | Chart | Note]
+    """What is shown, in this order."""
+    failed: bool = False
+    """Whether something is wrong, so that the command ends with exit code 1."""
+
+    def printed(self) -> Iterator[RenderableType]:
+        """Yield tables and notes for a terminal."""
+        for part in self.parts:
+            if isinstance(part, Table) and part.only != "page":
+                yield from (part.printed(), "")
+            if isinstance(part, Note) and part.only != "page":
+                yield escape(part.text)
+
+    def page(self, document: dict[str, Any]) -> str:
+        """Render the report as HTML; equal input gives equal text.
+
+        Args:
+            document: The JSON document of the benchmark.
+        """
+        kinds = {Table: "table", Chart: "chart", Note: "note"}
+        parts = [(kinds[type(part)], part) for part in self.parts if isinstance(part, Chart) or part.only != "terminal"]
+        return rendered(__package__, document=document, report=self, parts=parts)

@@ -1,0 +1,55 @@
+"""What a benchmark is: jobs that measure, flat rows of their results, and a report of the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.report import Report
+
+Progress = Callable[[float], None]
+"""Called with the share of a job that is done."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of work for one process."""
+
+    label: str
+    """Label for a progress bar."""
+    run: Callable[[Progress], Any]
+    """Does the work and returns its result; picklable, where there are several processes."""
+    work: float = 1.0
+    """Approximate duration, in arbitrary units."""
+
+    def do(self, progress: Progress) -> Any:
+        """Run the job in this process."""
+        return self.run(progress)
+
+
+@runtime_checkable
+class Study(Protocol):
+    """A benchmark with all its settings."""
+
+    @property
+    def workers(self) -> int:
+        """Number of processes; with 1, all jobs run in this one."""
+        ...
+
+    def jobs(self, say: Callable[[str], None]) -> Sequence[Job]:
+        """Load what is needed, with lines for people on the way, and return the jobs.
+
+        Raises:
+            GraspRefineError: the inputs cannot be used.
+        """
+        ...
+
+    def rows(self, done: Sequence[Any]) -> list[Row]:
+        """Return flat rows of the results of the jobs, in SI units unless the key says otherwise."""
+        ...
+
+    def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
+        """Return tables, charts and notes of the rows; `problems` are the errors of jobs without a result."""
+        ...
