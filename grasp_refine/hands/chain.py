@@ -1,7 +1,7 @@
 """Forward kinematics of a hand with its geometric Jacobian, for solvers that call it in their inner loop.
 
 Written against the array API, with few operations whatever the hand: at a batch of one the time goes into
-dispatching them. Autograd goes through `kinematics.Kinematics` instead.
+dispatching them. Gradients by autograd are those of `kinematics.Kinematics`.
 
 Every movable joint gets a frame of its own: it moves with the child, has its origin and has the joint's axis as z.
 Fixed joints, and the rotations that align the axes, are folded into constant transforms between these frames.
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.arguments import check_alike, check_kind, check_shape
-from grasp_refine.core.errors import HandError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import Array, array_namespace, exp_so3, inverse, tangents, transform
 from grasp_refine.core.short_repr import brief
@@ -47,10 +46,6 @@ class Chain:
         """
         check_kind("hand", hand, Hand)
         check_kind("links", tuple(links) if isinstance(links, list) else links, tuple[str, ...])
-        unknown = [link for link in links if link not in hand.links_by_name]
-        if unknown:
-            known = ", ".join(sorted(hand.links_by_name))
-            raise HandError(f"hand {hand.name} has no link {', '.join(unknown)}; it has {known}")
         self.links, self.dof = tuple(links), len(hand.joint_names)
         self.joints, self._numbers = _build(hand, self.links)
         self._converted: dict[tuple[Any, Any], _Numbers] = {}
@@ -213,20 +208,11 @@ class _Numbers:
 
 def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Numbers]:
     """The names of the joints that move any of `links`, in the order of `Chain.joints`, and the constants."""
-    parent_joint = {joint.child: joint for joint in hand.joints}
-    wanted: set[str] = set()
-    for link in links:
-        while link in parent_joint and link not in wanted:
-            wanted.add(link)
-            link = parent_joint[link].parent
-
     # Each link as (movable joint that carries it or None, pose in that joint's frame).
     carrier: dict[str, tuple[str | None, np.ndarray]] = {hand.base_link: (None, np.eye(4))}
     parent: dict[str | None, str | None] = {}
     T_parent_joint: dict[str, np.ndarray] = {}  # at value 0
-    for joint in hand.joints:  # parents before children
-        if joint.child not in wanted:
-            continue
+    for joint in hand.joints_to(links):
         above, T = carrier[joint.parent]
         T = T @ joint.T_parent_child
         if joint.movable:

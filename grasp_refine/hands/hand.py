@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -124,6 +124,23 @@ class Hand:
     def joints_by_name(self) -> dict[str, Joint]:
         """Joints by name."""
         return {joint.name: joint for joint in self.joints}
+
+    def joints_to(self, links: Sequence[str]) -> list[Joint]:
+        """Return the joints between the base link and any of `links`, parents before children.
+
+        Raises:
+            HandError: the hand has no link of such a name.
+        """
+        unknown = [link for link in links if link not in self.links_by_name]
+        if unknown:
+            known = ", ".join(sorted(self.links_by_name))
+            raise HandError(f"hand {self.name} has no link {', '.join(unknown)}; it has {known}")
+        wanted, above = set(links), []
+        for joint in reversed(self.joints):
+            if joint.child in wanted:
+                wanted.add(joint.parent)
+                above.append(joint)
+        return above[::-1]
 
     def mimic_map(self) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], tuple[str, ...]]:
         """Matrix (m, n), offset (m,) and names (m,) that give the values of all m movable joints.

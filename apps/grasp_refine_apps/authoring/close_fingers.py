@@ -21,15 +21,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import exp_se3, exp_so3, pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, save_npz
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
@@ -135,13 +134,13 @@ class HandObjectDistances:
         self.links = tuple(link.name for link in hand.links if link.body is not None)
         bodies = hand.links_by_name
         self._pairs = Pairs.against([bodies[name].solid for name in self.links], obj.body)
-        self._kinematics = Kinematics(hand, self.links)
+        self._chain = Chain(hand, self.links)
 
     def distances(
         self, T_object_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
     ) -> Float[np.ndarray, "N L"]:
         """Signed distance (N, L) in metres of each of `links` to the object."""
-        T = self._kinematics(torch.as_tensor(T_object_root), torch.as_tensor(q)).numpy()
+        T = self._chain(T_object_root, q).T_world_link
         return query(self._pairs, T, np.broadcast_to(np.eye(4), T.shape)).distance
 
 

@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 import trimesh
 from jaxtyping import Float, UInt8
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Scene, refine
 from grasp_refine.validation.geometry import Geometry, measure
@@ -54,8 +53,7 @@ CONTACT_DISTANCE_M = 0.0005
 def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> list[Model]:
     """The collision geometry of all links in one pose; contact links in their own colour."""
     links = [link for link in hand.links if link.body is not None]
-    kinematics = Kinematics(hand, [link.name for link in links])
-    poses = kinematics(torch.as_tensor(T_world_root)[None], torch.as_tensor(q)[None])[0].numpy()
+    poses = Chain(hand, [link.name for link in links])(T_world_root[None], q[None]).T_world_link[0]
     touching = {contact.link for contact in hand.contacts}
 
     models = []

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.authoring.picture import BACKGROUND, CONTACT_COLOR, INK, LINK_COLOR, OBJECT_COLOR
 from grasp_refine_apps.report.rasterizer import Camera, Model, render
@@ -71,7 +70,7 @@ class Pose:
 class Skeleton:
     """Drawable surfaces of a hand, link by link, in link frames."""
 
-    kinematics: Kinematics
+    chain: Chain
     """Forward kinematics of the links that have geometry."""
     models: tuple[Model, ...]
     """Surfaces of the links."""
@@ -82,8 +81,7 @@ class Skeleton:
 
     def posed(self, pose: Pose) -> Float[np.ndarray, "L 4 4"]:
         """Return the poses (L, 4, 4) of the links in the world frame."""
-        T, q = torch.as_tensor(pose.T_world_root)[None], torch.as_tensor(pose.q)[None]
-        return self.kinematics(T, q)[0].numpy()
+        return self.chain(pose.T_world_root[None], pose.q[None]).T_world_link[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +106,9 @@ class View:
 def skeleton(hand: Hand) -> Skeleton:
     """Return the drawable surfaces of a hand."""
     links = [link for link in hand.links if link.body is not None]
-    kinematics = Kinematics(hand, [link.name for link in links])
+    chain = Chain(hand, [link.name for link in links])
     points = tuple(link.solid.candidates.points for link in links)
-    resting = kinematics(torch.eye(4, dtype=torch.float64)[None], torch.as_tensor(hand.rest)[None])[0].numpy()
+    resting = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
     posed = np.concatenate([transform_points(T, its) for T, its in zip(resting, points, strict=True)])
     grid = MERGE_SHARE * np.ptp(posed, axis=0).max()
     touching = tuple(link.name in {contact.link for contact in hand.contacts} for link in links)
@@ -118,7 +116,7 @@ def skeleton(hand: Hand) -> Skeleton:
         _pieces(link.solid, CONTACT_COLOR if touches else LINK_COLOR, grid)
         for link, touches in zip(links, touching, strict=True)
     )
-    return Skeleton(kinematics, tuple(models), points, touching)
+    return Skeleton(chain, tuple(models), points, touching)
 
 
 def thumbnail(skeleton: Skeleton, obj: Object, poses: Sequence[Pose]) -> list[bytes]:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure
@@ -43,7 +41,7 @@ def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Mea
     )
     geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
     witness = geometry.witness
-    T_link = Kinematics(hand, links)(torch.as_tensor(T_world_root), torch.as_tensor(q)).numpy()
+    T_link = geometry.T_world_link
     R, origin = T_link[..., :3, :3], T_link[..., :3, 3]
     point_link = ((witness.point_a - origin)[..., None, :] @ R)[..., 0, :]
     misses = witness.point_a - transform_points(T_link, target_link), witness.point_b - target_object
