@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 
+from distributed import Client
+
 from command_line import subprocess_environment
 from running_processes import PATIENCE_S
 from viewer_process import free_port
@@ -38,6 +40,11 @@ class DaskCluster:
         """Start workers with these options, who find modules in `path` first."""
         folder = self._folder / "scratch"
         return self.start("worker", self.address, "--local-directory", str(folder), *options, path=path)
+
+    def wait_for_workers(self, count: int) -> None:
+        """Wait for so many workers."""
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=PATIENCE_S)
 
     def start(self, *command: str, path: Path | None = None) -> subprocess.Popen[bytes]:
         """Start a part of the cluster, as a group of processes of its own."""

@@ -33,6 +33,7 @@ ORDER = (
     "grasp_refine",
     "grasp_refine_apps.report",
     "grasp_refine_apps.authoring",
+    "grasp_refine_apps.processes",
     "grasp_refine_apps.batch",
     "grasp_refine_apps.bench",
     "grasp_refine_apps.bench.align",

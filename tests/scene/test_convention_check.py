@@ -170,7 +170,7 @@ def test_batch_says_so_once_a_job(tmp_path: Path):
     with Progress(console, shards, 1) as progress:
         for one in shards:
             notes = (f"joint values look like degrees: in {one.number} of 4",)
-            done = Done(one.number, 4, 4, (0, 0), None, 0.0, 0.0, 0, convention_notes=notes)
-            session.take(done, one, progress)
+            done = Done(4, 4, (0, 0), None, 0.0, 0.0, 0, convention_notes=notes)
+            session.take(one, done, progress)
     told = [line for line in console.file.getvalue().splitlines() if "degrees" in line]
     assert [line.split(": ")[1] for line in told] == ["first", "second"]

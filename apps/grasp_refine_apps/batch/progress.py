@@ -17,7 +17,8 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import count_text, whole
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.shard import Done, Failed, Shard, Sign
+from grasp_refine_apps.batch.shard import Done, Shard
+from grasp_refine_apps.processes.task import Failed, Sign
 
 PRINT_INTERVAL_S = 30.0
 """Interval between two lines where there is no terminal, seconds."""
@@ -59,15 +60,15 @@ class Progress:
         self._skipped, self._workers, self._simulated, self._clock = skipped, workers, simulated, clock
         self._done = self._counted = self._good = self._failed = self._lost = 0
         self._active: dict[int, Sign] = {}
-        self._begun = self._told = clock()
+        self._begun = self._printed_s = clock()
         self._past: deque[tuple[float, float]] = deque([(self._begun, 0.0)])
         self._waiting = "starting the workers" if shards else ""
         self._spinner = Spinner("dots")
-        self._live = Live(console=console, get_renderable=self._shown, refresh_per_second=4, transient=True)
+        self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=4, transient=True)
 
     def __enter__(self) -> Progress:
         """Show the bar, where there is a terminal."""
-        self._begun = self._told = self._clock()
+        self._begun = self._printed_s = self._clock()
         self._past = deque([(self._begun, 0.0)])
         if self.console.is_terminal:
             self._live.start()
@@ -99,21 +100,20 @@ class Progress:
         # A heartbeat may arrive after the end.
         if number in self._open:
             self._waiting = ""
-            self._active[number] = (what, min(max(share, 0.0), 1.0), refined)
+            self._active[number] = Sign(what, min(max(share, 0.0), 1.0), refined)
             self._note()
 
-    def done(self, done: Done) -> None:
+    def done(self, shard: Shard, done: Done) -> None:
         """Count a complete shard."""
-        self._end(done.number)
+        self._end(shard)
         self._done += done.grasps
         self._counted += done.grasps
         self._good += done.held[1] if done.held is not None else done.good[1]
         self._note()
 
-    def failed(self, failed: Failed) -> None:
+    def failed(self, shard: Shard, failed: Failed) -> None:
         """Count a failed shard, and print its failure."""
-        self._end(failed.number)
-        shard = self._shards[failed.number]
+        self._end(shard)
         self._failed += 1
         self._lost += shard.size
         # Many failures must not flood a terminal; a file may hold them all.
@@ -125,9 +125,9 @@ class Progress:
             self.say("further failures are listed at the end")
         self._note()
 
-    def _end(self, number: int) -> None:
-        self._active.pop(number, None)
-        self._open.discard(number)
+    def _end(self, shard: Shard) -> None:
+        self._active.pop(shard.number, None)
+        self._open.discard(shard.number)
 
     @property
     def speed(self) -> float:
@@ -147,12 +147,12 @@ class Progress:
     @property
     def _running(self) -> float:
         """Number of grasps done in this run, with the shares of the running shards."""
-        return self._done + sum(self._shards[number].size * share for number, (_, share, _) in self._active.items())
+        return self._done + sum(self._shards[number].size * sign.share for number, sign in self._active.items())
 
     @property
     def _refined(self) -> int:
         """Number of grasps refined in this run, in complete and in running shards."""
-        return self._done + sum(refined for _, _, refined in self._active.values())
+        return self._done + sum(sign.finished for sign in self._active.values())
 
     def _note(self) -> None:
         """Record the progress and, where there is no terminal, print it now and then."""
@@ -161,8 +161,8 @@ class Progress:
             self._past.append((now, self._running))
         while len(self._past) > 2 and now - self._past[1][0] >= SPEED_WINDOW_S:
             self._past.popleft()
-        if not self.console.is_terminal and now - self._told >= PRINT_INTERVAL_S:
-            self._told = now
+        if not self.console.is_terminal and now - self._printed_s >= PRINT_INTERVAL_S:
+            self._printed_s = now
             self.say(", ".join(self._facts()))
 
     def _facts(self) -> list[str]:
@@ -179,7 +179,7 @@ class Progress:
             facts.append(f"{count_text(self._failed, 'shard')} failed")
         return facts
 
-    def _shown(self) -> RenderableType:
+    def _picture(self) -> RenderableType:
         """The bar, and a line for each worker."""
         finished = self._skipped + self._running + self._lost
         bar = Table.grid(expand=True)
@@ -191,11 +191,11 @@ class Progress:
             self._spinner.update(text=Text(self._waiting, "dim", no_wrap=True, overflow="ellipsis"))
             lines.append(self._spinner)
         active = sorted(self._active.items())
-        for number, (what, share, _) in active[:MAX_LISTED]:
+        for number, sign in active[:MAX_LISTED]:
             line = Table.grid(padding=(0, 1), expand=True)
             line.add_column(width=5, justify="right")
             line.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
-            line.add_row(f"{100 * share:.0f} %", Text(f"{self._shards[number].name}: {what}"), style="dim")
+            line.add_row(f"{100 * sign.share:.0f} %", Text(f"{self._shards[number].name}: {sign.what}"), style="dim")
             lines.append(line)
         if len(active) > MAX_LISTED:
             lines.append(Text(f"      and {len(active) - MAX_LISTED} more", "dim"))

@@ -16,7 +16,8 @@ from grasp_refine.core.atomic_files import half_written
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import save_json
 from grasp_refine.core.npz_files import DAMAGED, load_npz
-from grasp_refine_apps.batch.shard import Failed, Shard
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.processes.task import Failed
 
 NOTE_SUFFIX = ".failed.json"
 """Suffix of a failure note, after the name of the missing result file."""
@@ -75,7 +76,7 @@ def note_failure(shard: Shard, failed: Failed) -> None:
     """
     with suppress(OSError):
         shard.path.unlink(missing_ok=True)
-    save_json(_note_path(shard), {"stamp": shard.stamp, "shard": shard.name, **asdict(failed)})
+    save_json(_note_path(shard), {"stamp": shard.stamp, "shard": shard.name, "number": shard.number, **asdict(failed)})
 
 
 def noted_failure(shard: Shard) -> Failed | None:
@@ -84,7 +85,7 @@ def noted_failure(shard: Shard) -> Failed | None:
         raw = json.loads(_note_path(shard).read_text(encoding="utf-8"))
         if raw["stamp"] != shard.stamp:
             return None
-        return Failed(shard.number, raw["reason"], raw["message"], raw["traceback"], raw["tries"])
+        return Failed(raw["reason"], raw["message"], raw["traceback"], raw["tries"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
 

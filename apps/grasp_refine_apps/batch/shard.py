@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
-
-Sign = tuple[str, float, int]
-"""Heartbeat of a running shard: its current step, the share (0 to 1) of the shard that is done, and the number of its
-refined grasps."""
-
-
-@runtime_checkable
-class Heartbeat(Protocol):
-    """Receiver of heartbeats."""
-
-    def __call__(self, what: str, share: float, refined: int = 0) -> None:
-        """Report the entries of a `Sign`."""
-        ...
-
-
-Reason = Literal["error", "crashed", "hung"]
-"""Reason of a failure: the work raised, the worker ended, or it gave no heartbeat."""
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -49,8 +32,6 @@ class Shard:
 class Done:
     """Result of a finished shard."""
 
-    number: int
-    """Number of the shard."""
     grasps: int
     """Number of grasps in its result file."""
     usable: int
@@ -71,23 +52,3 @@ class Done:
     """Signs that the grasp file has another convention than the one read; the kind of sign is before the colon."""
     profile: Mapping[str, tuple[float, float, int]] = field(default_factory=dict)
     """Stage -> CPU seconds, wall seconds and calls; empty without profiling."""
-
-
-@dataclass(frozen=True)
-class Failed:
-    """Result of a failed shard."""
-
-    number: int
-    """Number of the shard."""
-    reason: Reason
-    """Kind of failure."""
-    message: str
-    """Cause, in one line for people."""
-    traceback: str
-    """Traceback of Python, or the end of the worker's log."""
-    tries: int
-    """Number of attempts."""
-
-
-Work = Callable[[Shard, Heartbeat], Done]
-"""Function that makes a shard's result file; can be pickled."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from traceback import format_exception
+from contextlib import closing
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from grasp_refine.core.interruption import end_with
+from grasp_refine_apps.processes.dispatch import dispatch
+from grasp_refine_apps.processes.local import LocalPool
+from grasp_refine_apps.processes.task import Failed, Heartbeat
 
 
 @runtime_checkable
@@ -45,9 +45,9 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     problems: list[str] = []
     try:
         for index, outcome in _run_serially(todo, progress) if workers == 1 else _run_parallel(todo, workers, progress):
-            # An interrupted process returns a KeyboardInterrupt, which is not a result.
-            if isinstance(outcome, BaseException):
-                problems.append(f"{todo[index].label}: {''.join(format_exception(outcome)).strip()}")
+            if isinstance(outcome, Failed):
+                error = outcome.traceback if outcome.reason == "error" else outcome.message
+                problems.append(f"{todo[index].label}: {error}")
             else:
                 results[index] = outcome
     except KeyboardInterrupt:
@@ -56,7 +56,7 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
 
 
 def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:
-    """Run each job in this process and yield its index with its result or error."""
+    """Run each job in this process and yield its index with its result or failure."""
     total, finished = sum(job.work for job in todo), 0.0
     for index, job in enumerate(todo):
 
@@ -66,37 +66,34 @@ def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -
         try:
             yield index, job.do(within)
         except Exception as error:
-            yield index, error
+            yield index, Failed.of(error)
         finished += job.work
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A job as a task of a worker; each is a group of its own."""
+
+    number: int
+    group: str
+    job: Job
 
 
 def _run_parallel(
     todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
 ) -> Iterator[tuple[int, Any]]:
-    """Run the jobs in several processes and yield each index with its result or error, as they end."""
+    """Run the jobs in several processes and yield each index with its result or failure, as they end."""
     total, finished = sum(job.work for job in todo), 0.0
-    # A forked child of a process that has used torch may hang.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        min(workers, len(todo)), mp_context=context, initializer=end_with, initargs=(os.getpid(),)
-    ) as pool:
-        try:
-            # The longest first, so that no process is left with a long job at the end.
-            order = sorted(range(len(todo)), key=lambda index: -todo[index].work)
-            futures = {pool.submit(_do, todo[index]): index for index in order}
-            for future in as_completed(futures):
-                index = futures[future]
-                error = future.exception()
-                yield index, future.result() if error is None else error
-                finished += todo[index].work
-                progress(finished / total, todo[index].label)
-        except BaseException:
-            for process in pool._processes.values():
-                process.terminate()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    # The longest first, so that no process is left with a long job at the end.
+    order = sorted(range(len(todo)), key=lambda index: -todo[index].work)
+    tasks = [_Task(index, str(index), todo[index]) for index in order]
+    with closing(LocalPool(_do, workers)) as pool:
+        for task, outcome in dispatch(tasks, pool, tries=1, patience_s=None, heartbeat=lambda *_: None):
+            yield task.number, outcome
+            finished += task.job.work
+            progress(finished / total, task.job.label)
 
 
-def _do(job: Job) -> Any:
+def _do(task: _Task, heartbeat: Heartbeat) -> Any:
     """Run a job without progress."""
-    return job.do(lambda share: None)
+    return task.job.do(lambda share: None)

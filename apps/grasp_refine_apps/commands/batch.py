@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import uuid4
@@ -28,7 +27,6 @@ from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine_apps.batch.index import IndexKind, index_path
-from grasp_refine_apps.batch.pool import run_local
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import State, clean, state_of
 from grasp_refine_apps.batch.shard import Shard
@@ -44,6 +42,8 @@ from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
 from grasp_refine_apps.commands.shard_work import ShardWork, unusable_objects
 from grasp_refine_apps.commands.sharding import Sharding
 from grasp_refine_apps.commands.validation_options import ValidationOptions
+from grasp_refine_apps.processes.dispatch import Pool, dispatch
+from grasp_refine_apps.processes.local import LocalPool
 from grasp_refine_apps.report.screen import screen
 
 MAX_NAMED = 10
@@ -214,6 +214,18 @@ class Batch:
         lists = (Path(source) for source in self.jobs if not source.startswith(SAMPLE))
         return replace(plan, files=(*plan.files, *lists))
 
+    @contextmanager
+    def _pool(self, work: ShardWork, workers: int) -> Iterator[Pool]:
+        """Yield the workers: processes of this machine, or those of the cluster."""
+        if self.sharding.dask is None:
+            with closing(LocalPool(work, workers, self.sharding.patience)) as pool:
+                yield pool
+            return
+        from grasp_refine_apps.processes.cluster import ClusterPool, connect
+
+        with connect(self.sharding.dask) as client:
+            yield ClusterPool(client, self.sharding.dask, work, self.output.out.absolute())
+
     def _run_shards(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
         """Work on the shards that are left, and record the result of each.
 
@@ -227,31 +239,20 @@ class Batch:
         simulated = work.protocol is not None
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
-            if self.sharding.dask is not None:
-                from grasp_refine_apps.batch.cluster import run_on_cluster
-
-                run = partial(run_on_cluster, address=self.sharding.dask)
-            else:
-                run = partial(run_local, workers=workers)
-            by_number = {shard.number: shard for shard in todo}
             unusable = unusable_objects(
                 todo, lambda number: progress.wait(f"reading objects, {number + 1} of {len(todo)} shards")
             )
-            for failed in unusable:
-                session.take(failed, by_number[failed.number], progress)
-            usable = [shard for shard in todo if shard.number not in session.failed]
+            for shard in todo:
+                if shard.number in unusable:
+                    session.take(shard, unusable[shard.number], progress)
+            usable = [shard for shard in todo if shard.number not in unusable]
             try:
-                with closing(
-                    run(
-                        usable,
-                        work,
-                        patience_s=self.sharding.patience,
-                        tries=self.sharding.tries,
-                        heartbeat=progress.heartbeat,
-                    )
-                ) as results:
-                    for result in results:
-                        session.take(result, by_number[result.number], progress)
+                tries, patience_s = self.sharding.tries, self.sharding.patience
+                with self._pool(work, workers) as pool:
+                    for shard, result in dispatch(
+                        usable, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat
+                    ):
+                        session.take(shard, result, progress)
             except KeyboardInterrupt:
                 there = f"{len(session.complete)} of {count_text(session.num_shards, 'shard')} complete"
                 command = "without --again, the command" if self.sharding.again else "the same command"

@@ -11,10 +11,11 @@ from typing import Any
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import forget_failure, note_failure, noted_failure
-from grasp_refine_apps.batch.shard import Done, Failed, Shard
+from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.commands.shard_plan import Refused
 from grasp_refine_apps.commands.shard_work import peak_bytes
+from grasp_refine_apps.processes.task import Failed
 
 
 @dataclass(eq=False)
@@ -44,11 +45,11 @@ class Session:
     profile: dict[str, tuple[float, float, int]] = field(default_factory=dict)
     """Stage -> CPU seconds, wall seconds and calls of all shards."""
 
-    def take(self, result: Done | Failed, shard: Shard, progress: Progress) -> None:
+    def take(self, shard: Shard, result: Done | Failed, progress: Progress) -> None:
         """Record and show the result of a shard."""
         if isinstance(result, Failed):
             self.failed[shard.number] = result
-            progress.failed(result)
+            progress.failed(shard, result)
             try:
                 note_failure(shard, result)
             except GraspRefineError as error:
@@ -73,7 +74,7 @@ class Session:
             if sign not in self.notes:
                 self.notes.add(sign)
                 progress.say(f"note: {shard.task.job}: {note}")
-        progress.done(result)
+        progress.done(shard, result)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,12 +26,12 @@ from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine_apps.batch.attempt import message_of, traceback_of
-from grasp_refine_apps.batch.shard import Done, Failed, Heartbeat, Shard
+from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.commands.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.invocation import words
 from grasp_refine_apps.commands.shard_plan import Task
+from grasp_refine_apps.processes.task import Failed, Heartbeat
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,6 @@ class ShardWork:
         self._save(shard, replace(refined, outcome=outcome))
         good = should_hold(outcome.quality[:, 0]), should_hold(outcome.quality[:, 1])
         return Done(
-            number=shard.number,
             grasps=len(outcome),
             usable=int(outcome.usable.sum()),
             good=(int(good[0].sum()), int(good[1].sum())),
@@ -183,15 +182,15 @@ def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -
     return aimed.cut(aimed.draft_read(some, path))
 
 
-def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -> list[Failed]:
-    """Return failures of the shards whose object is an unreadable or unusable mesh; found before any mesh is cut.
+def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -> dict[int, Failed]:
+    """Return failures, by number, of shards whose object is an unusable mesh; found before any mesh is cut.
 
     Folders of pieces are left to the workers: they need not be cut. `progress` is called with the number of shards
     checked so far.
     """
-    cache, failed = InputCache(), []
-    for number, shard in enumerate(shards):
-        progress(number)
+    cache, failed = InputCache(), {}
+    for count, shard in enumerate(shards):
+        progress(count)
         task = shard.task
         if is_folder(Path(task.object_source.source)):
             continue
@@ -199,7 +198,7 @@ def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -
             for scale in task.scales:
                 Loader(task.inputs, cache=cache).read_object(task.object_source, scale)
         except Exception as error:
-            failed.append(Failed(shard.number, "error", message_of(error), traceback_of(error), tries=1))
+            failed[shard.number] = Failed.of(error)
     return failed
 
 

@@ -10,7 +10,8 @@ from rich.console import Console
 
 from batch_rows import shard
 from grasp_refine_apps.batch.progress import PRINT_INTERVAL_S, Progress
-from grasp_refine_apps.batch.shard import Done, Failed
+from grasp_refine_apps.batch.shard import Done, Shard
+from grasp_refine_apps.processes.task import Failed
 
 
 class Clock:
@@ -23,8 +24,8 @@ class Clock:
         return self.now
 
 
-def done(number: int, grasps: int, good: int, held: tuple[int, int] | None = None) -> Done:
-    return Done(number, grasps, grasps, (0, good), held, 1.0, 1.0, 0)
+def done(number: int, grasps: int, good: int, held: tuple[int, int] | None = None) -> tuple[Shard, Done]:
+    return shard(number, Path(), grasps), Done(grasps, grasps, (0, good), held, 1.0, 1.0, 0)
 
 
 def shards(count: int, size: int = 10) -> list:
@@ -47,7 +48,7 @@ def said(console: Console) -> list[str]:
 def picture(progress: Progress, width: int = 80) -> list[str]:
     """What a terminal would show now."""
     console = Console(file=io.StringIO(), width=width, highlight=False, force_terminal=True, color_system=None)
-    console.print(progress._shown())
+    console.print(progress._picture())
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 
@@ -62,24 +63,24 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
             clock.now += 0.2
             progress.heartbeat(0, "refining", 0.4)
         assert len(said(console)) == 1, "10 s are no news"
-        progress.failed(Failed(1, "crashed", "ended with SIGSEGV", "", 2))
+        progress.failed(shard(1, Path(), 10), Failed("crashed", "ended with SIGSEGV", "", 2))
         assert said(console)[1:] == ["job, part 1 failed (crashed, tried 2 times): ended with SIGSEGV"]
         clock.now += PRINT_INTERVAL_S
-        progress.done(done(0, 10, 9))
+        progress.done(*done(0, 10, 9))
         # 10 grasps in 40 s, and 20 more to come.
         assert said(console)[2:] == [
             "30/60 grasps refined, 15.0 grasps/min, 1 min 20 s left, 90.0 % good, 1 shard failed"
         ]
-        progress.done(done(2, 10, 9))
+        progress.done(*done(2, 10, 9))
         assert len(said(console)) == 3
 
 
 def test_nothing_is_left_when_all_is_done_or_failed(clock: Clock):
     console = plain()
     with Progress(console, shards(2), 2, clock=clock) as progress:
-        progress.done(done(0, 10, 5))
+        progress.done(*done(0, 10, 5))
         clock.now += 60.0
-        progress.failed(Failed(1, "error", "torn.obj: has holes", "", 1))
+        progress.failed(shard(1, Path(), 10), Failed("error", "torn.obj: has holes", "", 1))
     assert said(console)[-2:] == [
         "job, part 1 failed (error): torn.obj: has holes",
         "10/20 grasps refined, 10.0 grasps/min, 50.0 % good, 1 shard failed",
@@ -90,7 +91,7 @@ def test_where_grasps_are_simulated_those_that_hold_are_counted(clock: Clock):
     console = plain()
     with Progress(console, shards(1), 1, simulated=True, clock=clock) as progress:
         clock.now += PRINT_INTERVAL_S
-        progress.done(done(0, 10, 9, held=(2, 4)))
+        progress.done(*done(0, 10, 9, held=(2, 4)))
     assert said(console)[-1].endswith(", 40.0 % held")
 
 
@@ -98,7 +99,7 @@ def test_names_and_messages_are_no_markup(clock: Clock):
     console = plain()
     with Progress(console, shards(1), 1, clock=clock) as progress:
         progress.say("note: [red]x[/] has [holes]")
-        progress.failed(Failed(0, "error", "[b]file[/b].obj: [Errno 5]", "", 1))
+        progress.failed(shard(0, Path(), 10), Failed("error", "[b]file[/b].obj: [Errno 5]", "", 1))
     assert "note: [red]x[/] has [holes]" in said(console)
     assert "job, part 0 failed (error): [b]file[/b].obj: [Errno 5]" in said(console)
 
@@ -119,7 +120,7 @@ def test_a_terminal_sees_the_whole_and_what_each_worker_does(clock: Clock):
     assert bar == "━" * 24
     assert facts == "13/50 grasps refined · 30.0 grasps/min · 1 min 10 s left"
     assert workers == ["  0 % job, part 0: decomposing [mug]", " 50 % job, part 1: refining"]
-    progress.done(done(1, 10, 10))
+    progress.done(*done(1, 10, 10))
     assert picture(progress)[1:] == [
         "20/50 grasps refined · 1.00 grasps/s · 30 s left · 100 % good",
         "  0 % job, part 0: decomposing [mug]",
@@ -135,14 +136,14 @@ def test_no_line_is_wider_than_the_terminal_and_many_workers_are_counted(clock: 
     for number in range(20):
         progress.heartbeat(number, "refining " * 20, 0.3)
     for number in range(20, 25):
-        progress.done(done(number, 10, 3))
+        progress.done(*done(number, 10, 3))
     clock.now += 1e5
     shown = picture(progress, 60)
     assert len(shown) == 2 + 8 + 1 and max(map(len, shown)) <= 60
     assert shown[-1].strip() == "and 12 more" and shown[2].endswith("…")
 
 
-def test_without_shards_only_what_takes_a_while_is_shown():
+def test_without_shards_only_what_takes_a_while_is_picture():
     progress = Progress(plain(), (), 1)
     progress.wait("planning 1/3: sets")
     assert picture(progress) == ["⠋ planning 1/3: sets"]
@@ -162,7 +163,7 @@ def test_a_terminal_is_not_flooded_with_failures(clock: Clock):
     console = Console(file=io.StringIO(), width=80, highlight=False, force_terminal=True, color_system=None)
     progress = Progress(console, shards(30), 1, clock=clock)
     for number in range(30):
-        progress.failed(Failed(number, "error", "no", "", 1))
+        progress.failed(shard(number, Path()), Failed("error", "no", "", 1))
     assert said(console)[8:] == ["further failures are listed at the end"] and len(said(console)) == 9
 
 
@@ -174,10 +175,10 @@ def test_the_speed_is_that_of_the_last_minutes(clock: Clock):
     assert progress.speed == 0.0 and progress.remaining_s is None
     for number in range(100):
         clock.now += 10.0
-        progress.done(done(number, 10, 1))
+        progress.done(*done(number, 10, 1))
     assert progress.speed == pytest.approx(1.0)
     for number in range(100, 150):
         clock.now += 100.0
-        progress.done(done(number, 10, 1))
+        progress.done(*done(number, 10, 1))
     assert progress.speed == pytest.approx(0.1, rel=0.01)
     assert progress.remaining_s == pytest.approx(8500 / 0.1, rel=0.01)

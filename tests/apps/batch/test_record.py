@@ -22,7 +22,8 @@ from grasp_refine_apps.batch.record import (
     state_of,
 )
 from grasp_refine_apps.batch.rows import NEEDED, TEXTS, read_rows
-from grasp_refine_apps.batch.shard import Failed, Shard
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.processes.task import Failed
 from refusals import refused
 
 
@@ -66,7 +67,7 @@ def test_every_damage_is_seen(tmp_path: Path):
 
 def test_a_failure_is_noted_and_what_was_there_before_goes(tmp_path: Path):
     one = written(shard(tmp_path), {"batch": {"stamp": "old"}})
-    failed = Failed(3, "crashed", "the worker ended", "Traceback ...", 2)
+    failed = Failed("crashed", "the worker ended", "Traceback ...", 2)
     note_failure(one, failed)
     assert not one.path.exists()
     assert noted_failure(one) == failed
@@ -88,7 +89,7 @@ def test_a_damaged_note_is_none(tmp_path: Path, text: str):
 def test_a_note_that_cannot_be_written_is_told(tmp_path: Path):
     (tmp_path / "job").write_text("in the way")
     with refused(GraspRefineError, tmp_path / "job"):
-        note_failure(shard(tmp_path), Failed(3, "error", "x", "", 1))
+        note_failure(shard(tmp_path), Failed("error", "x", "", 1))
 
 
 def test_what_killed_processes_left_is_taken_away_and_what_others_write_is_not(tmp_path: Path):

@@ -13,11 +13,12 @@ from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.validation.protocol import SETTINGS
 from grasp_refine_apps.batch.record import State, state_of
-from grasp_refine_apps.batch.shard import Done, Shard, Sign
+from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.job_list import read_jobs
 from grasp_refine_apps.commands.shard_plan import Plan, Planner
 from grasp_refine_apps.commands.shard_work import ShardWork
+from grasp_refine_apps.processes.task import Sign
 from refusals import refused
 
 EXAMPLES = resource_dir("robots") / "allegro"
@@ -48,7 +49,7 @@ def test_a_shard_comes_out_the_same_whatever_came_before(grasps: Path, tmp_path:
     other = planned(tmp_path / "two", grasps, batch="another").shards[1]
     done = worked(first)
     worked(second)
-    assert (done.number, done.grasps, done.held) == (0, 2, None)
+    assert (done.grasps, done.held) == (2, None)
     assert state_of(first) is State.COMPLETE
     assert state_of(planned(tmp_path / "one", grasps).shards[0]) is State.COMPLETE
     worked(other)
@@ -59,7 +60,7 @@ def test_signs_of_life_say_how_far_it_is(grasps: Path, tmp_path: Path):
     (shard, _) = planned(tmp_path / "out", grasps).shards
     heard: list[Sign] = []
     work = ShardWork(QUICK, SETTINGS["force-closure"], {})
-    work(shard, lambda what, share, refined=0: heard.append((what, share, refined)))
+    work(shard, lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
     for values in zip(*(sign[1:] for sign in heard), strict=True):
         assert list(values) == sorted(values)
     assert (heard[0][1:], heard[-1][1:]) == ((0.0, 0), (1.0, 2))

@@ -1,47 +1,47 @@
-"""Shards of a group stay together, and the first of a group goes ahead."""
+"""Tasks of a group stay together, and the first of a group goes ahead."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from grasp_refine_apps.batch.schedule import Schedule
-from shard_works import some_shards
+from grasp_refine_apps.processes.schedule import Schedule
+from worker_tasks import some_tasks
 
 
-def test_a_worker_gets_the_shards_of_a_group_one_after_the_other():
-    schedule = Schedule(some_shards(Path(), "a:", "b:", "a:", "b:", "a:"))
+def test_a_worker_gets_the_tasks_of_a_group_one_after_the_other():
+    schedule = Schedule(some_tasks(Path(), "a:", "b:", "a:", "b:", "a:"))
     order, loaded = [], None
-    while shard := schedule.take(loaded):
-        order.append(shard.number)
-        loaded = shard.group
-        schedule.finish(shard)
+    while task := schedule.take(loaded):
+        order.append(task.number)
+        loaded = task.group
+        schedule.finish(task)
     assert order == [0, 2, 4, 1, 3]
     assert len(schedule) == 0
 
 
 def test_groups_are_opened_in_their_order_by_workers_that_have_none():
-    schedule = Schedule(some_shards(Path(), "a:", "a:", "b:", "b:", "c:"))
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:", "b:", "c:"))
     assert [schedule.take(None).group for _ in range(3)] == ["a", "b", "c"]
 
 
 def test_the_others_of_a_group_wait_for_its_first_while_there_is_other_work():
-    schedule = Schedule(some_shards(Path(), "a:", "a:", "a:", "b:", "b:"))
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "a:", "b:", "b:"))
     first, second = schedule.take(None), schedule.take(None)
     assert (first.number, second.number) == (0, 3)
     schedule.finish(second)
-    assert schedule.take(None).number == 4, "b has fewer shards left, but its first is done"
+    assert schedule.take(None).number == 4, "b has fewer tasks left, but its first is done"
     assert schedule.take(None).number == 1, "nothing else is left to do"
 
 
-def test_when_all_groups_are_open_the_one_with_most_shards_left_is_shared():
-    schedule = Schedule(some_shards(Path(), "a:", "a:", "b:", "b:", "b:"))
+def test_when_all_groups_are_open_the_one_with_most_tasks_left_is_shared():
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:", "b:", "b:"))
     for _ in range(2):
         schedule.finish(schedule.take(None))
     assert schedule.take(None).group == "b"
 
 
-def test_a_shard_that_is_tried_again_comes_after_the_others_of_its_group():
-    schedule = Schedule(some_shards(Path(), "a:", "a:"))
+def test_a_task_that_is_tried_again_comes_after_the_others_of_its_group():
+    schedule = Schedule(some_tasks(Path(), "a:", "a:"))
     first = schedule.take(None)
     schedule.requeue(first)
     assert len(schedule) == 2
@@ -49,17 +49,17 @@ def test_a_shard_that_is_tried_again_comes_after_the_others_of_its_group():
     assert schedule.take("a") is None
 
 
-def test_a_group_whose_first_shard_was_lost_has_a_first_again():
-    schedule = Schedule(some_shards(Path(), "a:", "a:", "a:", "b:", "b:"))
+def test_a_group_whose_first_task_was_lost_has_a_first_again():
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "a:", "b:", "b:"))
     schedule.requeue(schedule.take(None))
     one, other = schedule.take(None), schedule.take(None)
     assert (one.group, other.group) == ("b", "a")
     schedule.finish(one)
-    assert schedule.take(None).group == "b", "a waits for its new first shard"
+    assert schedule.take(None).group == "b", "a waits for its new first task"
 
 
 def test_twenty_thousand_groups_are_no_burden():
     """Looking for the next group once took a walk over all of them."""
-    schedule = Schedule(some_shards(Path(), *(f"{number}:" for number in range(20_000))))
+    schedule = Schedule(some_tasks(Path(), *(f"{number}:" for number in range(20_000))))
     numbers = [schedule.take(None).number for _ in range(20_000)]
     assert numbers == list(range(20_000))

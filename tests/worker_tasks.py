@@ -1,4 +1,4 @@
-"""Works that tests give to workers of a batch: they can be imported by the workers, too."""
+"""Work functions and tasks that tests give to workers, which can import them, too."""
 
 from __future__ import annotations
 
@@ -9,37 +9,46 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from grasp_refine.core.errors import MeshError
-from grasp_refine_apps.batch.shard import Done, Heartbeat, Shard
-from grasp_refine_apps.batch.worker_pool import ONE_THREAD
+from grasp_refine_apps.processes.local import ONE_THREAD
+from grasp_refine_apps.processes.task import Heartbeat
 
 
-def some_shards(folder: Path, *tasks: str, group: str = "g") -> list[Shard]:
-    """One shard per task of `work`, numbered from 0; "group:task" names its group."""
-    shards = []
-    for number, task in enumerate(tasks):
-        of, _, what = task.rpartition(":")
-        shards.append(Shard(number, of or group, f"shard {number}", 1, folder / f"{number}.txt", "0", what))
-    return shards
+@dataclass(frozen=True)
+class FakeTask:
+    """A task of `work`."""
+
+    number: int
+    group: str
+    path: Path
+    """A file that the work writes."""
+    verb: Any
 
 
-def done(shard: Shard) -> Done:
-    """What is told of a shard that came out."""
-    return Done(shard.number, shard.size, shard.size, (0, 1), None, 0.0, 0.0, 0)
+def some_tasks(folder: Path, *verbs: Any, group: str = "g") -> list[FakeTask]:
+    """One task for each call of ACTIONS, numbered from 0; "group:verb" names its group."""
+    tasks = []
+    for number, verb in enumerate(verbs):
+        of, _, what = verb.rpartition(":") if isinstance(verb, str) else ("", "", verb)
+        tasks.append(FakeTask(number, of or group, folder / f"{number}.txt", what))
+    return tasks
 
 
-def work(shard: Shard, beat: Heartbeat) -> Done:
-    """Do what the task says, and write which process did."""
-    first = not (started := shard.path.with_suffix(".started")).exists()
+def work(task: FakeTask, beat: Heartbeat) -> str:
+    """Do what the task says, write which process did, and return the name of the file."""
+    first = not (started := task.path.with_suffix(".started")).exists()
     started.touch()
-    beat(shard.task, 0.25)
-    verb, _, how = shard.task.partition(" ")
+    beat(task.verb, 0.25)
+    verb, _, how = task.verb.partition(" ")
     ACTIONS[verb](how, first, beat)
-    shard.path.write_text(str(os.getpid()))
-    return done(shard)
+    task.path.write_text(str(os.getpid()))
+    return task.path.name
 
 
 class StubbornError(Exception):
@@ -127,35 +136,18 @@ class Tally:
     def __init__(self) -> None:
         self.calls = 0
 
-    def __call__(self, shard: Shard, beat: Heartbeat) -> Done:
+    def __call__(self, task: FakeTask, beat: Heartbeat) -> tuple[int, int]:
         self.calls += 1
-        shard.path.write_text(f"{os.getpid()} {self.calls}")
-        return done(shard)
-
-
-def tallies(folder: Path) -> list[list[int]]:
-    """For each process, the calls that it counted, in order."""
-    by_process: dict[str, list[int]] = {}
-    for path in folder.glob("*.txt"):
-        process, calls = path.read_text().split()
-        by_process.setdefault(process, []).append(int(calls))
-    return [sorted(calls) for calls in by_process.values()]
-
-
-class Unloadable:
-    """A task that no worker can load."""
-
-    def __reduce__(self):
-        return import_module, ("no_such_module",)
+        return os.getpid(), self.calls
 
 
 class Unknown:
-    """A work that no worker can load."""
+    """A work, or a part of a task, that no worker can load."""
 
     def __reduce__(self):
         return import_module, ("no_such_module",)
 
-    def __call__(self, shard: Shard, beat: Heartbeat) -> Done:
+    def __call__(self, task: FakeTask, beat: Heartbeat) -> None:
         raise NotImplementedError
 
 
@@ -164,6 +156,24 @@ class Slow(Unknown):
 
     def __reduce__(self):
         return time.sleep, (3600.0,)
+
+
+@dataclass(frozen=True)
+class FakeJob:
+    """A job of a benchmark that gives its name, or fails."""
+
+    label: str
+    work: float = 1.0
+
+    def do(self, progress: Callable[[float], None]) -> str:
+        progress(0.5)
+        if self.label == "stop":
+            raise KeyboardInterrupt
+        if self.label == "bad":
+            raise ValueError("no luck")
+        if self.label == "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return self.label
 
 
 ACTIONS = {

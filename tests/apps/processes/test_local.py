@@ -1,4 +1,4 @@
-"""Real worker processes that fail in all ways: the rest comes out, what failed is told, and nothing stays behind."""
+"""Real worker processes that fail in all ways: the rest comes out, failures say why, and nothing stays behind."""
 
 from __future__ import annotations
 
@@ -8,35 +8,33 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from command_line import interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.batch.pool import run_local
-from grasp_refine_apps.batch.shard import Done, Failed
-from grasp_refine_apps.batch.worker_pool import ONE_THREAD
+from grasp_refine_apps.processes.dispatch import SLACK_S, dispatch
+from grasp_refine_apps.processes.local import ONE_THREAD, LocalPool
+from grasp_refine_apps.processes.task import Failed
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, alive, children, soon
-from shard_works import Slow, Tally, Unknown, Unloadable, done, some_shards, tallies, work
+from worker_tasks import FakeTask, Slow, Unknown, some_tasks, work
 
 
-def ignore(number: int, what: str, share: float, refined: int) -> None:
-    pass
+def results(
+    tasks: list[FakeTask], workers: int = 1, *, patience_s: float = PATIENCE_S, work: Callable = work, tries: int = 2
+) -> Generator[tuple[FakeTask, Any], None, None]:
+    with closing(LocalPool(work, workers, patience_s)) as pool:
+        yield from dispatch(tasks, pool, tries=tries, patience_s=patience_s, heartbeat=lambda *_: None)
 
 
-def outcomes(
-    folder: Path, *tasks: str, workers: int = 1, patience_s: float = PATIENCE_S, heartbeat: Callable = ignore
-) -> dict[int, Done | Failed]:
-    """Number -> what came of it."""
-    shards = some_shards(folder, *tasks)
-    found = {
-        each.number: each
-        for each in run_local(shards, work, workers=workers, patience_s=patience_s, heartbeat=heartbeat)
-    }
+def outcomes(folder: Path, *verbs: Any, workers: int = 1, **limits: Any) -> dict[int, Any]:
+    """Number -> result or failure."""
+    found = {task.number: end for task, end in results(some_tasks(folder, *verbs), workers, **limits)}
     assert multiprocessing.active_children() == []
     return found
 
@@ -71,16 +69,19 @@ def program(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 PROGRAM = """
 import sys
+from contextlib import closing
 from pathlib import Path
-from grasp_refine_apps.batch.pool import run_local
-from shard_works import some_shards, work
+from grasp_refine_apps.processes.dispatch import dispatch
+from grasp_refine_apps.processes.local import LocalPool
+from worker_tasks import some_tasks, work
 
 if __name__ == "__main__":
     try:
         print("begun", flush=True)
-        shards = some_shards(Path(sys.argv[1]), *sys.argv[2:])
-        for each in run_local(shards, work, workers=2, patience_s=3600.0, heartbeat=lambda *_: None):
-            print(type(each).__name__, each.number, flush=True)
+        tasks = some_tasks(Path(sys.argv[1]), *sys.argv[2:])
+        with closing(LocalPool(work, 2)) as pool:
+            for task, _ in dispatch(tasks, pool, tries=2, patience_s=None, heartbeat=lambda *_: None):
+                print(task.number, flush=True)
     except KeyboardInterrupt:
         print("interrupted", flush=True)
 """
@@ -88,18 +89,10 @@ if __name__ == "__main__":
 
 @pytest.fixture(scope="module")
 def patience_s(tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Little patience, but many times what a worker takes to start, as busy as this machine is: 3 s on a quiet one."""
+    """Little patience, but many times what a worker takes to start, as busy as this machine is: 1 s on a quiet one."""
     began = time.monotonic()
     assert len(outcomes(tmp_path_factory.mktemp("start"), "write")) == 1
-    return max(3.0, round(10.0 * (time.monotonic() - began)))
-
-
-def test_every_shard_comes_out_once(tmp_path: Path):
-    tasks = ["a:write", "b:write", "a:write", "b:beat 0.5", "a:write", "a:write"]
-    found = outcomes(tmp_path, *tasks, workers=2)
-    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, *tasks)}
-    processes = {(tmp_path / f"{number}.txt").read_text() for number in range(len(tasks))}
-    assert len(processes) <= 2 and str(os.getpid()) not in processes
+    return max(1.0, round(10.0 * (time.monotonic() - began)))
 
 
 def test_a_worker_keeps_to_a_group(tmp_path: Path):
@@ -107,22 +100,15 @@ def test_a_worker_keeps_to_a_group(tmp_path: Path):
     assert len({(tmp_path / f"{number}.txt").read_text() for number in range(5)}) == 1
 
 
-def test_work_keeps_what_it_has_loaded(tmp_path: Path):
-    shards = some_shards(tmp_path, *["write"] * 6)
-    assert len(list(run_local(shards, Tally(), workers=2, patience_s=PATIENCE_S, heartbeat=ignore))) == 6
-    assert all(calls == list(range(1, len(calls) + 1)) for calls in tallies(tmp_path))
-
-
-def test_no_shards_need_no_process(tmp_path: Path):
+def test_no_tasks_need_no_process(tmp_path: Path):
     assert outcomes(tmp_path, workers=2) == {}
 
 
-def test_there_are_no_more_workers_than_shards(tmp_path: Path):
-    shards = some_shards(tmp_path, "write")
-    results = run_local(shards, work, workers=8, patience_s=PATIENCE_S, heartbeat=ignore)
-    assert next(results) == done(shards[0])
+def test_there_are_no_more_workers_than_tasks(tmp_path: Path):
+    given = results(some_tasks(tmp_path, "write"), 8)
+    assert next(given)[1] == "0.txt"
     assert len(multiprocessing.active_children()) == 1
-    assert list(results) == []
+    assert list(given) == []
     assert multiprocessing.active_children() == []
 
 
@@ -141,15 +127,10 @@ def test_what_work_raises_is_told_and_the_worker_goes_on(tmp_path: Path):
     ]
     assert failures[5].message == f"ValueError: {'x' * 488} ..."
     assert all(each.traceback.startswith("Traceback") and "in _raise" in each.traceback for each in failures[:5])
-    assert found[6] == done(some_shards(tmp_path, *[""] * 7)[6])
+    assert found[6] == "6.txt"
 
 
-def test_a_shard_whose_worker_crashes_is_tried_again_by_another(tmp_path: Path):
-    found = outcomes(tmp_path, "crash once SIGKILL", "write")
-    assert found == {shard.number: done(shard) for shard in some_shards(tmp_path, "", "")}
-
-
-def test_a_shard_that_always_crashes_fails_and_says_where(tmp_path: Path):
+def test_a_task_that_always_crashes_fails_and_says_where(tmp_path: Path):
     found = outcomes(tmp_path, "a:crash SIGSEGV", "b:crash exit", "c:crash SIGKILL", "d:write", workers=2)
     segfault, left, killed, well = (found[number] for number in range(4))
     assert [(each.reason, each.tries) for each in (segfault, left, killed)] == [("crashed", 2)] * 3
@@ -162,70 +143,49 @@ def test_a_shard_that_always_crashes_fails_and_says_where(tmp_path: Path):
     assert left.traceback == "about to crash"
     assert_names(killed.message, "25%", "crash SIGKILL", "memory")
     assert killed.message.count("SIGKILL") == 2
-    assert isinstance(well, Done)
+    assert well == "3.txt"
 
 
-def test_a_shard_that_no_worker_can_load_fails_at_once(tmp_path: Path):
+def test_a_task_that_no_worker_can_load_fails_at_once(tmp_path: Path):
     """Its worker once waited for ever."""
-    shards = [replace(some_shards(tmp_path, "write")[0], task=Unloadable())]
-    (failure,) = run_local(shards, work, workers=1, patience_s=PATIENCE_S, heartbeat=ignore)
-    assert isinstance(failure, Failed)
+    (failure,) = outcomes(tmp_path, Unknown()).values()
     assert_names(failure.message, "code 1")
     assert failure.traceback.endswith("ModuleNotFoundError: No module named 'no_such_module'")
-
-
-def test_an_error_after_a_crash_counts_both_tries(tmp_path: Path):
-    (failure,) = outcomes(tmp_path, "worse").values()
-    assert (failure.reason, failure.tries) == ("error", 2)
 
 
 def test_a_worker_that_hangs_is_replaced_and_says_where(tmp_path: Path, patience_s: float):
     """Asleep, or stopped so that it can say nothing; one that gives signs of life may take as long as it likes."""
     tasks = ("a:sleep 3600", "b:crash SIGSTOP", f"c:beat {1.5 * patience_s}", "d:write")
-    found = outcomes(tmp_path, *tasks, workers=3, patience_s=patience_s)
+    found = outcomes(tmp_path, *tasks, workers=3, patience_s=patience_s, tries=1)
     asleep, stopped = found[0], found[1]
-    assert [(each.reason, each.tries) for each in (asleep, stopped)] == [("hung", 2)] * 2
+    assert [(each.reason, each.tries) for each in (asleep, stopped)] == [("hung", 1)] * 2
     assert_names(asleep.message, f"{patience_s:g} s", "25%", "sleep 3600")
     assert "in _sleep" in asleep.traceback
     assert stopped.traceback == "about to crash"
-    assert isinstance(found[2], Done) and isinstance(found[3], Done)
+    assert (found[2], found[3]) == ("2.txt", "3.txt")
 
 
 def test_what_a_lost_worker_had_started_is_ended_with_it(tmp_path: Path, patience_s: float):
-    (failure,) = outcomes(tmp_path, f"child {tmp_path}/child", patience_s=patience_s).values()
+    (failure,) = outcomes(tmp_path, f"child {tmp_path}/child", patience_s=patience_s, tries=1).values()
     assert failure.reason == "hung"
     assert soon(lambda: not alive(int((tmp_path / "child").read_text())))
 
 
-def test_signs_of_life_arrive_with_the_number_of_the_shard(tmp_path: Path):
-    told: list[tuple[int, str, float, int]] = []
-    outcomes(tmp_path, "write", "beat 2", heartbeat=lambda *what: told.append(what))
-    assert told[:2] == [(0, "write", 0.25, 0), (1, "beat 2", 0.25, 0)]
-    assert set(told[2:]) == {(1, "still there", 0.5, 3)}
-    assert len(told) <= 13, "about 200 were given, at most 5 a second are sent"
-
-
 def test_a_caller_who_takes_long_makes_no_worker_look_dead(tmp_path: Path, patience_s: float):
     """Nor does a pause of the whole machine: only time in which somebody listened counts."""
-    shards = some_shards(tmp_path, "write", f"sleep {1.5 * patience_s}", "write")
-    results = run_local(shards, work, workers=1, patience_s=patience_s, heartbeat=ignore)
-    assert next(results) == done(shards[0])
-    time.sleep(1.2 * patience_s)
-    assert list(results) == [done(shard) for shard in shards[1:]]
+    pause_s = patience_s + SLACK_S
+    given = results(some_tasks(tmp_path, "write", f"sleep {1.5 * pause_s}", "write"), patience_s=patience_s)
+    assert next(given)[1] == "0.txt"
+    time.sleep(1.2 * pause_s)
+    assert [end for _, end in given] == ["1.txt", "2.txt"]
 
 
 def test_a_caller_who_stops_early_leaves_nothing_behind(tmp_path: Path):
     half, child = tmp_path / "half", tmp_path / "child"
-    results = run_local(
-        some_shards(tmp_path, f"a:tidy {half}", f"b:child {child}", "c:write"),
-        work,
-        workers=3,
-        patience_s=PATIENCE_S,
-        heartbeat=ignore,
-    )
-    next(results)
+    given = results(some_tasks(tmp_path, f"a:tidy {half}", f"b:child {child}", "c:write"), 3)
+    next(given)
     assert soon(lambda: half.exists() and child.exists() and child.read_text() != "")
-    results.close()
+    given.close()
     assert multiprocessing.active_children() == []
     assert not half.exists(), "work is given time to clean up"
     assert soon(lambda: not alive(int(child.read_text())))
@@ -250,7 +210,7 @@ def test_workers_are_quiet(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
 def test_workers_that_cannot_start_end_the_batch_with_a_reason(tmp_path: Path):
     reason = "ModuleNotFoundError: No module named 'no_such_module'"
     with refused(GraspRefineError, "3 worker", "code 1", reason, "refine-grasp doctor"):
-        list(run_local(some_shards(tmp_path, "write"), Unknown(), workers=1, patience_s=PATIENCE_S, heartbeat=ignore))
+        list(results(some_tasks(tmp_path, "write"), work=Unknown()))
     assert multiprocessing.active_children() == []
 
 
@@ -267,7 +227,7 @@ def test_workers_end_with_a_caller_who_is_killed(tmp_path: Path, program: Callab
 
 def test_workers_that_take_too_long_to_start_end_the_batch_with_a_reason(tmp_path: Path):
     with refused(GraspRefineError, "3 worker", "1 s"):
-        list(run_local(some_shards(tmp_path, "write"), Slow(), workers=1, patience_s=1.0, heartbeat=ignore))
+        list(results(some_tasks(tmp_path, "write"), work=Slow(), patience_s=1.0))
 
 
 @pytest.mark.parametrize("moment", ["starting", "working"])
