@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, save_results
 from grasp_refine.scene.scene import links_of
+from grasp_refine.validation.measures import RECORDED
 
 STATUSES = (Status.CONVERGED, Status.CONVERGED, Status.STALLED, Status.BUDGET)
 """How grasp i ended: entry i modulo 4."""
@@ -40,48 +43,84 @@ def made_up(grasps: GraspSet, hand: Hand, q: np.ndarray) -> Outcome:
     After refinement, grasp i of N has the quality (7 i mod N)/N, a contact error of i um and a penetration of i/N mm;
     before, half the quality, 1 mm more error and 2 mm more penetration. The status of grasp i is entry i of `STATUSES`.
     """
-    count, links = len(grasps), len(links_of(hand))
-    random = np.random.default_rng(0)
-    number, ones = np.arange(count), np.ones(count)
-    quality = 7 * number % count / count
-    error, penetration = number * 1e-6, number / count * 1e-3
+    count, number = len(grasps), np.arange(len(grasps))
+    quality, error, penetration = 7 * number % count / count, number * 1e-6, number / count * 1e-3
     before = grasps.hand_pose.copy()
-    before[:, :3] += random.uniform(-0.01, 0.01, (count, 3))
-    nowhere, points = np.full((count, links, 3), np.nan), np.zeros((count, links, 3))
-    contact_error = np.full((count, 2, links), np.nan)
-    contact_error[:, 0, 0], contact_error[:, 1, 0] = error + 1e-3, error
-    return Outcome(
+    before[:, :3] += np.random.default_rng(0).uniform(-0.01, 0.01, (count, 3))
+    outcome = plain_outcome(
+        count,
+        links=len(links_of(hand)),
+        pose=grasps.hand_pose,
+        q=q,
+        quality=np.stack([quality / 2, quality], axis=1),
+        contact_error=np.stack([error + 1e-3, error], axis=1),
+        penetration=np.stack([penetration + 2e-3, penetration], axis=1),
+        self_penetration=(1e-3, 0.0),
+        wrench_residual=np.stack([np.full(count, 0.2), 0.1 * (1 - quality)], axis=1),
+        loss=1e-9,
+        iterations=number + 10,
+        queries=number + 20,
+        moved_palm_m=0.01,
+        moved_joints_rad=0.1,
+        starts=1,
+        cpu_s=1.0,
+        wall_s=1.0,
+    )
+    return replace(
+        outcome,
         object=grasps.object,
         scale=grasps.scale,
-        row=number,
-        index=number,
-        hand_pose=grasps.hand_pose,
-        q=q,
         initial_pose=before,
         initial_q=np.clip(q - 0.1, hand.lower, hand.upper),
         status=np.resize(np.array(STATUSES), count),
-        loss=np.stack([1e-4 * ones, 1e-9 * ones], axis=1),
-        iterations=number + 10,
-        queries=number + 20,
-        wall_s=ones,
-        cpu_s=ones,
-        starts=ones.astype(int),
-        contact_error=contact_error,
-        penetration=np.stack([penetration + 2e-3, penetration], axis=1),
-        self_penetration=np.stack([1e-3 * ones, 0 * ones], axis=1),
-        wrench_residual=np.stack([0.2 * ones, 0.1 * (1 - quality)], axis=1),
-        quality=np.stack([quality / 2, quality], axis=1),
-        limits_violated=np.zeros(count, dtype=int),
-        palm_m=0.01 * ones,
-        palm_rad=0 * ones,
-        joints_rad=0.1 * ones,
-        touching=np.arange(links) < 2 * np.ones((count, 1)),
+    )
+
+
+def plain_outcome(
+    count: int, *, links: int = 3, pose: np.ndarray | None = None, q: np.ndarray | None = None, **measures: Any
+) -> Outcome:
+    """An outcome of N converged grasps on a mug that did not move and touches at the origin with all links.
+
+    Args:
+        count: Number of grasps N.
+        links: Number of links; only the first has a contact error.
+        pose: Poses (N, 7) of the hand; by default the identity.
+        q: Joint values (N, n); by default 0 of two joints.
+        measures: Key -> values of a measure that is not 0, which are broadcast to all grasps.
+    """
+    pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if pose is None else pose
+    q = np.zeros((count, 2)) if q is None else q
+    values = {
+        one.key: np.array(np.broadcast_to(measures.pop(one.key, 0), (count, 2) if one.compared else (count,)))
+        for one in RECORDED
+    }
+    assert not measures
+    error = np.full((count, 2, links), np.nan)
+    error[:, :, 0] = values["contact_error"]
+    nowhere, points = np.full((count, links, 3), np.nan), np.zeros((count, links, 3))
+    return Outcome(
+        object=np.full(count, "mug"),
+        scale=np.ones(count),
+        row=np.arange(count),
+        index=np.arange(count),
+        hand_pose=pose,
+        q=q,
+        initial_pose=pose,
+        initial_q=q,
+        status=np.full(count, Status.CONVERGED),
+        measures=values | {"contact_error": error},
+        touching=np.ones((count, links), dtype=bool),
         target_link=nowhere,
         target_object=nowhere,
         contact_link=points,
         contact_object=points,
         contact_normal=points,
         contact_distance=np.zeros((count, links)),
-        stage_pose=np.repeat(grasps.hand_pose[:, None], 3, axis=1),
+        stage_pose=np.repeat(pose[:, None], 3, axis=1),
         stage_q=np.repeat(q[:, None], 3, axis=1),
     )
+
+
+def with_measures(outcome: Outcome, **values: Any) -> Outcome:
+    """The outcome with other values of measures: key -> values as in `Outcome.measures`."""
+    return replace(outcome, measures={**outcome.measures, **values})

@@ -1,13 +1,13 @@
 """Dataclasses of arrays with one row per batch item: take rows, join, and choose between two."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 
 Batch = TypeVar("Batch")
-"""An array with a leading batch dimension, a (nested) dataclass of such arrays, or None.
+"""An array with a leading batch dimension, a (nested) dataclass or mapping of such arrays, or None.
 
 A dataclass may also hold tuples of values shared by all items."""
 
@@ -31,6 +31,8 @@ def _map_arrays(function: Callable[..., Any], first: Any, *others: Any) -> Any:
     """Apply `function` to each array of the first and the others; None and tuples are taken from the first."""
     if first is None or isinstance(first, tuple):
         return first
+    if isinstance(first, Mapping):
+        return {key: _map_arrays(function, *(part[key] for part in (first, *others))) for key in first}
     if not is_dataclass(first):
         return function(first, *others)
     kind: Any = type(first)

@@ -15,6 +15,7 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
 from grasp_refine.results.verdict import advice, should_hold
+from grasp_refine.validation.measures import MOVEMENTS, RECORDED, SIDES
 
 
 def run_document(
@@ -38,6 +39,7 @@ def run_document(
         cpu_s: CPU time of the whole command in seconds.
         profile: Time by stage; None: not measured.
     """
+    values = outcome.entries()
     return {
         "schema": SCHEMA,
         "command": "run",
@@ -56,42 +58,48 @@ def run_document(
             "cpu_s": cpu_s,
         },
         "profile": profile_entry(profile),
-        "grasps": [_grasp(outcome, simulated, i, text) for i, text in enumerate(advice(outcome, refined))],
+        "grasps": [
+            {
+                "index": outcome.index[i],
+                "row": outcome.row[i],
+                "object": outcome.object[i],
+                "status": Status(outcome.status[i]).label,
+                "advice": text,
+                **measure_entries(values, i),
+                "simulation": dict.fromkeys(SIDES)
+                if simulated is None
+                else {side: simulation_entry(getattr(simulated, side), i, simulated.protocol) for side in SIDES},
+            }
+            for i, text in enumerate(advice(outcome, refined))
+        ],
     }
 
 
-def _grasp(outcome: Outcome, simulated: SimulatedGrasps | None, i: int, advice: str) -> dict[str, Any]:
-    worst, mean = outcome.worst_error[i], outcome.mean_error[i]
-    return {
-        "index": outcome.index[i],
-        "row": outcome.row[i],
-        "object": outcome.object[i],
-        "status": Status(outcome.status[i]).label,
-        "advice": advice,
-        "starts": outcome.starts[i],
-        "iterations": outcome.iterations[i],
-        "queries": outcome.queries[i],
-        "wall_s": outcome.wall_s[i],
-        "cpu_s": outcome.cpu_s[i],
-        "quality": {"before": outcome.quality[i, 0], "after": outcome.quality[i, 1]},
-        "contact_error_m": {
-            "before": {"max": worst[0], "mean": mean[0]},
-            "after": {"max": worst[1], "mean": mean[1]},
-        },
-        "penetration_m": {"before": outcome.penetration[i, 0], "after": outcome.penetration[i, 1]},
-        "self_penetration_m": {"before": outcome.self_penetration[i, 0], "after": outcome.self_penetration[i, 1]},
-        "wrench_residual": {"before": outcome.wrench_residual[i, 0], "after": outcome.wrench_residual[i, 1]},
-        "limits_violated": outcome.limits_violated[i],
-        "moved": {
-            "palm_m": outcome.palm_m[i],
-            "palm_rad": outcome.palm_rad[i],
-            "joints_rad": outcome.joints_rad[i],
-        },
-        "simulation": {
-            "before": None if simulated is None else simulation_entry(simulated.before, i, simulated.protocol),
-            "after": None if simulated is None else simulation_entry(simulated.after, i, simulated.protocol),
-        },
-    }
+def measure_entries(values: Mapping[str, Any], i: int) -> dict[str, Any]:
+    """Return the measures of one grasp for JSON, SI units.
+
+    Args:
+        values: Entries of a result file.
+        i: Row of the grasp in them.
+    """
+
+    def at(entry: str) -> Any:
+        return values[entry][i] if entry in values else None
+
+    found: dict[str, Any] = {}
+    for measure in RECORDED:
+        if measure in MOVEMENTS:
+            found.setdefault("moved", {})[measure.key.removeprefix("moved_")] = at(measure.key)
+        elif measure.per_link:
+            means = {side: at(f"{measure.key}_mean_{side}") for side in measure.entries}
+            found[measure.name] = {
+                side: {"max": at(entry), "mean": means[side]} for side, entry in measure.entries.items()
+            }
+        elif measure.compared:
+            found[measure.name] = {side: at(entry) for side, entry in measure.entries.items()}
+        else:
+            found[measure.name] = at(measure.key)
+    return found
 
 
 def settings(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,12 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.squeeze import grasp_forces
-from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.formulas import MeasuredGrasps, MeasuredRefinement
 from grasp_refine.validation.geometry import measure, movement
-from grasp_refine.validation.metrics import quality_values
+from grasp_refine.validation.measures import RECORDED
 from grasp_refine.validation.motion import Motion
 
 
@@ -43,37 +42,9 @@ class Outcome:
     """Joint values (N, n) before refinement."""
     status: np.ndarray
     """A `Status` (N,)."""
-    loss: np.ndarray
-    """Loss in m^2 before and after (N, 2)."""
-    iterations: np.ndarray
-    """Iterations (N,), of all starts together."""
-    queries: np.ndarray
-    """Narrow-phase queries (N,)."""
-    wall_s: np.ndarray
-    """Share of the wall time of the refinement (N,), seconds."""
-    cpu_s: np.ndarray
-    """Share of the CPU time of the refinement (N,), seconds."""
-    starts: np.ndarray
-    """Number of starts from which each grasp was tried (N,)."""
-    contact_error: np.ndarray
-    """Largest of gap and target misses, before and after (N, 2, L), metres; NaN for links that should not touch."""
-    penetration: np.ndarray
-    """Deepest penetration over all links, before and after (N, 2), metres."""
-    self_penetration: np.ndarray
-    """Deepest penetration of links in each other, before and after (N, 2), metres."""
-    wrench_residual: np.ndarray
-    """Wrench that the best contact forces leave unbalanced, before and after (N, 2), as in `ContactForces.residual`."""
-    quality: np.ndarray
-    """`Quality.value` before and after (N, 2), from 0 to 1; NaN where a grasp is not finite, or
-    has no contacts."""
-    limits_violated: np.ndarray
-    """Number of refined joint values beyond their limits (N,)."""
-    palm_m: np.ndarray
-    """Distance that the base link moved (N,), metres."""
-    palm_rad: np.ndarray
-    """Angle that the base link turned (N,), radians."""
-    joints_rad: np.ndarray
-    """Largest joint movement (N,), radians (metres for prismatic joints)."""
+    measures: Mapping[str, np.ndarray]
+    """Key of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; of a measure per link
+    (N, 2, L), NaN for links that should not touch. SI units."""
     touching: np.ndarray
     """Links that should touch (N, L)."""
     target_link: np.ndarray
@@ -109,22 +80,25 @@ class Outcome:
         """True where a grasp (N,) had targets."""
         return ~np.isnan(self.target_link).all(axis=(1, 2))
 
-    @property
-    def worst_error(self) -> np.ndarray:
-        """Worst contact error before and after (N, 2), metres; NaN for grasps without contacts."""
-        return np.where(
-            np.isnan(self.contact_error).all(axis=2),
-            np.nan,
-            np.nan_to_num(self.contact_error, nan=-1.0).max(axis=2),
-        )
+    def __getitem__(self, key: str) -> np.ndarray:
+        """Return the values of a measure before and after (N, 2), or after alone (N,); of one per link the worst."""
+        values = self.measures[key]
+        return worst_over_links(values) if values.ndim == 3 else values
 
     @property
-    def mean_error(self) -> np.ndarray:
-        """Mean contact error over the contacts before and after (N, 2), metres; NaN for grasps without contacts."""
-        aimed = ~np.isnan(self.contact_error)
-        count = aimed.sum(axis=2)
-        total = np.where(aimed, self.contact_error, 0.0).sum(axis=2)
-        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    def quality(self) -> np.ndarray:
+        """Quality before and after (N, 2), from 0 to 1; NaN where a grasp is not finite, or has no contacts."""
+        return self["quality"]
+
+    def entries(self) -> dict[str, np.ndarray]:
+        """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
+        found = {}
+        for each in RECORDED:
+            for column, (side, entry) in enumerate(each.entries.items()):
+                found[entry] = self[each.key][:, column] if each.compared else self[each.key]
+                if each.per_link:
+                    found[f"{each.key}_mean_{side}"] = mean_over_links(self.measures[each.key][:, column])
+        return found
 
     def select(self, rows: np.ndarray) -> Outcome:
         """Return the grasps `rows`, in that order."""
@@ -177,20 +151,20 @@ def compare(
         margin,
         np.concatenate([refinement.touching, refinement.touching]),
     )
-    pairs = touching_pairs(scene.hand)
-    own = self_penetration(scene.hand, pairs, q)
-    forces = grasp_forces(scene.hand, scene.object, scene.links, geometry.witness)
-    quality = quality_values(scene.hand, scene.object, scene.links, T, q, geometry.witness)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry)
+    moved = MeasuredRefinement(refinement, movement(before.T_world_root, before.q, T_after, q_after))
+    measures = {}
+    for each in RECORDED:
+        values = each.formula(grasps if each.of_grasps else moved)
+        if each.of_grasps:
+            values = np.stack([values[:count], values[count:]], axis=1) if each.compared else values[count:]
+        measures[each.key] = values
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
     # As given, also where that is no valid pose.
     with np.errstate(all="ignore"):
         pose_before, pose_after = (pose_from_transform(one.T_world_root) for one in (scene, refinement))
-    moved = movement(before.T_world_root, before.q, T_after, q_after)
-
-    def before_after(values: np.ndarray) -> np.ndarray:
-        return np.stack([values[:count], values[count:]], axis=1)
 
     def at_contacts(values: np.ndarray) -> np.ndarray:
         return np.where(touching.reshape(touching.shape + (1,) * (values.ndim - 2)), values, np.nan)
@@ -205,21 +179,7 @@ def compare(
         initial_pose=pose_before,
         initial_q=scene.q,
         status=refinement.status,
-        loss=refinement.loss,
-        iterations=refinement.iterations,
-        queries=refinement.queries,
-        wall_s=refinement.wall_s,
-        cpu_s=refinement.cpu_s,
-        starts=refinement.starts,
-        contact_error=before_after(geometry.contact_error),
-        penetration=before_after(geometry.penetration),
-        self_penetration=before_after(own),
-        wrench_residual=before_after(forces.residual),
-        quality=before_after(quality),
-        limits_violated=geometry.limits_violated[count:],
-        palm_m=moved.palm_m,
-        palm_rad=moved.palm_rad,
-        joints_rad=moved.joints_rad,
+        measures=measures,
         touching=refinement.touching,
         target_link=refinement.target_link,
         target_object=refinement.target_object,
@@ -230,3 +190,15 @@ def compare(
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
     )
+
+
+def worst_over_links(values: np.ndarray) -> np.ndarray:
+    """Return the largest of the values (..., L) of a measure per link; NaN where no link has one."""
+    return np.fmax.reduce(values, axis=-1)
+
+
+def mean_over_links(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the links that have a value of a measure per link (..., L); NaN where none has."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=-1)
+    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)

@@ -78,20 +78,9 @@ def save_results(
         contact_point_object                (N, K, 3)  witness point on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
-        contact_error_before, _after        (N,)       worst of gap and target misses, metres
-        contact_error_mean_before, _after   (N,)       their mean over the contacts, metres
-        penetration_before, _after          (N,)       deepest of all links, metres
-        self_penetration_before, _after     (N,)       deepest of links in each other, metres
-        wrench_residual_before, _after      (N,)       wrench that contact forces leave unbalanced, no unit
-        quality_before, _after              (N,)       `Quality.value`, from 0 to 1
-        starts                              (N,)       number of starts that were tried
         status                              (N,)       status of the refinement
-        iterations                          (N,)
-        queries                             (N,)       narrow-phase queries
-        loss                                (N,)       after refinement, m^2
-        limits_violated                     (N,)       joint values beyond their limits
-        moved_palm_m, _palm_rad, _joints_rad (N,)      movement of base link and joints, metres and radians
-        wall_s, cpu_s                       (N,)       share of the time of the refinement, seconds
+        quality_before, quality_after, ...  (N,)       `Measure.entries` of each of `RECORDED`, SI units
+        contact_error_mean_before, _after   (N,)       mean over the contacts; the measure itself is the worst of them
         provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
     and where grasps were simulated, of the direction that was worst for each, before and after
@@ -117,7 +106,6 @@ def save_results(
     """
     touching = np.flatnonzero(outcome.touching.any(axis=0))
     grasps = refined_set(hand, links, outcome)
-    error, mean = outcome.worst_error, outcome.mean_error
     save_npz(
         path,
         {
@@ -129,30 +117,9 @@ def save_results(
             "contact_point_object": outcome.contact_object[:, touching],
             "contact_normal": outcome.contact_normal[:, touching],
             "contact_distance": outcome.contact_distance[:, touching],
-            "contact_error_before": error[:, 0],
-            "contact_error_after": error[:, 1],
-            "contact_error_mean_before": mean[:, 0],
-            "contact_error_mean_after": mean[:, 1],
-            "penetration_before": outcome.penetration[:, 0],
-            "penetration_after": outcome.penetration[:, 1],
-            "self_penetration_before": outcome.self_penetration[:, 0],
-            "self_penetration_after": outcome.self_penetration[:, 1],
-            "wrench_residual_before": outcome.wrench_residual[:, 0],
-            "wrench_residual_after": outcome.wrench_residual[:, 1],
-            "quality_before": outcome.quality[:, 0],
-            "quality_after": outcome.quality[:, 1],
-            "starts": outcome.starts,
             "status": labels(Status, outcome.status),
-            "iterations": outcome.iterations,
-            "queries": outcome.queries,
-            "limits_violated": outcome.limits_violated,
-            "moved_palm_m": outcome.palm_m,
-            "moved_palm_rad": outcome.palm_rad,
-            "moved_joints_rad": outcome.joints_rad,
-            "wall_s": outcome.wall_s,
-            "cpu_s": outcome.cpu_s,
+            **outcome.entries(),
             **(_simulated("before", simulated[0]) | _simulated("after", simulated[1]) if simulated is not None else {}),
-            "loss": np.where(np.isfinite(outcome.loss[:, 1]), outcome.loss[:, 1], np.nan),
             "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
         },
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
+from grasp_refine.validation.measures import COMPARED, MEASURE, Measure
 
 MAX_LISTED_GRASPS = 40
 """Largest number of grasps that are all listed by default; of more, only the worst are."""
@@ -33,11 +34,6 @@ _COLORS = {
     Status.UNREACHABLE: "red",
     Status.INVALID: "red",
 }
-NEGLIGIBLE_DISTANCE_M = 1e-5
-"""Errors and depths below this (metres) are not reported."""
-
-NEGLIGIBLE_RESIDUAL = 1e-3
-"""Wrench residuals below this are not reported."""
 
 MAX_NUMBERED_GRASPS = 12
 """Largest number of grasps of an object that are listed by number in a line."""
@@ -87,14 +83,16 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
     shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
     if len(outcome) > MAX_LISTED_GRASPS and not verbose:
         # Grasps without a result come first, then those that did not hold, then the largest errors.
-        errors = np.fmax(outcome.worst_error[:, 1], outcome.penetration[:, 1])
+        errors = np.fmax(outcome["contact_error"][:, 1], outcome["penetration"][:, 1])
         badness = -outcome.quality[:, 1] if holds else errors
         good = np.zeros(len(outcome)) if held is None else held[:, 1]
         shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
         title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
     table = _table(title, " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status")
+    columns = {key: outcome[key] for key in _TABLE_KEYS}
     for i in shown:
-        table.add_row(*_row(outcome, int(i), holds, held))
+        verdict = Text(" ").append(_verdict(outcome, int(i), holds, held))
+        table.add_row(str(outcome.index[i]), *_cells({key: columns[key][i] for key in columns}), verdict)
     if len(outcome) > 1:
         table.add_section()
         _add_summary(table, outcome)
@@ -126,15 +124,19 @@ def _table(title: str, last: str) -> Table:
     return table
 
 
-def _row(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> list[RenderableType]:
+_TABLE_KEYS = ("contact_error", "penetration", "moved_palm_m", "moved_palm_rad", "moved_joints_rad", "quality")
+"""Keys of the measures in the columns of the table, as many as 80 columns of text hold."""
+
+
+def _cells(values: Mapping[str, Any]) -> list[RenderableType]:
+    """Return the cells of a row, given the values of the measures `_TABLE_KEYS`."""
+    error, depth, metres, radians, joints, quality = (values[key] * MEASURE[key].unit.factor for key in _TABLE_KEYS)
     return [
-        str(outcome.index[i]),
-        _change(outcome.worst_error[i] * 1e3),
-        _change(outcome.penetration[i] * 1e3),
-        _moved(outcome.palm_m[i], outcome.palm_rad[i]),
-        number_text(np.degrees(outcome.joints_rad[i]), 1),
-        _graded(outcome.quality[i]),
-        Text(" ").append(_verdict(outcome, i, holds, held)),
+        _change(error),
+        _change(depth),
+        f"{number_text(metres, 1):>5} {number_text(radians, 1):>5}",
+        number_text(joints, 1),
+        _graded(quality),
     ]
 
 
@@ -152,16 +154,12 @@ def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> 
 
 def _add_summary(table: Table, outcome: Outcome) -> None:
     """Add rows of medians and of worst values."""
-    for word, of, of_quality in (("median", np.median, np.median), ("worst", np.max, np.min)):
-        table.add_row(
-            word,
-            _change(_over(of, outcome.worst_error) * 1e3),
-            _change(_over(of, outcome.penetration) * 1e3),
-            _moved(_over(of, outcome.palm_m), _over(of, outcome.palm_rad)),
-            number_text(np.degrees(_over(of, outcome.joints_rad)), 1),
-            _graded(_over(of_quality, outcome.quality)),
-            style="bold" if word == "median" else "",
-        )
+    for word in ("median", "worst"):
+        values = {}
+        for key in _TABLE_KEYS:
+            worst = np.min if MEASURE[key].better == "higher" else np.max
+            values[key] = _over(np.median if word == "median" else worst, outcome[key])
+        table.add_row(word, *_cells(values), style="bold" if word == "median" else "")
 
 
 def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
@@ -209,34 +207,29 @@ def _numbers_in_brackets(outcome: Outcome, which: np.ndarray) -> str:
 
 def _summary_lines(outcome: Outcome) -> list[Text]:
     """Return lines on improved measures, and on the cost."""
-    measures = (
-        ("wrench residual", outcome.wrench_residual, NEGLIGIBLE_RESIDUAL, 1.0, ""),
-        ("contact error", outcome.worst_error, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
-        ("penetration", outcome.penetration, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
-        ("self-penetration", outcome.self_penetration, NEGLIGIBLE_DISTANCE_M, 1e3, " mm"),
-    )
-    changes = [
-        _improvement(name, values[outcome.usable], least, factor, unit)
-        for name, values, least, factor, unit in measures
-    ]
+    # The quality has a line of its own.
+    measures = [measure for measure in COMPARED if measure.better == "lower"]
+    changes = [_improvement(measure, outcome[measure.key][outcome.usable]) for measure in measures]
     lines = [Text(change) for change in changes if change]
-    starts = [] if (outcome.starts <= 1).all() else [(outcome.starts, "starts", "{:.0f}".format)]
-    costs = (*starts, (outcome.iterations, "iterations", "{:.0f}".format), (outcome.wall_s, "", _seconds))
+    starts = [] if (outcome["starts"] <= 1).all() else [(outcome["starts"], "starts", "{:.0f}".format)]
+    costs = (*starts, (outcome["iterations"], "iterations", "{:.0f}".format), (outcome["wall_s"], "", _seconds))
     parts = (f"{text(_over(np.median, values))} / {text(values.max())} {unit}".rstrip() for values, unit, text in costs)
     return [*lines, Text(f"a grasp took {', '.join(parts)} (median / most)")]
 
 
-def _improvement(name: str, values: np.ndarray, negligible: float, factor: float, unit: str) -> str:
+def _improvement(measure: Measure, values: np.ndarray) -> str:
     """Return text on the number of grasps in which a measure (N, 2) fell or rose; empty if it is negligible in all."""
     known = values[np.isfinite(values).all(axis=1)]
-    relevant = known[(known > negligible).any(axis=1)]
+    relevant = known[(known > measure.unit.negligible).any(axis=1)]
     if not len(relevant):
         return ""
     change = relevant[:, 1] - relevant[:, 0]
     counts = (("fell", int((change < 0).sum())), ("rose", int((change > 0).sum())))
     text = " and ".join(f"{verb} in {count}" for verb, count in counts if count) or "stayed in 0"
-    mean = " → ".join(number_text(value * factor, 3) for value in known.mean(axis=0))
-    return f"{name} {text} of {count_text(len(relevant), 'grasp')} with any; mean {mean}{unit}"
+    mean = " → ".join(measure.text(value, ".3f") for value in known.mean(axis=0))
+    return (
+        f"{measure.title} {text} of {count_text(len(relevant), 'grasp')} with any; mean {mean} {measure.unit.symbol}"
+    ).rstrip()
 
 
 def numbers_text(objects: np.ndarray, index: np.ndarray, which: np.ndarray) -> str:
@@ -262,13 +255,14 @@ def _graded(values: np.ndarray) -> Text:
     return Text.assemble(f"{before:>5} → ", (f"{after:<5}", "green" if should_hold(values)[1] else "yellow"))
 
 
-def _moved(metres: float, radians: float) -> str:
-    return f"{number_text(metres * 1e3, 1):>5} {number_text(np.degrees(radians), 1):>5}"
-
-
 def number_text(value: float, digits: int) -> str:
     """Return a number with `digits` after the point, or `NO_VALUE` where it is not finite."""
     return f"{value:.{digits}f}" if np.isfinite(value) else NO_VALUE
+
+
+def measure_text(measure: Measure, value: float) -> str:
+    """Return a value of a measure in SI units as people read it, or `NO_VALUE` where it is not finite."""
+    return measure.text(value) if np.isfinite(value) else NO_VALUE
 
 
 def _seconds(value: float) -> str:

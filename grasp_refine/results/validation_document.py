@@ -16,14 +16,18 @@ from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.validation.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
 """Reported quantiles of displacements -> name."""
 
-REFINEMENT_KEYS = ("status", "advice", "iterations", "queries", "contact_error_m", "moved", "starts")
-"""Keys of the entries of `run` that are null in validations."""
+REFINEMENT_KEYS = (
+    *("status", "advice", "moved"),
+    *(each.name for each in RECORDED if not (each.validated or each in MOVEMENTS or each.unit == SECOND)),
+)
+"""Keys of the entries of `run` that are null in validations; times are those of the simulation."""
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 """Suffixes of the files of flat tables."""
@@ -83,10 +87,14 @@ def validate_document(
 
 def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]) -> dict[str, Any]:
     """Return an entry like those of `run`: measures are under "after", and "before" is null."""
-    metrics = validated.metrics
 
     def after(value: Any) -> dict[str, Any]:
         return {"before": None, "after": value}
+
+    def measured(measure: Measure) -> Any:
+        value = validated.metrics.values[measure.name][i]
+        value = _integer(value) if measure.unit == COUNT else value
+        return after(value) if measure.compared else value
 
     return {
         "index": validated.index[i],
@@ -97,13 +105,7 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
         **dict.fromkeys(REFINEMENT_KEYS),
         "wall_s": validated.wall_s[i],
         "cpu_s": validated.cpu_s[i],
-        "contact_distance_m": after(metrics.contact_distance_m[i]),
-        "contact_number": after(_integer(metrics.contact_number[i])),
-        "penetration_m": after(metrics.penetration_m[i]),
-        "self_penetration_m": after(metrics.self_penetration_m[i]),
-        "wrench_residual": after(metrics.wrench_residual[i]),
-        "quality": after(metrics.quality[i]),
-        "limits_violated": _integer(metrics.limits_violated[i]),
+        **{each.name: measured(each) for each in VALIDATED},
         "simulation": after(_simulation(validated, i, protocol, frictions)),
     }
 

@@ -12,10 +12,18 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import count_text
 from grasp_refine.results.simulated import reason_lines
-from grasp_refine.results.table import MAX_LISTED_GRASPS, NUM_WORST_GRASPS, number_text, numbers_text, plain_table
+from grasp_refine.results.table import (
+    MAX_LISTED_GRASPS,
+    NUM_WORST_GRASPS,
+    measure_text,
+    number_text,
+    numbers_text,
+    plain_table,
+)
 from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
-from grasp_refine.validation.metrics import CONTACT_DISTANCE_M, Metrics
+from grasp_refine.validation.formulas import CONTACT_DISTANCE_M
+from grasp_refine.validation.measures import VALIDATED
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
@@ -44,22 +52,14 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
     table.add_column("")
     for column in ("before", "after", "better in", "worse in"):
         table.add_column(column, justify="right", no_wrap=True)
-    measures = (
-        ("penetration, mean mm", "penetration_m", 1e3, -1),
-        ("self-penetration, mean mm", "self_penetration_m", 1e3, -1),
-        ("contact distance, mean mm", "contact_distance_m", 1e3, -1),
-        ("links in contact, mean", "contact_number", 1.0, 1),
-        ("wrench residual, mean", "wrench_residual", 1.0, -1),
-        ("quality, mean", "quality", 1.0, 1),
-    )
-    for label, field, factor, sign in measures:
-        old, new = (np.asarray(getattr(v.metrics, field), dtype=float) * factor for v in (before, after))
+    for measure in VALIDATED:
+        old, new = (v.metrics.values[measure.name] * measure.unit.factor for v in (before, after))
         known = np.isfinite(old) & np.isfinite(new)
-        if not known.any():
+        if not (measure.compared and known.any()):
             continue
-        better = sign * (new[known] - old[known])
+        better = (new[known] - old[known]) * (1 if measure.better == "higher" else -1)
         table.add_row(
-            label,
+            f"{measure.title}, mean {measure.unit.symbol}".rstrip(),
             f"{old[known].mean():.3f}",
             f"{new[known].mean():.3f}",
             str(int((better > 1e-9).sum())),
@@ -98,18 +98,21 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
         shown = np.argsort(-_badness(validated), kind="stable")[:NUM_WORST_GRASPS]
         title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
     table = plain_table(title, between=0)
-    columns = _measures(validated.metrics, simulated=protocol is not None)
-    for head in ("\n grasp", *(head for head, *_ in columns)):
+    # Beside a simulation not all measures fit.
+    columns = [
+        each for each in VALIDATED if any(each.head) and not (protocol is not None and each.key == "wrench_residual")
+    ]
+    for head in ("\n grasp", *("\n".join(each.head) for each in columns)):
         table.add_column(head, justify="right", no_wrap=True)
     if protocol is not None:
         table.add_column("   moved\nmm   deg", justify="right", no_wrap=True)
         table.add_column("\n verdict")
     for i in shown:
-        measures = (number_text(values[i] * factor, digits) for _, values, factor, digits in columns)
+        measures = (measure_text(each, validated.metrics.values[each.name][i]) for each in columns)
         table.add_row(str(validated.index[i]), *measures, *_simulated(validated, int(i), protocol))
     if len(validated) > 1:
         table.add_section()
-        medians = (number_text(_median(values) * factor, digits) for _, values, factor, digits in columns)
+        medians = (measure_text(each, _median(validated.metrics.values[each.name])) for each in columns)
         last = [] if protocol is None else ["", f" {_held(validated)}"]
         table.add_row("median", *medians, *last, style="bold")
     return table
@@ -121,18 +124,6 @@ def _badness(validated: Validated) -> np.ndarray:
         return -np.nan_to_num(validated.metrics.quality, nan=-1.0)
     moved = np.nan_to_num(validated.trials.displacement_m.max(axis=1), nan=1e3)
     return np.where(validated.success, 0.0, 1e6) + moved
-
-
-def _measures(metrics: Metrics, *, simulated: bool) -> list[tuple[str, np.ndarray, float, int]]:
-    """Return columns of measures: head, values, factor and digits; beside a simulation not all fit."""
-    return [
-        ("penetr.\nmm", metrics.penetration_m, 1e3, 2),
-        (" self\nmm", metrics.self_penetration_m, 1e3, 2),
-        ("  gap\nmm", metrics.contact_distance_m, 1e3, 2),
-        ("\nlinks", metrics.contact_number, 1.0, 0),
-        *([] if simulated else [("wrench\nresid.", metrics.wrench_residual, 1.0, 3)]),
-        ("\nqual.", metrics.quality, 1.0, 3),
-    ]
 
 
 def _simulated(validated: Validated, i: int, protocol: Protocol | None) -> list[RenderableType]:

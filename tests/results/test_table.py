@@ -33,12 +33,14 @@ from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.validation.measures import SIDES
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import closing
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
+from made_results import plain_outcome, with_measures
 from refusals import assert_names, refused
 
 
@@ -47,46 +49,24 @@ def made_up(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
 
     There are no targets, and with so much quality all should hold.
     """
-    links = 3
-    error = np.full((count, 2, links), np.nan)
-    error[:, 0, 0], error[:, 1, 0] = 1e-2 * np.arange(count), 1e-3 * np.arange(count)
-    error[:, :, 1] = 0.0
-    points, nowhere, ones = np.zeros((count, links, 3)), np.full((count, links, 3), np.nan), np.ones(count)
-    return Outcome(
-        object=np.resize(np.array(objects), count),
-        scale=ones,
-        row=np.arange(count) + 100,
-        index=np.arange(count),
-        hand_pose=np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)),
-        q=np.zeros((count, 2)),
-        initial_pose=np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)),
-        initial_q=np.zeros((count, 2)),
-        status=np.full(count, Status.CONVERGED),
-        loss=np.tile([1e-4, 1e-9], (count, 1)),
-        iterations=np.full(count, 123),
-        queries=np.full(count, 456),
-        wall_s=0.25 * ones,
-        cpu_s=0.5 * ones,
-        starts=np.full(count, 2),
-        contact_error=error,
-        penetration=np.tile([2e-3, 1e-4], (count, 1)),
-        self_penetration=np.tile([1e-3, 0.0], (count, 1)),
-        wrench_residual=np.tile([0.2, 0.05], (count, 1)),
-        quality=np.tile([0.4, 0.97], (count, 1)),
-        limits_violated=np.zeros(count, dtype=int),
-        palm_m=4e-3 * ones,
-        palm_rad=np.radians(5.0) * ones,
-        joints_rad=np.radians(6.0) * ones,
-        touching=np.ones((count, links), dtype=bool),
-        target_link=nowhere,
-        target_object=nowhere,
-        contact_link=points,
-        contact_object=points,
-        contact_normal=points,
-        contact_distance=np.zeros((count, links)),
-        stage_pose=np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 3, 1)),
-        stage_q=np.zeros((count, 3, 2)),
+    outcome = plain_outcome(
+        count,
+        starts=2,
+        iterations=123,
+        quality=(0.4, 0.97),
+        wrench_residual=(0.2, 0.05),
+        penetration=(2e-3, 1e-4),
+        self_penetration=(1e-3, 0.0),
+        moved_palm_m=4e-3,
+        moved_palm_rad=np.radians(5.0),
+        moved_joints_rad=np.radians(6.0),
+        wall_s=0.25,
     )
+    error = np.full((count, 2, 3), np.nan)
+    error[:, :, 0] = np.arange(count)[:, None] * (1e-2, 1e-3)
+    error[:, :, 1] = 0.0
+    outcome = replace(outcome, object=np.resize(np.array(objects), count), row=np.arange(count) + 100)
+    return with_measures(outcome, contact_error=error)
 
 
 def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
@@ -102,12 +82,13 @@ def with_quality(outcome: Outcome, **grasps: float) -> Outcome:
     quality = outcome.quality.copy()
     for name, value in grasps.items():
         quality[int(name[1:]), 1] = value
-    return replace(outcome, quality=quality)
+    return with_measures(outcome, quality=quality)
 
 
 def aimed(outcome: Outcome) -> Outcome:
     """The outcome, as if there had been targets."""
-    return replace(outcome, target_link=np.zeros_like(outcome.target_link), starts=np.ones_like(outcome.starts))
+    outcome = replace(outcome, target_link=np.zeros_like(outcome.target_link))
+    return with_measures(outcome, starts=np.ones_like(outcome["starts"]))
 
 
 GEOMETRY = Config(weights=Weights(wrench=0.0))
@@ -155,7 +136,7 @@ def test_the_table_speaks_millimetres_and_degrees():
 
 def test_a_measure_that_fell_nowhere_is_not_called_less():
     outcome = made_up(3)
-    worse = replace(outcome, penetration=outcome.penetration[:, ::-1].copy())
+    worse = with_measures(outcome, penetration=outcome["penetration"][:, ::-1].copy())
 
     def told(outcome: Outcome) -> str:
         (line,) = [line for line in text(outcome) if line.startswith("penetration") and "mean" in line]
@@ -163,7 +144,7 @@ def test_a_measure_that_fell_nowhere_is_not_called_less():
 
     way, back = (told(one).partition("3 of 3")[0] for one in (outcome, worse))
     assert way != back and "3 of 3" in told(outcome) and "3 of 3" in told(worse)
-    mixed = replace(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
+    mixed = with_measures(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
     assert re.search(r"\b1\b.* 1 of 3\b", told(mixed))
 
 
@@ -282,7 +263,9 @@ def test_the_worst_of_many_are_those_that_did_not_hold():
 @pytest.mark.parametrize("width", [80, 100])
 def test_the_table_loses_nothing_at_80_columns(width: int):
     outcome = with_status(made_up(5), g0=Status.NOT_FINITE, g1=Status.NO_TARGET)
-    outcome = replace(outcome, contact_error=outcome.contact_error * 40, penetration=outcome.penetration * 50)
+    outcome = with_measures(
+        outcome, contact_error=outcome.measures["contact_error"] * 40, penetration=outcome["penetration"] * 50
+    )
     lines = text(outcome, width=width)
     assert max(map(len, lines)) <= width
     assert not any("…" in line for line in lines)
@@ -325,7 +308,7 @@ def test_each_object_has_its_table_and_all_have_one():
 
 def test_what_there_is_none_of_is_a_dash():
     outcome = with_status(made_up(1), g0=Status.NO_TARGET)
-    outcome = replace(outcome, contact_error=np.full((1, 2, 3), np.nan), palm_m=np.array([np.nan]))
+    outcome = with_measures(outcome, contact_error=np.full((1, 2, 3), np.nan), moved_palm_m=np.array([np.nan]))
     (row,) = [line for line in text(outcome) if "no target" in line and "→" in line]
     assert row.split()[:4] == ["0", "-", "→", "-"]
 
@@ -351,10 +334,12 @@ def test_what_is_printed_controls_no_terminal(
 
 def test_worst_and_mean_errors_look_at_links_with_targets():
     outcome = made_up(3)
-    np.testing.assert_allclose(outcome.worst_error[2], [0.02, 0.002])
-    np.testing.assert_allclose(outcome.mean_error[2], [0.01, 0.001])
-    aimless = replace(outcome, contact_error=np.full((3, 2, 3), np.nan))
-    assert np.isnan(aimless.worst_error).all() and np.isnan(aimless.mean_error).all()
+    entries = outcome.entries()
+    np.testing.assert_allclose([entries[f"contact_error_{side}"][2] for side in SIDES], [0.02, 0.002])
+    np.testing.assert_allclose([entries[f"contact_error_mean_{side}"][2] for side in SIDES], [0.01, 0.001])
+    aimless = with_measures(outcome, contact_error=np.full((3, 2, 3), np.nan)).entries()
+    for name in ("contact_error_before", "contact_error_mean_after"):
+        assert np.isnan(aimless[name]).all()
 
 
 def test_join_and_select_keep_grasps_whole():
@@ -362,7 +347,7 @@ def test_join_and_select_keep_grasps_whole():
     joined = Outcome.join([first, second]).select(np.array([4, 0]))
     assert joined.object.tolist() == ["can", "mug"]
     assert joined.index.tolist() == [2, 0]
-    np.testing.assert_array_equal(joined.contact_error[0], second.contact_error[2])
+    np.testing.assert_array_equal(joined.measures["contact_error"][0], second.measures["contact_error"][2])
 
 
 def test_the_outcome_measures_a_refinement():
@@ -380,9 +365,9 @@ def test_the_outcome_measures_a_refinement():
     np.testing.assert_allclose(outcome.stage_pose[:, 1], outcome.hand_pose, atol=1e-12)
     np.testing.assert_array_equal(outcome.stage_q[:, 1], refinement.q)
     measured = metrics(hand, ball, refinement.T_world_root, refinement.q)
-    np.testing.assert_allclose(outcome.wrench_residual[:, 1], measured.wrench_residual, rtol=1e-9)
+    np.testing.assert_allclose(outcome["wrench_residual"][:, 1], measured.wrench_residual, rtol=1e-9)
     np.testing.assert_allclose(outcome.quality[:, 1], measured.quality, rtol=1e-6)
-    assert outcome.starts.tolist() == [1] and outcome.aimed.all()
+    assert outcome["starts"].tolist() == [1] and outcome.aimed.all()
     assert outcome.usable.all()
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
     with_target = ~np.isnan(outcome.target_link[0, :, 0])
@@ -392,11 +377,12 @@ def test_the_outcome_measures_a_refinement():
     np.testing.assert_allclose(outcome.contact_normal[0, with_target], -on_ball / 0.04, atol=1e-9)
     assert np.isnan(outcome.contact_object[0, ~with_target]).all()
     np.testing.assert_allclose(
-        outcome.palm_m[0], np.linalg.norm(refinement.T_world_root[0, :3, 3] - T[:3, 3]), rtol=1e-12
+        outcome["moved_palm_m"][0], np.linalg.norm(refinement.T_world_root[0, :3, 3] - T[:3, 3]), rtol=1e-12
     )
     miss = np.linalg.norm(outcome.contact_link - outcome.target_link, axis=-1)[0, with_target]
-    assert (miss <= outcome.contact_error[0, 1, with_target] + 1e-12).all()
-    assert outcome.worst_error[0, 1] < outcome.worst_error[0, 0]
+    assert (miss <= outcome.measures["contact_error"][0, 1, with_target] + 1e-12).all()
+    before, after = outcome["contact_error"][0]
+    assert after < before
 
 
 # JSON
@@ -404,7 +390,8 @@ def test_the_outcome_measures_a_refinement():
 
 def test_a_document_has_si_units_and_null_for_nan():
     outcome = with_status(made_up(2), g1=Status.NO_TARGET)
-    outcome = replace(outcome, palm_m=np.array([0.004, np.nan]), quality=np.array([[0.4, 0.9], [0.97, np.nan]]))
+    quality = np.array([[0.4, 0.9], [0.97, np.nan]])
+    outcome = with_measures(outcome, moved_palm_m=np.array([0.004, np.nan]), quality=quality)
     document = run_document(outcome, Config(seed=3), config={"a": Path("b")}, wall_s=1.5, cpu_s=2.0)
     read = json.loads(dumps(document), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert read["config"] == {"a": "b"}

@@ -9,7 +9,8 @@ import trimesh
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.validation.metrics import MAX_FINGER_DISTANCE_M, Metrics, metrics
+from grasp_refine.validation.formulas import MAX_FINGER_DISTANCE_M
+from grasp_refine.validation.metrics import Metrics, metrics
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
@@ -118,7 +119,7 @@ def test_grasps_that_are_not_finite_have_no_metrics_and_spoil_no_other(hand: Han
     T, q = np.tile(np.eye(4), (3, 1, 1)), np.zeros((3, 3))
     T[0, 2, 2], q[2, 1] = np.nan, np.inf
     found, alone = metrics(hand, ball, T, q), metrics(hand, ball, T[1:2], q[1:2])
-    for name in vars(found):
+    for name in found.values:
         np.testing.assert_array_equal(np.isnan(getattr(found, name)), [True, False, True], err_msg=name)
         np.testing.assert_array_equal(getattr(found, name)[1:2], getattr(alone, name))
 

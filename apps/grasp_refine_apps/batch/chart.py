@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from math import degrees, floor, log10
+from math import floor, log10
 
 import numpy as np
 
 from grasp_refine.results.verdict import HOLDS
+from grasp_refine.validation.measures import COMPARED, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.histogram import LINEAR, Histogram
 
@@ -29,80 +30,43 @@ MIN_BARS = 10
 """Minimum number of bars, so that few bars are not huge."""
 
 
-@dataclass(frozen=True)
-class Measure:
-    """Measure of grasps, and its format for people."""
+CHARTED = (*COMPARED, *MOVEMENTS)
+"""Measures that are drawn."""
+MARKS = {QUALITY.key: HOLDS}
+"""Key of a measure -> value that a dashed line marks."""
+HINTS = {QUALITY.key: "; a grasp of the dashed line or more should hold"}
+"""Key of a measure -> addition to its explanation."""
 
-    title: str
-    """Name."""
-    hint: str
-    """Explanation in a sentence."""
-    before: str | None
-    """Column of its values before; None: only refined grasps have it."""
-    after: str
-    """Column of its values after."""
-    words: Callable[[float], str]
-    """Formatter of a value."""
-    unit: str
-    """Unit of a formatted value."""
-    bad: bool = True
-    """Whether large values are worse."""
-    mark: float | None = None
-    """Value marked by a line; None: no mark."""
-
-    def row(self, distributions: Mapping[str, Histogram]) -> list[str]:
-        """Mean, median, bound that 19 of 20 grasps meet, and worst value; before, and after."""
-        cells = []
-        for column in (self.before, self.after):
-            its = distributions[column] if column else None
-            if its is None or not its.count:
-                cells += [words.NONE] * 4
-                continue
-            worst = (its.quantile(0.95), its.most) if self.bad else (its.quantile(0.05), its.least)
-            cells += [self.words(value) for value in (its.mean, its.quantile(0.5), *worst)]
-        return cells
+_TEXTS = {METRE: words.millimetres, RADIAN: words.degrees}
 
 
-def _length_measure(title: str, hint: str, name: str) -> Measure:
-    return Measure(title, hint, f"{name}_before_m", f"{name}_after_m", words.millimetres, "mm")
+def hint(measure: Measure) -> str:
+    """Return the explanation of a measure and of the mark in its chart."""
+    return measure.hint + HINTS.get(measure.key, "")
 
 
-MEASURES = (
-    Measure(
-        "quality",
-        "1 / (1 + score), from 0 to 1; a grasp of the dashed line or more should hold",
-        "quality_before",
-        "quality_after",
-        words.plain,
-        "",
-        bad=False,
-        mark=HOLDS,
-    ),
-    Measure(
-        "wrench residual",
-        "part of the load that the best contact forces leave unbalanced, without unit",
-        "wrench_residual_before",
-        "wrench_residual_after",
-        words.plain,
-        "",
-    ),
-    _length_measure(
-        "contact error", "the worst gap, or miss of a target, of the links that should touch", "contact_error"
-    ),
-    _length_measure("penetration", "the deepest penetration of any link into the object", "penetration"),
-    _length_measure("self-penetration", "the deepest penetration of links into each other", "self_penetration"),
-)
-"""Measures shown before and after."""
-MOVEMENTS = (
-    Measure(
-        "hand moved", "distance of its base link from the input grasp", None, "moved_palm_m", words.millimetres, "mm"
-    ),
-    Measure(
-        "hand turned", "rotation of its base link from the input grasp", None, "moved_palm_rad", words.degrees, "°"
-    ),
-    Measure("joints moved", "the joint that moved most", None, "moved_joints_rad", words.degrees, "°"),
-)
-"""Measures shown of refined grasps only."""
+def value_text(measure: Measure, value: float) -> str:
+    """Return a value in SI units as people read it, without its unit."""
+    return _TEXTS.get(measure.unit, words.plain)(value)
+
+
+def statistics_row(measure: Measure, distributions: Mapping[str, Histogram]) -> list[str]:
+    """Mean, median, bound that 19 of 20 grasps meet, and worst value; before, and after."""
+    cells = []
+    for its in _sides(measure, distributions):
+        if not its.count:
+            cells += [words.NONE] * 4
+            continue
+        worst = (its.quantile(0.05), its.least) if measure.better == "higher" else (its.quantile(0.95), its.most)
+        cells += [value_text(measure, value) for value in (its.mean, its.quantile(0.5), *worst)]
+    return cells
+
+
+def _sides(measure: Measure, distributions: Mapping[str, Histogram]) -> tuple[Histogram, Histogram]:
+    """Return the distributions before and after; an empty one before of a measure that is not compared."""
+    columns = [measure.columns[entry] for entry in measure.entries.values()]
+    after = distributions[columns[-1]]
+    return (distributions[columns[0]] if measure.compared else Histogram(after.bins)), after
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +121,7 @@ class _Axis:
 
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     """Draw an SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
-    after = distributions[measure.after]
-    before = distributions[measure.before] if measure.before else Histogram(after.bins)
+    before, after = _sides(measure, distributions)
     if not before.count and not after.count:
         return ""
     parts = [its.shares(BINS_PER_BAR) for its in (before, after)]
@@ -208,8 +171,8 @@ def _scale(axis: _Axis, measure: Measure) -> Iterator[str]:
             yield f'<text x="{x:.1f}" y="{BASE + 16}" text-anchor="{anchor}">{escape(text)}</text>'
     if axis.lowest:
         yield f'<text x="{LEFT + axis.step / 2:.1f}" y="{BASE + 16}" text-anchor="middle">~0</text>'
-    if measure.mark is not None:
-        x = axis.at(measure.mark)
+    if measure.key in MARKS:
+        x = axis.at(MARKS[measure.key])
         yield f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 6}" y2="{BASE}"/>'
 
 
@@ -217,13 +180,13 @@ def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tu
     """Values of the axis with their labels: powers of ten in the unit that people read."""
     if scale == LINEAR:
         return [(low + (high - low) * k / 4, f"{low + (high - low) * k / 4:g}") for k in range(5)]
-    unit = {"mm": 1e-3, "°": 1.0 / degrees(1.0), "s": 1.0}.get(measure.unit, 1.0)
+    unit, symbol = 1.0 / measure.unit.factor, measure.unit.symbol
     found = []
     for power in range(floor(log10(low / unit)), floor(log10(high / unit)) + 2):
         value = 10.0**power * unit
         if low * 0.999 <= value <= high * 1.001:
             text = f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
-            text = words.axis_length(value) if measure.unit == "mm" else f"{text}{measure.unit}"
+            text = words.axis_length(value) if measure.unit == METRE else f"{text}{symbol}"
             found.append((value, text if power % 2 == 0 or high / low < 1e4 else ""))
     return found
 
@@ -231,12 +194,12 @@ def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tu
 def _range_text(measure: Measure, edges: np.ndarray, at: int) -> str:
     """Text for the range of values of a bar."""
     if at == 0:
-        return f"below {measure.words(edges[0])} {measure.unit}".rstrip()
-    last = at == len(edges) - 1 and measure.bad
-    high = " or more" if last else f" to {measure.words(edges[at])}"
-    return f"{measure.words(edges[at - 1])}{high} {measure.unit}".rstrip()
+        return f"below {value_text(measure, edges[0])} {measure.unit.symbol}".rstrip()
+    last = at == len(edges) - 1 and measure.better != "higher"
+    high = " or more" if last else f" to {value_text(measure, edges[at])}"
+    return f"{value_text(measure, edges[at - 1])}{high} {measure.unit.symbol}".rstrip()
 
 
 def _shares_text(measure: Measure, parts: Sequence[np.ndarray], at: int) -> str:
     before, after = (f"{100 * its[at]:.1f} %" for its in parts)
-    return f"{before} before, {after} after" if measure.before else after
+    return f"{before} before, {after} after" if measure.compared else after

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import fsum, inf, nan
+from math import fsum, inf, log10, nan
 
 import numpy as np
 
+from grasp_refine.validation.measures import Unit
+
 LINEAR, LOGARITHMIC = "linear", "logarithmic"
+
+BINS_PER_DECADE, LINEAR_BINS = 20, 100
+"""Numbers of bins of each power of ten, and of a linear range."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,17 @@ class Bins:
     """Number of bins."""
     scale: str = LOGARITHMIC
     """LINEAR or LOGARITHMIC."""
+
+    @staticmethod
+    def of(unit: Unit) -> Bins:
+        """Return the bins of values in a unit.
+
+        There are `BINS_PER_DECADE`, so that quantiles are known to 6 %, or, from 0 on, `LINEAR_BINS` in all.
+        """
+        low, high = unit.span
+        if low == 0.0:
+            return Bins(low, high, LINEAR_BINS, LINEAR)
+        return Bins(low, high, round(BINS_PER_DECADE * log10(high / low)))
 
     @property
     def edges(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import BAR
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.chart import MEASURES, MOVEMENTS, chart
+from grasp_refine_apps.batch.chart import CHARTED, chart, hint, statistics_row
 from grasp_refine_apps.batch.failed import failed_text, left_over
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics, Tally
@@ -36,8 +36,7 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         pictures: Pictures of the worst cases.
     """
     totals, failed = document.get("totals", {}), document.get("failed", [])
-    drawn = (*MEASURES, *MOVEMENTS)
-    panels = [{"title": one.title, "hint": one.hint, "svg": chart(one, statistics.distributions)} for one in drawn]
+    charts = {measure: chart(measure, statistics.distributions) for measure in CHARTED}
     kinds = list(_failure_kinds(failed))
     pairs, rest = statistics.by_pair()
     rows = [_row(*pair, tally) for pair, tally in pairs]
@@ -52,12 +51,8 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         bar=BAR,
         notes=list(_notes(totals, failed)),
         simulated=statistics.held is not None,
-        panels=[panel for panel in panels if panel["svg"]],
-        numbers=[
-            (f"{one.title}, {one.unit}".rstrip(", "), one.row(statistics.distributions))
-            for one in drawn
-            if statistics.distributions[one.after].count
-        ],
+        panels=[{"title": one.title, "hint": hint(one), "svg": svg} for one, svg in charts.items() if svg],
+        numbers=[(one.headline, statistics_row(one, statistics.distributions)) for one, svg in charts.items() if svg],
         pairs=rows,
         cases=[_case(picture) for picture in pictures],
         reasons=[

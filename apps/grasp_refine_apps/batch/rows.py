@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,11 +13,30 @@ import numpy as np
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.validation.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
 
 Kind = Literal["text", "whole", "number", "flag"]
 """Kind of a column. Text is an array of strings in which "" is null; all others are float64 with NaN as null."""
+
+MEASURED = {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
+"""Column of a measure -> its array in result files; in files of older versions some are missing."""
+HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
+"""Column of a verdict -> its array in the files of simulated grasps."""
+
+_TIMES = tuple(measure for measure in RECORDED if measure.unit == SECOND)
+
+
+def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
+    """Return name -> kind of the columns of measures; those of quality are followed by the verdicts by it."""
+    found: dict[str, Kind] = {}
+    for measure in measures:
+        found |= dict.fromkeys(measure.columns.values(), "whole" if measure.unit == COUNT else "number")
+        if measure is QUALITY:
+            found |= dict.fromkeys((f"good_{side}" for side in SIDES), "flag")
+    return found
+
 
 COLUMNS: Mapping[str, Kind] = {
     "job": "text",
@@ -30,31 +49,10 @@ COLUMNS: Mapping[str, Kind] = {
     "source": "text",
     "row": "whole",
     "status": "text",
-    "starts": "whole",
-    "iterations": "whole",
-    "queries": "whole",
-    "quality_before": "number",
-    "quality_after": "number",
-    "good_before": "flag",
-    "good_after": "flag",
-    "wrench_residual_before": "number",
-    "wrench_residual_after": "number",
-    "contact_error_before_m": "number",
-    "contact_error_after_m": "number",
-    "penetration_before_m": "number",
-    "penetration_after_m": "number",
-    "self_penetration_before_m": "number",
-    "self_penetration_after_m": "number",
-    "loss_m2": "number",
-    "moved_palm_m": "number",
-    "moved_palm_rad": "number",
-    "moved_joints_rad": "number",
-    "limits_violated": "whole",
-    "held_before": "flag",
-    "held_after": "flag",
+    **_kinds(measure for measure in RECORDED if measure not in _TIMES),
+    **dict.fromkeys(HELD, "flag"),
     "reason_after": "text",
-    "cpu_s": "number",
-    "wall_s": "number",
+    **_kinds(_TIMES),
 }
 """Name -> kind of all columns, in order; those that differ between two runs of the same command come last.
 
@@ -63,32 +61,8 @@ COLUMNS: Mapping[str, Kind] = {
 metres, angles in radians, times in seconds.
 """
 
-ENTRIES = {
-    "starts": "starts",
-    "iterations": "iterations",
-    "loss_m2": "loss",
-    **{f"{name}_{when}": f"{name}_{when}" for name in ("quality", "wrench_residual") for when in ("before", "after")},
-    **{
-        f"{name}_{when}_m": f"{name}_{when}"
-        for name in ("contact_error", "penetration", "self_penetration")
-        for when in ("before", "after")
-    },
-}
-"""Column -> array of numbers that every result file has."""
-OPTIONAL = {
-    "queries": "queries",
-    "moved_palm_m": "moved_palm_m",
-    "moved_palm_rad": "moved_palm_rad",
-    "moved_joints_rad": "moved_joints_rad",
-    "limits_violated": "limits_violated",
-    "held_before": "simulation_before",
-    "held_after": "simulation_after",
-    "cpu_s": "cpu_s",
-    "wall_s": "wall_s",
-}
-"""Column -> array of numbers that only some result files have."""
 TEXTS = ("hand", "object", "status", "provenance")
-NEEDED = (*TEXTS, "scale", *ENTRIES.values())
+NEEDED = (*TEXTS, "scale", *QUALITY.entries.values())
 """Arrays that every result file must have."""
 DAMAGED = "provenance is damaged; delete the file, and run the batch again"
 """Message for a provenance that no batch can have written."""
@@ -157,14 +131,13 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
-        **{column: _numbers(file, key, n) for column, key in ENTRIES.items()},
         **{
             column: _numbers(file, key, n) if key in file.entries else np.full(n, np.nan)
-            for column, key in OPTIONAL.items()
+            for column, key in (MEASURED | HELD).items()
         },
     }
-    for when in ("before", "after"):
-        columns[f"good_{when}"] = should_hold(columns[f"quality_{when}"]).astype(float)
+    for side in SIDES:
+        columns[f"good_{side}"] = should_hold(columns[f"quality_{side}"]).astype(float)
     reason = file.text("simulation_reason_after") if "simulation_reason_after" in file.entries else np.array("")
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)

@@ -12,7 +12,8 @@ import numpy as np
 from grasp_refine.refinement.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import Agreement
-from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
+from grasp_refine.validation.measures import RECORDED
+from grasp_refine_apps.batch.histogram import Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.worst import Case, Worst
 
@@ -24,25 +25,8 @@ MAX_PAIRS = 5000
 MAX_LISTED_PAIRS = 200
 """Maximum number of pairs listed."""
 
-LENGTH_BINS = Bins(1e-7, 1.0, 140)
-MEASURES: Mapping[str, Bins] = {
-    "quality_before": Bins(0.0, 1.0, 100, LINEAR),
-    "quality_after": Bins(0.0, 1.0, 100, LINEAR),
-    "wrench_residual_before": Bins(1e-5, 10.0, 120),
-    "wrench_residual_after": Bins(1e-5, 10.0, 120),
-    "contact_error_before_m": LENGTH_BINS,
-    "contact_error_after_m": LENGTH_BINS,
-    "penetration_before_m": LENGTH_BINS,
-    "penetration_after_m": LENGTH_BINS,
-    "self_penetration_before_m": LENGTH_BINS,
-    "self_penetration_after_m": LENGTH_BINS,
-    "moved_palm_m": LENGTH_BINS,
-    "moved_palm_rad": Bins(1e-5, 10.0, 120),
-    "moved_joints_rad": Bins(1e-5, 10.0, 120),
-    "iterations": Bins(1.0, 1e5, 100),
-    "cpu_s": Bins(1e-4, 1e4, 160),
-}
-"""Column -> bins of its values; twenty per power of ten, so that quantiles are known to 6 %."""
+BINS = {column: Bins.of(measure.unit) for measure in RECORDED for column in measure.columns.values()}
+"""Column -> bins of its values."""
 
 SUMMED_FIELDS = (
     *("count", "usable", "converged", "good_before", "good_after"),
@@ -152,7 +136,7 @@ class Statistics:
     @staticmethod
     def empty() -> Statistics:
         """Return the statistics of no grasps."""
-        distributions = {name: Histogram(bins) for name, bins in MEASURES.items()}
+        distributions = {column: Histogram(bins) for column, bins in BINS.items()}
         return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
 
     def add(self, rows: Rows) -> None:

@@ -10,17 +10,9 @@ from typing import Any
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.npz_files import load_npz
+from grasp_refine.results.document import measure_entries
+from grasp_refine.validation.measures import SIDES
 from grasp_refine_apps.batch.shard import Shard
-
-BEFORE_AFTER = ("before", "after")
-
-MEASURES = {
-    "quality": "quality",
-    "penetration_m": "penetration",
-    "self_penetration_m": "self_penetration",
-    "wrench_residual": "wrench_residual",
-}
-"""Key of a grasp in the document -> prefix of the arrays in a result file."""
 
 SIMULATED = ("success", "reason", "direction", "displacement_m", "angle_rad")
 """Keys of the simulation of a grasp; the result file has that of the worst direction."""
@@ -57,29 +49,15 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
     provenance = json.loads(values["provenance"])
     setting = (provenance.get("config", {}).get("protocol") or {}).get("name")
     for i, status in enumerate(values["status"]):
-
-        def at(name: str, i: int = i) -> Any:
-            return values[name][i]
-
-        def measured(name: str) -> dict[str, Any]:
-            return {when: at(f"{name}_{when}") for when in BEFORE_AFTER}  # noqa: B023
-
         yield {
             "index": provenance["index"][i],
             "row": provenance["row"][i],
             "job": provenance["batch"]["job"],
-            "object": values["object"] if isinstance(values["object"], str) else at("object"),
+            "object": values["object"] if isinstance(values["object"], str) else values["object"][i],
             "status": status,
             "advice": provenance["advice"][i],
-            **{name: at(name) for name in ("starts", "iterations", "queries", "wall_s", "cpu_s")},
-            "contact_error_m": {
-                when: {"max": at(f"contact_error_{when}"), "mean": at(f"contact_error_mean_{when}")}
-                for when in BEFORE_AFTER
-            },
-            **{key: measured(name) for key, name in MEASURES.items()},
-            "limits_violated": at("limits_violated"),
-            "moved": {name: at(f"moved_{name}") for name in ("palm_m", "palm_rad", "joints_rad")},
-            "simulation": {when: _simulated(values, when, i, setting) for when in BEFORE_AFTER},
+            **measure_entries(values, i),
+            "simulation": {side: _simulated(values, side, i, setting) for side in SIDES},
         }
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
-Better = Literal["higher", "lower", ""]
-"""Direction in which a measure is better; empty: neither."""
+from grasp_refine.validation.measures import MEASURES, VALIDATED, Better, Measure
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,48 +66,37 @@ class Column:
         return np.concatenate([found, np.flatnonzero(~self.known)])
 
 
-def _of(key: str, label: str, hint: str, unit: str = "", *, better: Better = "", format: str = ".2f") -> Column:
-    factor = {"mm": 1e3, "mm²": 1e6}.get(unit, 1.0)
-    return Column(key, label, hint, np.zeros(0), unit, factor, format, better)
+def _columns(measure: Measure) -> Iterator[Column]:
+    """Yield the columns of a measure without values, that after refinement first."""
+    label = measure.title[:1].upper() + measure.title[1:]
+    unit = measure.unit
+    for side, entry in reversed(measure.entries.items()):
+        before = side == "before"
+        yield Column(
+            key=entry,
+            label=f"{label} before" if before else label,
+            hint=f"{measure.hint}, before refinement" if before else measure.hint,
+            values=np.zeros(0),
+            unit=unit.symbol,
+            factor=unit.factor,
+            format=unit.format,
+            better=measure.better,
+        )
 
 
-def _before_and_after(key: str, label: str, hint: str, unit: str = "", *, better: Better, format: str) -> list[Column]:
-    return [
-        _of(f"{key}_after", label, hint, unit, better=better, format=format),
-        _of(f"{key}_before", f"{label} before", f"{hint}, before refinement", unit, better=better, format=format),
-    ]
-
-
-NUMBERS = (
-    *_before_and_after("quality", "Quality", "how well the contacts can hold, 0 to 1", better="higher", format=".3f"),
-    *_before_and_after(
-        "contact_error", "Contact error", "worst gap or target miss of a contact", "mm", better="lower", format=".2f"
-    ),
-    *_before_and_after("penetration", "Penetration", "deepest, of any link", "mm", better="lower", format=".2f"),
-    *_before_and_after(
-        "self_penetration", "Self-penetration", "of links in each other", "mm", better="lower", format=".2f"
-    ),
-    *_before_and_after(
-        "wrench_residual",
-        "Imbalance",
-        "wrench that contact forces leave unbalanced, 0 to 1",
-        better="lower",
-        format=".3f",
-    ),
-    _of("finger_gap", "Finger gap", "mean over the fingers, 10 mm at most", "mm", better="lower"),
-    _of("contact_number", "Contacts", "links within 2 mm of the object", better="higher", format=".0f"),
-    _of("limits_violated", "Beyond limits", "joints beyond their limits", better="lower", format=".0f"),
-    _of("starts", "Starts", "number of starts of the refinement", format=".0f"),
-    _of("iterations", "Iterations", "of all starts together", better="lower", format=".0f"),
-    _of("loss", "Loss", "value that refinement minimises", "mm²", better="lower", format=".3g"),
+NUMBERS = tuple(
+    column for measure in sorted(MEASURES, key=lambda measure: not measure.of_grasps) for column in _columns(measure)
 )
-"""Numeric columns without values, by their keys in result files and measuring."""
+"""Numeric columns without values, by their keys in result files and measuring; those of refinements come last."""
 
-STATUS = _of("status", "Status", "how the refinement ended").with_values(np.zeros(0, dtype=str))
+MEASURED = {measure.entries["after"]: measure.name for measure in VALIDATED}
+"""Key of a column -> the measure of `Metrics` that it is filled from."""
+
+STATUS = Column("status", "Status", "how the refinement ended", np.zeros(0, dtype=str))
 """The column of how refinements ended."""
-HELD = _of("held", "Simulation", "whether the grasp held in MuJoCo").with_values(np.zeros(0, dtype=str))
+HELD = Column("held", "Simulation", "whether the grasp held in MuJoCo", np.zeros(0, dtype=str))
 """The column of verdicts of the simulation."""
-REASON = _of("reason", "Reason", "why it did not hold").with_values(np.zeros(0, dtype=str))
+REASON = Column("reason", "Reason", "why it did not hold", np.zeros(0, dtype=str))
 """The column of why grasps failed."""
 HELD_TEXT, FAILED_TEXT = "held", "failed"
 """Values of `HELD`."""

@@ -10,20 +10,10 @@ from jaxtyping import Bool, Int
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.columns import NUMBERS, Column
+from grasp_refine_apps.viewer.columns import MEASURED, NUMBERS, Column
 
 BATCH_SIZE = 8
 """Number of grasps measured together; measuring can be stopped between batches."""
-MEASURED = {
-    "quality_after": "quality",
-    "penetration_after": "penetration_m",
-    "self_penetration_after": "self_penetration_m",
-    "wrench_residual_after": "wrench_residual",
-    "finger_gap": "contact_distance_m",
-    "contact_number": "contact_number",
-    "limits_violated": "limits_violated",
-}
-"""Key of a column -> the field of `Metrics` that it is filled from."""
 
 
 def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
@@ -85,6 +75,6 @@ def _columns(collection: Collection, numbers: Int[np.ndarray, " some"], found: M
         if column.key in MEASURED:
             before = collection.columns.get(column.key)
             values = np.full(len(collection), np.nan) if before is None else before.values.copy()
-            values[numbers] = getattr(found, MEASURED[column.key])
+            values[numbers] = found.values[MEASURED[column.key]]
             columns.append(column.with_values(values))
     return columns

@@ -91,7 +91,7 @@ def refine_grasp(
         alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
     )
     end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
-    recorder.keep(end, outcome.touching[0], float(outcome.loss[0, 1]), "the best of all")
+    recorder.keep(end, outcome.touching[0], float(outcome["loss"][0]), "the best of all")
     trace = recorder.trace()
     assert trace is not None
     return RefinedGrasp(end, trace, outcome)

@@ -18,7 +18,7 @@ ROWS_PER_PAGE = 15
 """Grasps on one page of the table."""
 SHOWN_KEYS = (
     ("quality_after",),
-    ("contact_error_after", "finger_gap"),
+    ("contact_error_after", "contact_distance_after"),
     ("penetration_after",),
     (HELD.key, STATUS.key),
     (MARK,),
@@ -26,7 +26,7 @@ SHOWN_KEYS = (
 """Keys of the columns of the table; of several, the first one with known values."""
 SHORT_LABELS = {
     "contact_error_after": "Error",
-    "finger_gap": "Gap",
+    "contact_distance_after": "Gap",
     "penetration_after": "Depth",
     HELD.key: "Test",
     NUMBER: "#",

@@ -14,7 +14,8 @@ import pytest
 
 from batch_rows import document, failure, made_up_rows
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine_apps.batch.chart import MEASURES, MOVEMENTS, chart
+from grasp_refine.validation.measures import MEASURE
+from grasp_refine_apps.batch.chart import CHARTED, chart
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
@@ -81,7 +82,7 @@ def test_the_page_is_whole_and_fetches_nothing():
     assert not checked.problems and not checked.open and "script" not in checked.tags
     assert all(link.startswith("data:image/png;base64,") or link == "my%20sets/00003.npz" for link in checked.links)
     assert "url(" not in html and "@import" not in html
-    assert checked.tags["svg"] == len(MEASURES) + len(MOVEMENTS) and checked.tags["img"] == 2
+    assert checked.tags["svg"] == len(CHARTED) and checked.tags["img"] == 2
 
 
 def test_the_same_input_gives_the_same_bytes():
@@ -195,17 +196,15 @@ def bars(svg: str, kind: str) -> list[float]:
 
 
 def test_bars_are_as_high_as_shares_and_hovering_says_them():
-    quality = next(one for one in MEASURES if one.title == "quality")
     found = some(made_up_rows(8, quality_before=0.1, quality_after=np.repeat([0.5, 0.97], [2, 6])))
-    svg = chart(quality, found.distributions)
+    svg = chart(MEASURE["quality"], found.distributions)
     assert bars(svg, "before") == [104.0] and bars(svg, "after") == [26.0, 78.0]
     assert re.search(r"0\.960 to 1\.00\D+0\.0 %\D+75\.0 %", svg) and 'class="mark"' in svg
 
 
 def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
-    penetration = next(one for one in MEASURES if one.title == "penetration")
     found = some(made_up_rows(4, penetration_before_m=[1e-3, 1e-3, 5.0, 5.0], penetration_after_m=0.0))
-    svg = chart(penetration, found.distributions)
+    svg = chart(MEASURE["penetration"], found.distributions)
     assert ">~0</text>" in svg and re.search(r"0\.0001 mm\D+0\.0 %\D+100\.0 %", svg)
     assert bars(svg, "after") == [104.0] and bars(svg, "before") == [52.0, 52.0]
     assert re.search(r" mm\D+50\.0 %", svg)
@@ -213,15 +212,15 @@ def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
 
 def test_what_nobody_measured_is_not_drawn():
     found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_before_m=np.nan))
-    assert chart(MOVEMENTS[0], found.distributions) == ""
-    assert bars(chart(MEASURES[2], found.distributions), "before") == []
+    assert chart(MEASURE["moved_palm_m"], found.distributions) == ""
+    assert bars(chart(MEASURE["contact_error"], found.distributions), "before") == []
 
 
-@pytest.mark.parametrize("measure", [*MEASURES, *MOVEMENTS], ids=lambda one: one.title)
+@pytest.mark.parametrize("measure", CHARTED, ids=lambda one: one.key)
 def test_any_values_can_be_drawn(measure: Any):
-    columns = {name: np.nan for name in (measure.before, measure.after) if name}
+    *_, after = columns = [*measure.columns.values()]
     for values in ([0.0], [1e-12, 1e6], [3e-3], np.geomspace(1e-9, 1e2, 50), [1.0, np.nan]):
-        found = some(made_up_rows(len(values), **(columns | {measure.after: np.array(values)})))
+        found = some(made_up_rows(len(values), **(dict.fromkeys(columns, np.nan) | {after: np.array(values)})))
         svg = chart(measure, found.distributions)
         assert "nan" not in svg and "inf" not in svg and not Checker(svg).problems
         places = [float(value) for value in re.findall(r' x1?="(-?[\d.]+)"', svg)]

@@ -13,6 +13,7 @@ import pytest
 
 from batch_rows import made_up_rows
 from command_line import subprocess_environment
+from grasp_refine.validation.measures import METRE
 from grasp_refine_apps.batch import statistics as module
 from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
@@ -49,7 +50,7 @@ def test_shares_are_of_all_values_and_neighbours_are_put_together():
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.5, 0.9, 0.95, 1.0])
 def test_quantiles_are_right_to_within_a_bin(share: float):
     values = np.exp(np.random.default_rng(0).normal(np.log(1e-3), 1.5, 4000))
-    its = Histogram(module.LENGTH_BINS)
+    its = Histogram(Bins.of(METRE))
     its.add(values)
     width = 10 ** (1 / 20)
     assert np.quantile(values, share) / width < its.quantile(share) < np.quantile(values, share) * width

@@ -76,7 +76,7 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     assert columns["penetration_after"].text(10) == "0.50"
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
-    assert "finger_gap" not in columns
+    assert "contact_distance_after" not in columns
     assert (collection.motion(3, "file").q[0] == collection.scene(3).q[0]).all()
 
 

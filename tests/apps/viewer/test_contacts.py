@@ -18,8 +18,8 @@ from grasp_refine.hands.hand_toml import Contact
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.formulas import MeasuredGrasps, quality_value
 from grasp_refine.validation.geometry import measure
-from grasp_refine.validation.metrics import quality_values
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.target import Target
 
@@ -186,8 +186,8 @@ def agrees_with_validation(prepared: HandObject, T: np.ndarray, q: np.ndarray) -
         assert deep == {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
         forces = grasp_forces(prepared.hand, prepared.object, scene.links, geometry.witness)
         assert found.forces.residual == pytest.approx(forces.residual[0], abs=1e-6)
-        value = quality_values(prepared.hand, prepared.object, scene.links, T[rows], q[rows], geometry.witness)[0]
-        assert found.quality == pytest.approx(value, abs=1e-6)
+        grasps = MeasuredGrasps(prepared.hand, prepared.object, scene.links, T[rows], q[rows], geometry)
+        assert found.quality == pytest.approx(quality_value(grasps)[0], abs=1e-6)
 
 
 @pytest.mark.parametrize(("name", "obj"), [("allegro", "mug"), ("shadow_palm", "bottle")])

@@ -72,7 +72,7 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     assert trace.penetration[0] > 1e-3 and trace.penetration[-1] < 1e-5
     assert state.outcome is not None and state.outcome.quality[0, 1] > 0.95 > state.outcome.quality[0, 0]
     # Of the links that should touch then, which are not all that touch in the end.
-    before, after = state.outcome.contact_error[0]
+    before, after = state.outcome.measures["contact_error"][0]
     assert trace.contact_error[0] == pytest.approx(before[trace.touching[0]].max(), abs=1e-9)
     assert trace.contact_error[-1] == pytest.approx(after[trace.touching[-1]].max(), abs=1e-9)
     # It was seen while it ran.

@@ -114,9 +114,9 @@ def test_an_empty_list_has_no_rows(collection: Collection) -> None:
 
 def test_columns_without_any_value_are_left_out(collection: Collection) -> None:
     assert [column.key for column in shown_columns(replace(collection, columns={}))] == ["mark"]
-    gap = Column("finger_gap", "Finger gap", "", np.full(100, 1e-3), "mm", 1e3)
-    keys = [column.key for column in shown_columns(replace(collection, columns={"finger_gap": gap}))]
-    assert keys == ["finger_gap", "mark"]
+    gap = Column("contact_distance_after", "Contact distance", "", np.full(100, 1e-3), "mm", 1e3)
+    keys = [column.key for column in shown_columns(replace(collection, columns={"contact_distance_after": gap}))]
+    assert keys == ["contact_distance_after", "mark"]
 
 
 @pytest.mark.parametrize("key", ["status", "reason"])

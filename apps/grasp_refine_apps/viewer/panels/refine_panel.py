@@ -148,15 +148,14 @@ def words(state: State) -> str:
 def outcome_words(outcome: Outcome) -> str:
     """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
-    error = [np.nan if np.isnan(side).all() else np.nanmax(side) for side in outcome.contact_error[0]]
     rows = (
-        ("contact error, mm", [millimetres(value) for value in error]),
-        ("penetration, mm", [millimetres(value) for value in outcome.penetration[0]]),
+        ("contact error, mm", [millimetres(value) for value in outcome["contact_error"][0]]),
+        ("penetration, mm", [millimetres(value) for value in outcome["penetration"][0]]),
         ("quality, 0 to 1", ["-" if np.isnan(value) else f"{value:.2f}" for value in outcome.quality[0]]),
     )
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
-    count, seconds = int(outcome.iterations[0]), float(outcome.wall_s[0])
-    tries = f" from {outcome.starts[0]} starts" if outcome.starts[0] > 1 else ""
+    count, seconds = int(outcome["iterations"][0]), float(outcome["wall_s"][0])
+    tries = f" from {starts} starts" if (starts := outcome["starts"][0]) > 1 else ""
     head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
     if outcome.usable[0]:
         verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"

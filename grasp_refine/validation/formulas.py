@@ -1,0 +1,102 @@
+"""Formulas of the measures that `measures` lists: functions of grasps at given poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.forces.quality import quality
+from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.objects.object import Object
+from grasp_refine.validation.geometry import Geometry, Movement
+
+if TYPE_CHECKING:
+    from grasp_refine.refinement.refine import Refinement
+
+MAX_FINGER_DISTANCE_M = 0.01
+"""Largest distance in metres of a finger from the object that counts; farther ones count as this."""
+CONTACT_DISTANCE_M = 0.002
+"""Signed distance in metres within which a link counts as touching."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredGrasps:
+    """N grasps on one object at the world's origin, with the one plain query that all formulas share."""
+
+    hand: Hand
+    """The hand."""
+    object: Object
+    """The object."""
+    links: tuple[str, ...]
+    """Names of its L links with collision geometry."""
+    T_world_root: Float[np.ndarray, "N 4 4"]
+    """Poses of the base link in the object's frame (N, 4, 4), metres."""
+    q: Float[np.ndarray, "N n"]
+    """Joint values (N, n)."""
+    geometry: Geometry
+    """Distances, witness points and poses of the links."""
+
+    @property
+    def known(self) -> Bool[np.ndarray, " N"]:
+        """True for grasps (N,) that are finite, and all of whose queries succeeded."""
+        return self.geometry.witness.valid.all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRefinement:
+    """Refinement of N grasps, and how far it moved them."""
+
+    refinement: Refinement
+    """Refined grasps, with status and cost."""
+    movement: Movement
+    """Movement of the base link and the joints."""
+
+    @property
+    def final_loss(self) -> Float[np.ndarray, " N"]:
+        """Loss after refinement (N,), m^2; NaN where it is not finite."""
+        return np.where(np.isfinite(self.refinement.loss[:, 1]), self.refinement.loss[:, 1], np.nan)
+
+
+def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the deepest penetration of links in each other (N,), metres; see `self_penetration`."""
+    return self_penetration(grasps.hand, touching_pairs(grasps.hand), grasps.q)
+
+
+def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the wrench (N,) that the best contact forces leave unbalanced, as `ContactForces.residual`."""
+    return grasp_forces(grasps.hand, grasps.object, grasps.links, grasps.geometry.witness).residual
+
+
+def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return `Quality.value` (N,); NaN where a grasp is not `known`, or has no contacts."""
+    known = grasps.known
+    T = np.where(known[:, None, None], grasps.T_world_root, np.eye(4))
+    q = np.where(known[:, None], grasps.q, 0.0)
+    chain = Chain(grasps.hand, grasps.links)
+    value = quality(grasps.hand, grasps.object, chain, chain(T, q), grasps.geometry.witness).value
+    return np.where(known, value, np.nan)
+
+
+def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the mean distance (N,) of the fingers in metres, NaN for a hand without fingers.
+
+    The distance of a finger is that of its nearest contact link, at least 0, at most `MAX_FINGER_DISTANCE_M`.
+    """
+    distance, fingers = grasps.geometry.distance, dict[str, set[int]]()
+    for contact in grasps.hand.contacts:
+        fingers.setdefault(contact.group, set()).add(grasps.links.index(contact.link))
+    if not fingers:
+        return np.full(len(distance), np.nan)
+    nearest = np.stack([distance[:, sorted(columns)].min(axis=1) for columns in fingers.values()])
+    return np.clip(nearest, 0.0, MAX_FINGER_DISTANCE_M).mean(axis=0)
+
+
+def contact_number(grasps: MeasuredGrasps) -> Int[np.ndarray, " N"]:
+    """Return the number of links (N,) within `CONTACT_DISTANCE_M` of the object."""
+    return (grasps.geometry.distance <= CONTACT_DISTANCE_M).sum(axis=1)
