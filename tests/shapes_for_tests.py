@@ -15,6 +15,11 @@ def ellipsoid_hull(seed: int, vertices: int = 100, axes: tuple[float, float, flo
     return hull(directions * axes)
 
 
+def piece_body(piece: Piece) -> Body:
+    """A body of one piece, with few candidates."""
+    return build_body("piece", [piece], candidates=16)
+
+
 def convex_body(seed: int, vertices: int = 100) -> Body:
     """A body of one such hull."""
     return build_body(f"hull {seed}", [ellipsoid_hull(seed, vertices)], seed=seed)

@@ -65,7 +65,6 @@ HEAVY = {"torch", "coal", "coacd", "pytorch_kinematics", "mujoco", "viser"}
 
 COAL = (
     "grasp_refine.collision.certified_distance",
-    "grasp_refine.collision.narrowphase",
     "grasp_refine_apps.bench.queries.peers",
 )
 """Modules that call coal: the narrow phase, and the benchmark that measures plain coal as its peer."""

@@ -1,4 +1,6 @@
-"""Certified distance queries of two convex pieces with coal; `native/certified_distance.h` is the same in C++.
+"""Certified distance queries of two convex pieces with coal (GJK and EPA): the plain form, for the engine in Python.
+
+`native/certified_distance.h` does the same in C++, faster, and is the norm where rounding differs.
 
 For every unit direction u the gap
 
@@ -21,21 +23,28 @@ a second starting direction.
 The resolved answer is the largest gap found, which is not certified: of gaps from 1e-12 to 1e-9 of the larger
 piece, about 1 % are returned as contact, and up to 1 in 5 for slivers and nearly equal vertices. About 1 in 10,000
 answers within 1e-5 of contact is off by up to 2e-7, most of them where sizes differ by more than 1:10,000.
+
+Traps of coal (measured with version 3.0.3) that both engines avoid:
+
+- `DistanceResult.normal` is a view into the result; it is copied.
+- EPA at tight tolerances sometimes returns an absurd number: a query whose answer is not finite or lies below the
+  signed bounding-sphere bound is repeated with a looser tolerance, and reported as failed if that fails too.
+- More than 255 neighbours at a vertex raise, and tolerances suit bodies of one size only (see `shapes`).
+- A query object searches for support points where its last query found some, so that an answer depends on earlier
+  queries, by millimetres where witness points are not unique. So each query has objects of its own.
 """
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import coal
 import numpy as np
 
+from grasp_refine.collision.shapes import build_shape, unit_of
+from grasp_refine.geometry.pieces import Piece
+
 _MAX_DISTANCE = 1e300
 """Largest absolute distance that counts as an answer."""
-
-_NO_GUESS, _NO_HINT = np.array([1.0, 0.0, 0.0]), np.zeros(2, dtype=np.int32)
-"""Start of GJK without a guess, and the two vertices at which its search for support points starts."""
 
 # The same constants are in `native/certified_distance.h`; lengths are in units of the pieces.
 _GAP_TOLERANCE = 1e-10
@@ -56,10 +65,16 @@ _UNIT_TOLERANCE = 1e-6
 """Largest deviation of a normal's squared length from 1."""
 _SIDE_OFFSET = 0.25
 """Offset of further starting directions from the best one so far."""
-_AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
-"""The six directions (6, 3) along axes."""
 _EPA_ITERATIONS = 256
 """Iteration limit of EPA: with coal's own of 64, it silently ends at a facet of round bodies that is not nearest."""
+
+_AXES = np.array([sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)])
+"""The six directions (6, 3) along axes."""
+
+
+def coal_version() -> str:
+    """Version of coal's library, as it reports itself."""
+    return getattr(coal, "__version__", "of an unknown version")
 
 
 @dataclass(frozen=True)
@@ -77,210 +92,199 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
-class Core:
-    """A piece in some unit of length: all points within `radius` of the hull of its vertices."""
+class Answer:
+    """Closest or deepest points of two pieces, in the frame of body a."""
 
-    vertices: np.ndarray
-    """Vertices (3, V), in the unit, in the frame of the body."""
-    radius: float
-    """Radius in the unit; 0 for a sharp polytope."""
+    distance: float
+    """Signed distance; NaN if no answer is usable."""
+    point: np.ndarray
+    """Witness point (3,) on a."""
+    normal: np.ndarray
+    """Unit normal (3,) from a to b."""
 
-    @cached_property
-    def center(self) -> np.ndarray:
-        """Centre (3,) of the vertices' bounding box."""
-        return 0.5 * (self.vertices.min(axis=1) + self.vertices.max(axis=1))
+    @property
+    def has_normal(self) -> bool:
+        """Whether the normal has length 1; coal's is zero where the axes of capsules meet."""
+        return bool(abs(self.normal @ self.normal - 1.0) <= _UNIT_TOLERANCE)
 
 
 @dataclass(frozen=True, eq=False)
-class PiecePair:
-    """A pair of pieces, in a unit of length of its own."""
+class _Shape:
+    """A piece in some unit of length, for coal."""
 
-    compute: Callable[..., float]
-    """Distance query of coal."""
-    T_a: coal.Transform3s
-    """Pose of coal's shape of the first piece in the frame of its body."""
-    T_b: coal.Transform3s | None
-    """Pose of coal's shape of the second piece in the frame of its body; None: identity."""
-    a: Core
-    """First piece."""
-    b: Core
-    """Second piece."""
-    unit: float
-    """Unit of length, in metres."""
-
-    def gap(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
-        """Gap g(u) along a unit vector u (3,) in the frame of a; body b is at R (3, 3), t (3,), in the unit."""
-        # Sums in a fixed order, here and below: the compiled engine gives the same bits.
-        v = u[0] * R[0] + u[1] * R[1] + u[2] * R[2]
-        x, y = self.a.vertices, self.b.vertices
-        end_a = (u[0] * x[0] + u[1] * x[1] + u[2] * x[2]).max() + self.a.radius
-        start_b = (v[0] * y[0] + v[1] * y[1] + v[2] * y[2]).min() - self.b.radius
-        return (u[0] * t[0] + u[1] * t[1] + u[2] * t[2]) + start_b - end_a
-
-    def gap_quickly(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
-        """Gap as in `gap`, up to the last bit, which suffices for comparisons."""
-        end_a, start_b = (u @ self.a.vertices).max(), (u @ R @ self.b.vertices).min()
-        return float(u @ t + start_b - end_a - (self.a.radius + self.b.radius))
-
-    def between(self, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Vector (3,) from the centre of a to that of b, in the frame of a."""
-        y = self.b.center
-        return R[:, 0] * y[0] + R[:, 1] * y[1] + R[:, 2] * y[2] + t - self.a.center
-
-    def across(self, R: np.ndarray) -> np.ndarray:
-        """Vector (3,) perpendicular to the axes of two capsules, in the frame of a; zero for other pieces."""
-        x, y = self.a.vertices, self.b.vertices
-        if x.shape[1] != 2 or y.shape[1] != 2:
-            return np.zeros(3)
-        u, w = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0]
-        v = R[:, 0] * w[0] + R[:, 1] * w[1] + R[:, 2] * w[2]
-        return np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    geometry: coal.CollisionGeometry
+    """Shape of coal."""
+    placement: coal.Transform3s
+    """Its pose in the frame of the body."""
+    piece: Piece
+    """The piece."""
 
 
-@dataclass
-class _Ascent:
-    """End of an ascent along the normal; in the frame of a, in the unit."""
+@dataclass(frozen=True, eq=False)
+class _Ascent(Answer):
+    """End of an ascent along the normal; the distance is the largest gap."""
 
-    gap: float
-    """Largest gap reached."""
-    normal: np.ndarray
-    """Direction (3,) of that gap."""
-    point: np.ndarray
-    """Witness point (3,) on a."""
-    closed: bool
+    closed: bool = False
     """Whether GJK's distance there equals the gap."""
-    answered: bool
+    answered: bool = False
     """Whether GJK gave any answer."""
 
 
-class CertifiedQuery:
-    """Distance queries of piece pairs; each is independent of the queries before it."""
+class PiecePair:
+    """Distance queries of two pieces; each is independent of the queries before it."""
 
-    def __init__(self, tolerances: Tolerances) -> None:
-        """Prepare coal's requests."""
-        self._tolerances = tolerances
-        self._tight = _request(tolerances.gjk, tolerances.epa)
-        self._fine = _request(tolerances.gjk, _FINE_EPA_TOLERANCE)
-        self._loose = _request(tolerances.retry, tolerances.retry)
-        self._result, self._T = coal.DistanceResult(), coal.Transform3s()
-        self.point = self.normal = np.zeros(3)
-        """Witness point (3,) on a, in the unit, and normal (3,) of the last answer; in the frame of a."""
+    def __init__(self, a: Piece, b: Piece, tolerances: Tolerances) -> None:
+        """Build the shapes, which the pieces keep."""
+        self._unit, self._tolerances = unit_of(a, b), tolerances
+        self._a, self._b = _shape(a, self._unit), _shape(b, self._unit)
 
-    def distance(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, bound: float, guess: np.ndarray | None) -> float:
-        """Return the signed distance in the unit of the pieces; NaN if no answer is usable.
+    def distance(self, R: np.ndarray, t: np.ndarray, bound: float, guess: np.ndarray | None) -> Answer:
+        """Return the signed distance and the closest or deepest point, in metres.
 
         Args:
-            pair: The pieces.
             R: Rotation (3, 3) of body b in the frame of body a.
-            t: Its origin (3,), in the unit.
-            bound: A lower bound of the signed distance, in the unit.
-            guess: Last known x_a - x_b (3,), in the unit.
+            t: Its origin (3,), in metres.
+            bound: A lower bound of the signed distance, in metres.
+            guess: Last known x_a - x_b (3,) in metres: a warm start for GJK.
         """
+        t, guess = t / self._unit, None if guess is None else guess / self._unit
         # An answer is limited even without a bound.
-        floor = max(bound - self._tolerances.slack, -_MAX_DISTANCE)
-        self._T.setRotation(R)
-        d = self._query_pieces(pair, t, self._tight, _NO_GUESS if guess is None else guess)
-        if not (floor <= d < _MAX_DISTANCE):
-            d = self._query_pieces(pair, t, self._loose, _NO_GUESS)
-            if not (floor <= d < _MAX_DISTANCE):
-                d = np.nan
-        if abs(d) > _CONTACT_DISTANCE and self._is_certified(pair, R, t, d):
-            return d
-        d = self._resolve(pair, R, t, d)
-        return d if d >= floor else np.nan
+        floor = max(bound / self._unit - self._tolerances.slack, -_MAX_DISTANCE)
+        found = self._query(R, t, guess=guess)
+        if not floor <= found.distance < _MAX_DISTANCE:
+            found = self._query(R, t, self._tolerances.retry, self._tolerances.retry)
+            if not floor <= found.distance < _MAX_DISTANCE:
+                found = replace(found, distance=np.nan)
+        d = found.distance
+        certified = found.has_normal and abs(d - self._gap(R, t, found.normal)) <= _GAP_TOLERANCE
+        if not (certified and abs(d) > _CONTACT_DISTANCE):
+            found = self._resolve(R, t, found)
+        usable = found.distance >= floor
+        return Answer(self._unit * found.distance if usable else np.nan, self._unit * found.point, found.normal)
 
-    def _is_certified(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> bool:
-        """Return whether the gap along coal's normal is d."""
-        return bool(abs(d - pair.gap_quickly(R, t, self.normal)) <= _GAP_TOLERANCE and self._has_normal())
+    def _query(
+        self,
+        R: np.ndarray,
+        t: np.ndarray,
+        gjk: float | None = None,
+        epa: float | None = None,
+        guess: np.ndarray | None = None,
+    ) -> Answer:
+        """Return coal's unchecked answer in the unit, at tolerances that are by default those of the query."""
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        request.gjk_tolerance = self._tolerances.gjk if gjk is None else gjk
+        request.epa_tolerance = self._tolerances.epa if epa is None else epa
+        request.epa_max_iterations = _EPA_ITERATIONS
+        request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
+        request.cached_gjk_guess = np.array([1.0, 0.0, 0.0]) if guess is None else guess
+        T_b = coal.Transform3s(R, t) * self._b.placement
+        d = coal.distance(self._a.geometry, self._a.placement, self._b.geometry, T_b, request, result)
+        return Answer(d, result.getNearestPoint1(), result.normal.copy())
 
-    def _has_normal(self) -> bool:
-        """Return whether coal's normal has length 1; it is zero where the axes of capsules meet."""
-        return bool(abs(_square(self.normal) - 1.0) <= _UNIT_TOLERANCE)
+    def _gap(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> float:
+        """Gap g(u) along a unit vector u (3,) in the frame of a."""
+        a, b = self._a.piece, self._b.piece
+        return float(u @ t + (b.vertices @ (u @ R)).min() - b.radius - (a.vertices @ u).max() - a.radius)
 
-    def _query_pieces(self, pair: PiecePair, t: np.ndarray, request: coal.DistanceRequest, guess: np.ndarray) -> float:
-        """Return coal's unchecked answer for body b at t (3,)."""
-        T, result = self._T, self._result
-        T.setTranslation(t)
-        request.cached_gjk_guess, request.cached_support_func_guess = guess, _NO_HINT
-        result.clear()
-        d = pair.compute(pair.T_a, T if pair.T_b is None else T * pair.T_b, request, result)
-        self.point, self.normal = result.getNearestPoint1(), result.normal.copy()
-        return d
-
-    def _resolve(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, d: float) -> float:
-        """Return the largest gap found, where coal's distance d (NaN: none) is not certified."""
-        close = 0.5 * self._tolerances.gjk * (1.0 + abs(d))
-        starts = self._starts(pair, R, t)
-        best = self._ascend_separation(pair, R, t, starts[0])
-
-        def sure() -> bool:
+    def _resolve(self, R: np.ndarray, t: np.ndarray, found: Answer) -> Answer:
+        """Return the largest gap found, where coal's answer (distance NaN: none) is not certified."""
+        d = found.distance
+        best = _Ascent(-np.inf, found.point, found.normal)
+        for u in self._starts(R, t, found):
+            best = max(best, self._ascend_separation(R, t, u), key=lambda ascent: ascent.distance)
             # Otherwise there may be a larger gap in another direction.
-            return bool(best.closed and (abs(d - best.gap) <= close or (math.isnan(d) and best.gap > 0.0)))
+            if best.closed and (
+                abs(d - best.distance) <= 0.5 * self._tolerances.gjk * (1.0 + abs(d))
+                or (np.isnan(d) and best.distance > 0.0)
+            ):
+                return best
+        for side in _SIDE_OFFSET * _AXES:
+            ascent = self._ascend_separation(R, t, _normalized(best.normal + side))
+            best = max(best, ascent, key=lambda ascent: ascent.distance)
+        return best if best.answered and (best.closed or not np.isnan(d)) else replace(best, distance=np.nan)
 
-        if d <= _CONTACT_DISTANCE and not sure():
-            self._query_pieces(pair, t, self._fine, _NO_GUESS)
-            if self._has_normal():
-                starts.insert(1, self.normal)
-        for k in range(1, len(starts) + len(_AXES)):
-            if sure():
-                break
-            u = starts[k] if k < len(starts) else _normalized(best.normal + _SIDE_OFFSET * _AXES[k - len(starts)])
-            found = self._ascend_separation(pair, R, t, u)
-            if found.gap > best.gap:
-                best = found
-        if not best.answered or (math.isnan(d) and not best.closed):
-            return math.nan
-        self.point, self.normal = best.point, best.normal
-        return best.gap
+    def _starts(self, R: np.ndarray, t: np.ndarray, found: Answer) -> Iterator[np.ndarray]:
+        """Yield starting directions: coal's normals, across two capsules, between the centres, and the axes."""
+        if found.has_normal:
+            yield found.normal
+        if found.distance <= _CONTACT_DISTANCE:
+            fine = self._query(R, t, epa=_FINE_EPA_TOLERANCE)
+            if fine.has_normal:
+                yield fine.normal
+        a, b = self._a.piece, self._b.piece
+        directions = [R @ b.bounds.mean(axis=0) + t - a.bounds.mean(axis=0)]
+        if len(a.vertices) == len(b.vertices) == 2:
+            directions.insert(0, np.cross(a.vertices[1] - a.vertices[0], R @ (b.vertices[1] - b.vertices[0])))
+        yield from (_normalized(u) for u in directions if np.linalg.norm(u) > _MIN_LENGTH)
+        yield from _AXES
 
-    def _starts(self, pair: PiecePair, R: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
-        """Starting directions: coal's normal, across two capsules, the line between the centres, and the axes."""
-        across, m = pair.across(R), pair.between(R, t)
-        starts = [self.normal] if self._has_normal() else []
-        starts += [_normalized(u) for u in (across, m) if _square(u) > _MIN_LENGTH**2]
-        return [*starts, *_AXES]
-
-    def _ascend_separation(self, pair: PiecePair, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Ascent:
+    def _ascend_separation(self, R: np.ndarray, t: np.ndarray, u: np.ndarray) -> _Ascent:
         """Follow the normal from the direction u until the gap stops growing."""
-        found = _Ascent(pair.gap(R, t, u), u, np.zeros(3), closed=False, answered=False)
+        best = _Ascent(self._gap(R, t, u), np.zeros(3), u)
         for apart in _QUERY_GAPS:
             for _ in range(_MAX_ITERATIONS):
-                u, move = found.normal, apart - found.gap
-                d = self._query_pieces(pair, t + move * u, self._tight, -apart * u)
-                if not (0.0 < d < _MAX_DISTANCE):
+                u, move = best.normal, apart - best.distance
+                moved = self._query(R, t + move * u, guess=-apart * u)
+                if not 0.0 < moved.distance < _MAX_DISTANCE:
                     break
-                found.point, found.answered = self.point, True
-                found.closed = abs(d - move - found.gap) <= _GAP_TOLERANCE
-                n = self.normal
-                gap = pair.gap(R, t, n)
-                if found.gap > 1.0:
+                closed = abs(moved.distance - move - best.distance) <= _GAP_TOLERANCE
+                best = _Ascent(best.distance, moved.point, u, closed, answered=True)
+                directions = [moved.normal]
+                if best.distance > 1.0:
                     # Far apart, a small turn has a large effect: the turn to the line between the points counts.
-                    turn = _normalized(d * n - move * u) - u
-                    for step in _STEP_LENGTHS:
-                        w = _normalized(u + step * turn)
-                        along = pair.gap(R, t, w)
-                        if along > gap:
-                            n, gap = w, along
-                if not gap > found.gap + 1e-14:
+                    turn = _normalized(moved.distance * moved.normal - move * u) - u
+                    directions += [_normalized(u + step * turn) for step in _STEP_LENGTHS]
+                gap, n = max(((self._gap(R, t, n), n) for n in directions), key=lambda pair: pair[0])
+                if not gap > best.distance + 1e-14:
                     break
-                found.gap, found.normal = gap, n
-        return found
+                best = replace(best, distance=gap, normal=n)
+        return best
 
 
 def _normalized(u: np.ndarray) -> np.ndarray:
-    return u / np.sqrt(_square(u))
+    return u / np.linalg.norm(u)
 
 
-def _square(u: np.ndarray) -> float:
-    # In a fixed order, see `PiecePair.gap`.
-    return u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
+def _shape(piece: Piece, unit: float) -> _Shape:
+    """Shape of a piece in a unit of length, built once."""
+    shapes = piece.derived.setdefault("coal", {})
+    if unit not in shapes:
+        scaled = piece.scaled(1.0 / unit)
+        shapes[unit] = _Shape(*build_shape(scaled, _Factory), scaled)
+    return shapes[unit]
 
 
-def _request(gjk_tolerance: float, epa_tolerance: float) -> coal.DistanceRequest:
-    """Return a request that starts from its cached guesses, which every query overwrites with its own."""
-    request = coal.DistanceRequest()
-    request.gjk_tolerance = gjk_tolerance
-    request.epa_tolerance = epa_tolerance
-    request.epa_max_iterations = _EPA_ITERATIONS
-    request.gjk_initial_guess = coal.GJKInitialGuess.CachedGuess
-    return request
+class _Factory:
+    """Factory of coal's shapes with their placements."""
+
+    @staticmethod
+    def sphere(radius: float, center: np.ndarray) -> tuple[coal.ShapeBase, coal.Transform3s]:
+        return coal.Sphere(radius), coal.Transform3s(np.eye(3), center)
+
+    @staticmethod
+    def capsule(
+        radius: float, length: float, frame: np.ndarray, center: np.ndarray
+    ) -> tuple[coal.ShapeBase, coal.Transform3s]:
+        return coal.Capsule(radius, length), coal.Transform3s(frame, center)
+
+    @staticmethod
+    def hull(vertices: np.ndarray, radius: float) -> tuple[coal.ShapeBase, coal.Transform3s]:
+        return _swept(coal.Convex.convexHull(_points(vertices), True, "Qt"), radius)
+
+    @staticmethod
+    def polytope(vertices: np.ndarray, faces: np.ndarray, radius: float) -> tuple[coal.ShapeBase, coal.Transform3s]:
+        triangles = coal.StdVec_Triangle()
+        triangles.extend([coal.Triangle(*map(int, face)) for face in faces])
+        return _swept(coal.Convex(_points(vertices), triangles), radius)
+
+
+def _points(vertices: np.ndarray) -> coal.StdVec_Vec3s:
+    points = coal.StdVec_Vec3s()
+    points.extend(list(vertices))
+    return points
+
+
+def _swept(shape: coal.ShapeBase, radius: float) -> tuple[coal.ShapeBase, coal.Transform3s]:
+    if radius > 0:
+        shape.setSweptSphereRadius(radius)
+    return shape, coal.Transform3s()

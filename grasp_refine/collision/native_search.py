@@ -1,6 +1,6 @@
-"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`), with the same interface.
+"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`).
 
-Its answers equal those of the Python engine up to rounding, for any number of threads. It releases the GIL.
+Its answers are the same for any number of threads. It releases the GIL.
 """
 
 import hashlib
@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 
 # Loads coal's library, which _native needs.
-from grasp_refine.collision.certified_distance import Tolerances
-from grasp_refine.collision.narrowphase import Closest, coal_version
-from grasp_refine.collision.relative import in_frame, relative
+from grasp_refine.collision.bounds import CELLS, bounds_of, support_table
+from grasp_refine.collision.certified_distance import Tolerances, coal_version
 from grasp_refine.collision.shapes import build_shape, unit_of
-from grasp_refine.collision.supports import CELLS
-from grasp_refine.collision.table import PieceTable, Side
+from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.profiling import stage
+from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 
 from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled  # isort: skip
@@ -60,47 +59,20 @@ def sources(folder: Path = _SOURCES) -> str | None:
     return hashlib.sha256(hashes.encode()).hexdigest() if files else None
 
 
-class NativeNarrowPhase:
-    """`narrowphase.NarrowPhase`, compiled."""
-
-    def __init__(self, pieces_a: Sequence[Piece], pieces_b: Sequence[Piece], tolerances: Tolerances) -> None:
-        """Prepare the pairs (pieces_a[k], pieces_b[k]), k = 0 .. K - 1."""
-        t = tolerances
-        units = [unit_of(a, b) for a, b in zip(pieces_a, pieces_b, strict=True)]
-        sides = [[_shape_of(*both) for both in zip(pieces, units, strict=True)] for pieces in (pieces_a, pieces_b)]
-        self.compiled = _native.NarrowPhase(*sides, units, t.gjk, t.epa, t.retry, t.slack)
-
-    def closest(
-        self,
-        R: np.ndarray,
-        t: np.ndarray,
-        starts: np.ndarray,
-        pair: np.ndarray,
-        bound: np.ndarray,
-        limit: np.ndarray,
-        guess: np.ndarray | None = None,
-        guess_valid: np.ndarray | None = None,
-    ) -> Closest:
-        """Return the closest piece pair of each item, as in `narrowphase.NarrowPhase.closest`."""
-        M = len(R)
-        winner, num_queries = np.empty((2, M), np.int64)
-        found = Closest(np.empty(M), np.empty((M, 3)), np.empty((M, 3)), winner, num_queries, np.empty(M, bool))
-        self.compiled.closest(
-            R, t, starts, pair, bound, limit, guess, guess_valid,
-            found.distance, found.point, found.normal, found.winner, found.num_queries, found.failed,
-        )  # fmt: skip
-        return found
-
-
 class NativeSearch:
     """The search among the piece pairs of P body pairs, compiled."""
 
-    def __init__(self, table: PieceTable, narrow_phase: NativeNarrowPhase) -> None:
-        """Prepare the piece pairs of a table."""
-        self._narrow_phase = narrow_phase.compiled
-        self._compiled = _native.Search(
-            narrow_phase.compiled, _side(table.a), _side(table.b), np.ascontiguousarray(table.id[:, 0])
+    def __init__(self, a: Sequence[Body], b: Sequence[Body], tolerances: Tolerances) -> None:
+        """Prepare the pairs (a[p], b[p])."""
+        t, both = tolerances, list(zip(a, b, strict=True))
+        piece_pairs = [(one, other) for first, second in both for one in first.pieces for other in second.pieces]
+        counts = [len(first.pieces) * len(second.pieces) for first, second in both]
+        units = [unit_of(*pair) for pair in piece_pairs]
+        shapes = (
+            [_shape_of(pair[side], unit) for pair, unit in zip(piece_pairs, units, strict=True)] for side in (0, 1)
         )
+        self._narrow_phase = _native.NarrowPhase(*shapes, units, t.gjk, t.epa, t.retry, t.slack)
+        self._compiled = _native.Search(self._narrow_phase, _side(a), _side(b), np.cumsum([0, *counts[:-1]]))
 
     @stage("narrow phase")
     def query(
@@ -131,34 +103,19 @@ class NativeSearch:
         return found
 
     def bare_loop(
-        self,
-        pair: np.ndarray,
-        T_a: np.ndarray,
-        T_b: np.ndarray,
-        limit: np.ndarray,
-        previous: tuple[np.ndarray, ...] | None,
-        threads: int | None = None,
+        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, threads: int | None = None
     ) -> Callable[[], np.ndarray]:
         """Return a function that only makes the narrow-phase queries of `query`: a lower bound for benchmarks.
 
         It returns all distances (N,), item after item.
         """
-        queries = np.array(
-            self._compiled.trace(pair, T_a, T_b, limit, *(previous or (None,) * 4)), dtype=np.int64
-        ).reshape(-1, 2)
-        # As in `query`: items with the same pieces follow each other, and only first queries are warm-started.
-        queries = queries[np.argsort(pair[queries[:, 0]], kind="stable")]
-        item, piece_pair = np.ascontiguousarray(queries.T)
-        R, t = relative(T_a, T_b)
-        guess, valid = np.zeros((len(item), 3)), np.zeros(len(item), dtype=bool)
-        if previous is not None:
-            winner, point_a, point_b, status = previous
-            guess[:] = in_frame(T_a, point_a - point_b)[item]
-            valid[:] = (status[item] == 0) & np.append(True, np.diff(item) != 0)
+        queries = np.array(self._compiled.trace(pair, T_a, T_b, limit), dtype=np.int64).reshape(-1, 2)
+        # As in `query`: items with the same pieces follow each other.
+        item, piece_pair = np.ascontiguousarray(queries[np.argsort(pair[queries[:, 0]], kind="stable")].T)
         distance = np.empty(len(item))
 
         def run() -> np.ndarray:
-            self._narrow_phase.distances(item, piece_pair, R, t, guess, valid, distance, threads or _threads(len(pair)))
+            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads or _threads(len(pair)))
             return distance
 
         return run
@@ -174,13 +131,13 @@ def _shape_of(piece: Piece, unit: float) -> "_native.Shape":
     return shapes[unit]
 
 
-def _side(side: Side) -> "_native.Side":
-    bounds = side.piece_bounds
-    center, half = (np.ascontiguousarray(array.T) for array in (bounds.center, bounds.half))
-    return _native.Side(
-        side.body, side.first, center, half, np.ascontiguousarray(np.moveaxis(bounds.axes, -1, 0)), bounds.radius,
-        side.supports.table, CELLS,
-    )  # fmt: skip
+def _side(bodies: Sequence[Body]) -> "_native.Side":
+    """The bodies on one side of the pairs, each of them once."""
+    distinct, body = index_distinct(bodies)
+    first = np.cumsum([0, *(len(one.pieces) for one in distinct)])
+    bounds = bounds_of([piece for one in distinct for piece in one.pieces])
+    table = support_table([one.pieces for one in distinct])
+    return _native.Side(body, first, bounds.center, bounds.half, bounds.axes, bounds.radius, table, CELLS)
 
 
 def _threads(items: int) -> int:

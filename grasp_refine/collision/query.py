@@ -4,16 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
-from grasp_refine.collision.narrowphase import Closest, NarrowPhase
-from grasp_refine.collision.relative import in_frame, relative
-from grasp_refine.collision.search import Search, WarmStart
-from grasp_refine.collision.table import PieceTable
+from grasp_refine.collision.python_search import PythonSearch
 from grasp_refine.core.arguments import as_numbers, check_kind, shown
 from grasp_refine.core.errors import CollisionError, GraspRefineError
 from grasp_refine.core.profiling import count_queries, stage
@@ -22,7 +20,7 @@ from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 
 if TYPE_CHECKING:
-    from grasp_refine.collision.native_search import NativeNarrowPhase, NativeSearch
+    from grasp_refine.collision.native_search import NativeSearch
 
 
 class QueryStatus(IntEnum):
@@ -146,47 +144,31 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.a)
 
-    @cached_property
-    @stage("loading")
-    def _table(self) -> PieceTable:
-        return PieceTable.of(self.a, self.b)
-
     def take(self, index: np.ndarray) -> "Pairs":
         """Return the pairs `index`."""
         return Pairs(tuple(self.a[p] for p in index), tuple(self.b[p] for p in index), self.tolerances, self.engine)
 
-    @property
+    @cached_property
     def piece_pairs(self) -> tuple[list[Piece], list[Piece]]:
         """Pieces of both sides of every piece pair, indexed by `Witness.winner`."""
-        return self._table.pieces_a, self._table.pieces_b
+        both = [pair for a, b in zip(self.a, self.b, strict=True) for pair in product(a.pieces, b.pieces)]
+        return [a for a, _ in both], [b for _, b in both]
 
-    @property
+    @cached_property
     def first_piece_pair(self) -> np.ndarray:
-        """Index (P,) of the first piece pair of each body pair."""
-        return self._table.id[:, 0]
+        """Index (P,) of the first piece pair of each body pair; (i, j) follows i K_b + j later."""
+        counts = [len(a.pieces) * len(b.pieces) for a, b in zip(self.a, self.b, strict=True)]
+        return np.cumsum([0, *counts[:-1]])
 
     @cached_property
     @stage("loading")
-    def narrow_phase(self) -> "NarrowPhase | NativeNarrowPhase":
-        """Narrow phase of all piece pairs of all body pairs."""
-        table = self._table
+    def search(self) -> "NativeSearch | PythonSearch":
+        """Search of the engine among the piece pairs."""
         if chosen(self.engine) == "python":
-            return NarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
-        from grasp_refine.collision.native_search import NativeNarrowPhase
-
-        return NativeNarrowPhase(table.pieces_a, table.pieces_b, self.tolerances)
-
-    @cached_property
-    @stage("loading")
-    def native(self) -> "NativeSearch | None":
-        """Compiled search; None for the Python engine."""
-        if chosen(self.engine) == "python":
-            return None
+            return PythonSearch(self.a, self.b, self.tolerances)
         from grasp_refine.collision.native_search import NativeSearch
 
-        narrow_phase = self.narrow_phase
-        assert not isinstance(narrow_phase, NarrowPhase)
-        return NativeSearch(self._table, narrow_phase)
+        return NativeSearch(self.a, self.b, self.tolerances)
 
 
 def query(
@@ -229,14 +211,7 @@ def query(
                 raise CollisionError(f"cutoff must be one number or one a pair ({len(pairs)},), got {shown(cutoff)}")
     except GraspRefineError as error:
         raise CollisionError(str(error)) from None
-    if pairs.native is not None:
-        return _query_native(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
-    flat = None if previous is None else previous.reshape(-1)
-    poses = np.reshape(T_world_a, (-1, 4, 4)), np.reshape(T_world_b, (-1, 4, 4))
-    pair = np.tile(np.arange(shape[1]), shape[0])
-    return query_items(pairs, pair, *poses, cutoff=np.broadcast_to(cutoff, shape).reshape(-1), previous=flat).reshape(
-        *shape
-    )
+    return _search(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)
 
 
 def check_poses(pairs: int, T_world_a: Any, T_world_b: Any, previous: Witness | None) -> None:
@@ -275,16 +250,10 @@ def query_items(
         cutoff: Distance (metres; one number or one per item) beyond which items are not queried.
         previous: The answer at nearby poses of the same items.
     """
-    limit = np.full(len(pair), cutoff, dtype=np.float64)
-    if pairs.native is not None:
-        return _query_native(pairs, pair, T_world_a, T_world_b, limit, previous)
-    T_a, T_b = (np.asarray(T, dtype=np.float64) for T in (T_world_a, T_world_b))
-    found = _query_python(pairs, pair, T_a, T_b, limit, previous)
-    count_queries(found.num_queries)
-    return found
+    return _search(pairs, pair, T_world_a, T_world_b, np.full(len(pair), cutoff, dtype=np.float64), previous)
 
 
-def _query_native(
+def _search(
     pairs: Pairs,
     pair: np.ndarray | None,
     T_a: np.ndarray,
@@ -292,64 +261,9 @@ def _query_native(
     limit: np.ndarray,
     previous: Witness | None,
 ) -> Witness:
-    """Answers of the compiled engine, in the shape of `limit`; without `pair` all pairs, repeated."""
+    """Answers of the engine, in the shape of `limit`; without `pair` all pairs, repeated."""
     last = None if previous is None else (previous.winner, previous.point_a, previous.point_b, previous.status)
     T_a, T_b = (np.ascontiguousarray(T, dtype=np.float64) for T in (T_a, T_b))
-    assert pairs.native is not None
-    found = Witness(*pairs.native.query(pair, T_a, T_b, limit, last))
+    found = Witness(*pairs.search.query(pair, T_a, T_b, limit, last))
     count_queries(found.num_queries)
     return found
-
-
-def _query_python(
-    pairs: Pairs, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, limit: np.ndarray, previous: Witness | None
-) -> Witness:
-    """Answers of the Python engine."""
-    table, narrow_phase = pairs._table, pairs.narrow_phase
-    assert isinstance(narrow_phase, NarrowPhase)
-    with np.errstate(invalid="ignore", over="ignore"):
-        R, t = relative(T_a, T_b)
-    finite = np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)
-    if not finite.all():
-        R[~finite], t[~finite] = np.eye(3), 0.0
-    # For a body pair of one piece pair without a cutoff, nothing can be pruned.
-    single = (table.id.shape[1] == 1) & np.isinf(limit)
-    if single.all():
-        bound, column = np.full((len(pair), 1), -np.inf), np.zeros(len(pair), dtype=np.int64)
-    else:
-        with np.errstate(invalid="ignore", over="ignore"):
-            bound, column = table.sphere_bound(pair, R, t)
-        bound[single] = -np.inf
-    bound[~finite] = np.inf
-    search = Search(table, narrow_phase, pair, R, t, limit)
-    found = search.minimum(bound, column, _warm(previous, T_a, table))
-    return _witness(found, T_a, limit, finite)
-
-
-def _warm(previous: Witness | None, T_a: np.ndarray, table: PieceTable) -> WarmStart | None:
-    """Warm start of the search from the last answer."""
-    if previous is None:
-        return None
-    guess = in_frame(T_a, previous.point_a - previous.point_b)
-    apart = (previous.status == QueryStatus.SEPARATED) & np.isfinite(guess).all(axis=1)
-    column = np.where(previous.winner >= 0, table.column[previous.winner], -1)
-    return WarmStart(column, guess, apart)
-
-
-def _witness(found: Closest, T_a: np.ndarray, limit: np.ndarray, finite: np.ndarray) -> Witness:
-    """Witness in world coordinates, with the status of each item."""
-    distance = found.distance
-    status = (distance <= 0).astype(np.int8)  # SEPARATED or PENETRATING
-    valid = (found.winner >= 0) & ~found.failed & finite
-    if not valid.all():
-        status[found.winner < 0] = QueryStatus.FAR
-        status[found.failed] = QueryStatus.FAILED
-        status[~finite] = QueryStatus.NOT_FINITE
-        T_a = np.where(valid[:, None, None], T_a, 0.0)
-        # FAR: no piece pair was, or can be, below the cutoff.
-        distance = np.where(status == QueryStatus.FAR, limit, distance)
-        distance[status > QueryStatus.FAR] = np.nan
-    world = np.stack([found.point, found.normal], axis=1) @ T_a[:, :3, :3].mT
-    point_a, normal = world[:, 0] + T_a[:, :3, 3], world[:, 1]
-    moved = np.where(valid, distance, 0.0)[:, None] * normal
-    return Witness(point_a, point_a + moved, normal, distance, status, found.winner, found.num_queries)

@@ -1,6 +1,6 @@
 """Dataclasses of arrays with one row per batch item: take rows, join, and choose between two."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
@@ -10,6 +10,8 @@ Batch = TypeVar("Batch")
 """An array with a leading batch dimension, a (nested) dataclass or mapping of such arrays, or None.
 
 A dataclass may also hold tuples of values shared by all items."""
+
+Item = TypeVar("Item", bound=Hashable)
 
 
 def take(rows: Batch, index: np.ndarray) -> Batch:
@@ -25,6 +27,12 @@ def join(first: Batch, *others: Batch) -> Batch:
 def choose(mask: np.ndarray, first: Batch, second: Batch) -> Batch:
     """The rows of the first where the mask (batch,) is true, else those of the second."""
     return _map_arrays(lambda a, b: np.where(mask.reshape(-1, *(1,) * (a.ndim - 1)), a, b), first, second)
+
+
+def index_distinct(items: Sequence[Item]) -> tuple[tuple[Item, ...], np.ndarray]:
+    """The distinct ones of some objects, in order of appearance, and the index (N,) of each object among them."""
+    place = {item: index for index, item in enumerate(dict.fromkeys(items))}
+    return tuple(place), np.array([place[item] for item in items], dtype=np.int64)
 
 
 def _map_arrays(function: Callable[..., Any], first: Any, *others: Any) -> Any:

@@ -26,8 +26,8 @@ Stage = Literal[
 
 - loading: files, convex pieces, and structures built once for a hand and an object.
 - kinematics: poses and joint axes of links.
-- broad phase: choice of the pieces, input and output of the narrow phase.
-- narrow phase: coal; for the compiled engine, including the choice of pieces in its loop.
+- broad phase: choice of the body pairs that are queried.
+- narrow phase: coal, and the choice of pieces in its loop.
 - derivative: residuals with their Jacobians, and gradients.
 - solver: loss, steps and bookkeeping of the loop.
 - forces: quadratic programs of contact forces.

@@ -1,21 +1,18 @@
 """The narrow phase: closed forms, proofs of optimality, and every trap of coal that it guards against."""
 
-import gc
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
 
+import coal
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
 from grasp_refine.collision.certified_distance import Tolerances
-from grasp_refine.collision.engine import chosen
-from grasp_refine.collision.narrowphase import Closest, NarrowPhase
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
 from grasp_refine.collision.shapes import few_neighbours
 from grasp_refine.core.se3 import exp_so3, inverse
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
-from shapes_for_tests import ellipsoid_hull
+from shapes_for_tests import ellipsoid_hull, piece_body
 from twists import random_poses
 
 pytestmark = pytest.mark.usefixtures("engine")
@@ -25,30 +22,20 @@ NOWHERE = -1.8e308  # minus infinity: what EPA was once seen to return
 EVERY_TRY = 30  # two of the pieces as they lie, two moved apart along each of fourteen directions
 
 
-def narrow_phase(a: list[Piece], b: list[Piece], tolerances: Tolerances | None = None) -> Any:
-    """That of the engine under test."""
-    if chosen("auto") == "python":
-        return NarrowPhase(a, b, tolerances or Tolerances())
-    from grasp_refine.collision.native_search import NativeNarrowPhase
-
-    return NativeNarrowPhase(a, b, tolerances or Tolerances())
+def piece_pair(a: Piece, b: Piece) -> Pairs:
+    return Pairs((piece_body(a),), (piece_body(b),))
 
 
-def closest(narrow: Any, T: np.ndarray, pairs: int = 1, limit: float = np.inf, bound: float = -np.inf) -> Closest:
-    """Ask all `pairs` piece pairs for body b at the poses T (M, 4, 4) in the frame of body a."""
-    count = len(T)
-    return narrow.closest(
-        np.ascontiguousarray(T[:, :3, :3]),
-        T[:, :3, 3],
-        pairs * np.arange(count + 1),
-        np.tile(np.arange(pairs), count),
-        np.full(count * pairs, bound),
-        np.full(count, limit),
-    )
+def closest(
+    pairs: Pairs, T: np.ndarray, cutoff: float = np.inf, pair: int = 0, previous: Witness | None = None
+) -> Witness:
+    """Query body b at the poses T (M, 4, 4) in the frame of body a."""
+    at_rest = np.broadcast_to(np.eye(4), T.shape)
+    return query_items(pairs, np.full(len(T), pair), at_rest, T, cutoff=cutoff, previous=previous)
 
 
-def ask(a: Piece, b: Piece, T: np.ndarray, tolerances: Tolerances | None = None) -> Closest:
-    return closest(narrow_phase([a], [b], tolerances), T)
+def ask(a: Piece, b: Piece, T: np.ndarray) -> Witness:
+    return closest(piece_pair(a, b), T)
 
 
 def poses(count: int, seed: int, spread: float) -> np.ndarray:
@@ -61,10 +48,9 @@ def placed(*offsets: tuple[float, float, float]) -> np.ndarray:
     return T
 
 
-def on_b(found: Closest, T: np.ndarray) -> np.ndarray:
+def on_b(found: Witness, T: np.ndarray) -> np.ndarray:
     """The witness point on body b, in its own frame."""
-    point = found.point + found.distance[:, None] * found.normal
-    return np.einsum("mji,mj->mi", T[:, :3, :3], point - T[:, :3, 3])
+    return np.einsum("mji,mj->mi", T[:, :3, :3], found.point_b - T[:, :3, 3])
 
 
 def support_gap(a: Piece, b: Piece, T: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -105,7 +91,7 @@ def test_spheres() -> None:
     assert (length > 0.05).any() and (length < 0.05).any()
     np.testing.assert_allclose(found.distance, length - 0.05, atol=1e-15)
     np.testing.assert_allclose(found.normal, offset / length[:, None], atol=1e-12)
-    np.testing.assert_allclose(found.point, a.vertices[0] + 0.02 * offset / length[:, None], atol=1e-12)
+    np.testing.assert_allclose(found.point_a, a.vertices[0] + 0.02 * offset / length[:, None], atol=1e-12)
 
 
 def segments_distance(p: np.ndarray, q: np.ndarray) -> float:
@@ -179,7 +165,7 @@ def test_the_normal_proves_the_distance_of_hulls_apart_and_the_points_attain_it(
     np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-12)
     # Weak duality: the gap along any direction is at most the distance; between two points it is at least that.
     np.testing.assert_allclose(support_gap(a, b, T, found.normal), found.distance, atol=1e-8)
-    np.testing.assert_allclose(outside_by(a, found.point), 0.0, atol=1e-8)
+    np.testing.assert_allclose(outside_by(a, found.point_a), 0.0, atol=1e-8)
     np.testing.assert_allclose(outside_by(b, on_b(found, T)), 0.0, atol=1e-8)
 
 
@@ -192,7 +178,7 @@ def test_a_radius_moves_the_surface_out() -> None:
     apart = plain.distance > 1e-6
     assert (swept.distance[apart] < 0).sum() > 10, "shallow contact is covered"
     np.testing.assert_allclose(swept.distance[apart], plain.distance[apart] - 0.01, atol=2e-8)
-    flat = outside_by(a, swept.point - 0.01 * swept.normal)
+    flat = outside_by(a, swept.point_a - 0.01 * swept.normal)
     np.testing.assert_allclose(flat[apart], 0.0, atol=2e-8)
     # Where they overlap the proof is the gap along the normal.
     np.testing.assert_allclose(support_gap(thick, b, T, swept.normal), swept.distance, atol=2e-8)
@@ -212,27 +198,6 @@ def test_both_bodies_may_have_a_radius_and_a_place_of_their_own() -> None:
 
 
 # traps
-
-
-def test_shapes_live_as_long_as_their_queries() -> None:
-    narrow = narrow_phase([ellipsoid_hull(1)], [ellipsoid_hull(2)])
-    T = poses(20, 13, 0.08)
-    first = closest(narrow, T)
-    for _ in range(3):
-        gc.collect()
-        # Memory that was given back is soon used again.
-        _ = [ellipsoid_hull(seed) for seed in range(20)]
-    np.testing.assert_array_equal(closest(narrow, T).distance, first.distance)
-
-
-def test_normals_are_copies() -> None:
-    T = placed((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1), (-0.1, 0, 0))
-    narrow = narrow_phase([sphere(0.01)], [sphere(0.01)])
-    found = closest(narrow, T)
-    kept = found.normal.copy()
-    closest(narrow, T[::-1])
-    np.testing.assert_array_equal(found.normal, kept)
-    np.testing.assert_allclose(found.normal, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], atol=1e-12)
 
 
 def test_a_hull_with_hundreds_of_neighbours_is_the_same_body() -> None:
@@ -264,20 +229,6 @@ def test_a_disc_of_400_sides_in_closed_form() -> None:
     np.testing.assert_allclose(support_gap(disc, other, T, found.normal), found.distance, atol=2e-8)
 
 
-def replace_answers(narrow: NarrowPhase, index: int, answer: Callable[[int, float], float]) -> list[float]:
-    """Pass each answer of a piece pair through `answer(call, value)`; returns the EPA tolerances it was asked with."""
-    compute = narrow._pairs[index].compute
-    tolerances: list[float] = []
-
-    def tampered(T_1: object, T_2: object, request: object, result: object) -> float:
-        value = compute(T_1, T_2, request, result)
-        tolerances.append(request.epa_tolerance)
-        return answer(len(tolerances) - 1, value)
-
-    narrow._pairs[index] = replace(narrow._pairs[index], compute=tampered)
-    return tolerances
-
-
 SHAPES = {
     "cubes": (box([1.0] * 3), box([0.5, 0.7, 0.9])),
     "plate": (box([1.0, 1.0, 1e-4]), box([0.3] * 3)),
@@ -300,7 +251,7 @@ def test_bodies_of_any_size_get_the_same_answer_in_proportion(name: str) -> None
         found = ask(a.scaled(scale), b.scaled(scale), smaller)
         if np.log2(scale) % 3 == 0:  # the same bits
             np.testing.assert_array_equal(found.distance, scale * whole.distance)
-            np.testing.assert_array_equal(found.point, scale * whole.point)
+            np.testing.assert_array_equal(found.point_a, scale * whole.point_a)
         np.testing.assert_allclose(found.distance / scale, whole.distance, rtol=0, atol=2e-9)
 
 
@@ -437,70 +388,48 @@ def test_bodies_a_thousand_diagonals_apart_are_measured_exactly(scale: float) ->
     gap = support_gap(a, b, T, found.normal)
     assert (found.distance >= gap - 1e-12 * scale * 1000).all()  # no distance is below a gap
     np.testing.assert_allclose(found.distance, gap, rtol=0, atol=1e-8 * scale)
-    assert np.abs(outside_by(a, found.point)).max() < 1e-9 * scale
+    assert np.abs(outside_by(a, found.point_a)).max() < 1e-9 * scale
+
+
+def replace_answers(monkeypatch: pytest.MonkeyPatch, answer: Callable[[int, float], float]) -> list[float]:
+    """Pass each answer of coal through `answer(call, value)`; returns the EPA tolerances that it was asked with."""
+    tolerances: list[float] = []
+    compute = coal.distance
+
+    def tampered(*arguments: object) -> float:
+        tolerances.append(arguments[4].epa_tolerance)
+        return answer(len(tolerances) - 1, compute(*arguments))
+
+    monkeypatch.setattr(coal, "distance", tampered)
+    return tolerances
 
 
 @only_python
 @pytest.mark.parametrize("wild", [NOWHERE, -np.inf, np.nan, np.inf, 1.8e308, -1.6])
-def test_a_wild_answer_is_asked_again_with_the_looser_tolerance(wild: float) -> None:
-    narrow = NarrowPhase([box([0.04] * 3)], [box([0.04] * 3)], Tolerances())
-    asked_with = replace_answers(narrow, 0, lambda call, value: wild if call == 0 else value)
-    # Two cubes in balls of 3.5 cm, 2 cm apart: no penetration deeper than 5 cm, or 0.4 units, can be true.
-    found = closest(narrow, placed((0.035, 0, 0)), bound=-0.05)
+def test_a_wild_answer_is_asked_again_with_the_looser_tolerance(monkeypatch: pytest.MonkeyPatch, wild: float) -> None:
+    asked_with = replace_answers(monkeypatch, lambda call, value: wild if call == 0 else value)
+    # Two cubes in balls of 3.5 cm, 3.5 cm apart: no penetration deeper than 3.5 cm can be true.
+    found = ask(box([0.04] * 3), box([0.04] * 3), placed((0.035, 0, 0)))
     assert asked_with == [Tolerances().epa, Tolerances().retry]
     assert found.distance[0] == pytest.approx(-0.005, abs=1e-6)
-    assert not found.failed[0] and found.winner[0] == 0 and found.num_queries[0] == 1
+    assert found.valid[0] and found.num_queries[0] == 1
 
 
 @only_python
-def test_two_wild_answers_are_mended_by_moving_the_pieces_apart() -> None:
-    narrow = NarrowPhase([box([0.04] * 3)], [box([0.04] * 3)], Tolerances())
-    asked_with = replace_answers(narrow, 0, lambda call, value: NOWHERE if call < 2 else value)
-    found = closest(narrow, placed((0.035, 0.001, 0.002)), bound=-0.05)
-    assert len(asked_with) > 2 and not found.failed[0]
+def test_two_wild_answers_are_resolved_by_moving_the_pieces_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked_with = replace_answers(monkeypatch, lambda call, value: NOWHERE if call < 2 else value)
+    found = ask(box([0.04] * 3), box([0.04] * 3), placed((0.035, 0.001, 0.002)))
+    assert len(asked_with) > 2 and found.valid[0]
     assert found.distance[0] == pytest.approx(-0.005, abs=1e-15)
     np.testing.assert_allclose(found.normal[0], [1, 0, 0], atol=1e-12)
 
 
-def test_an_answer_that_stays_wild_is_a_failure_even_where_other_pieces_answer() -> None:
-    narrow = NarrowPhase([box([0.04] * 3)] * 2, [box([0.04] * 3), sphere(0.01)], Tolerances())
-    replace_answers(narrow, 0, lambda call, value: NOWHERE if call < EVERY_TRY else value)
-    found = closest(narrow, placed((0.035, 0, 0), (0.06, 0, 0)), pairs=2, bound=-0.2)
-    # The first item lost a piece pair, so its minimum is not certain; the second one lost nothing.
-    np.testing.assert_array_equal(found.failed, [True, False])
-    assert found.distance[0] == pytest.approx(0.005, abs=1e-8)
-    np.testing.assert_allclose(found.distance[1], 0.02, atol=1e-8)
-
-
-def test_what_cannot_beat_the_limit_is_not_asked() -> None:
-    narrow = narrow_phase([sphere(0.01)] * 3, [sphere(0.01), sphere(0.02), sphere(0.03)])
-    T = placed((0.1, 0, 0))
-    bounds = np.array([0.06, 0.07, 0.08])  # ascending; the third sphere, listed first, is at 0.06
-    arguments = np.eye(3)[None], T[:, :3, 3], np.array([0, 3]), np.array([2, 1, 0]), bounds
-    found = narrow.closest(*arguments, np.array([np.inf]))
-    assert (found.num_queries[0], found.winner[0], found.distance[0]) == (1, 2, pytest.approx(0.06))
-    none = narrow.closest(*arguments, np.array([0.06]))
-    assert (none.num_queries[0], none.winner[0], none.distance[0]) == (0, -1, np.inf)
-    beaten = narrow.closest(*arguments, np.array([0.0600001]))
-    assert (beaten.num_queries[0], beaten.winner[0]) == (1, 2)
-
-
-def test_a_warm_start_changes_rounding_only() -> None:
-    a, b = ellipsoid_hull(15), ellipsoid_hull(16)
-    narrow = narrow_phase([a], [b])
-    T = poses(100, 17, 0.1)
-    cold = closest(narrow, T)
-    apart = cold.distance > 0
-    count = len(T)
-    for guess in (-cold.distance[:, None] * cold.normal, np.random.default_rng(0).normal(size=(count, 3))):
-        warm = narrow.closest(
-            np.ascontiguousarray(T[:, :3, :3]), T[:, :3, 3], np.arange(count + 1), np.zeros(count, dtype=int),
-            np.full(count, -np.inf), np.full(count, np.inf), guess, apart,
-        )  # fmt: skip
-        np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
-        # Where it is not used nothing changes at all.
-        np.testing.assert_array_equal(warm.distance[~apart], cold.distance[~apart])
-        np.testing.assert_array_equal(warm.normal[~apart], cold.normal[~apart])
+@only_python
+def test_an_answer_that_stays_wild_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_answers(monkeypatch, lambda call, value: NOWHERE if call < EVERY_TRY else value)
+    found = ask(box([0.04] * 3), box([0.04] * 3), placed((0.035, 0, 0), (0.06, 0, 0)))
+    assert found.status.tolist() == [QueryStatus.FAILED, QueryStatus.SEPARATED]
+    assert np.isnan(found.distance[0]) and found.distance[1] == pytest.approx(0.02, abs=1e-8)
 
 
 @pytest.mark.parametrize(("a", "b"), TIED)
@@ -509,40 +438,19 @@ def test_an_answer_does_not_depend_on_what_was_asked_before(a: Piece, b: Piece) 
     T = poses(60, 18, 0.05)
     T[::2, :3, :3] = np.eye(3)
     fresh = [ask(a, b, pose[None]) for pose in T]
-    used = narrow_phase([a, b], [b, a])
+    used = Pairs((piece_body(a), piece_body(b)), (piece_body(b), piece_body(a)))
+    guess = closest(used, poses(60, 19, 0.1))
     for order in (np.arange(60), np.arange(60)[::-1], np.random.default_rng(0).permutation(60)):
         found = closest(used, T[order])
-        closest(used, inverse(T), pairs=2)
-        for name in ("distance", "point", "normal"):
+        closest(used, inverse(T), pair=1)
+        closest(used, T, previous=guess)
+        for name in ("distance", "point_a", "normal"):
             np.testing.assert_array_equal(getattr(found, name), [getattr(fresh[i], name)[0] for i in order])
 
 
-def test_a_warm_start_leaves_nothing_behind() -> None:
-    a, b = cylinder(0.03, 0.02, sides=40), box([0.03, 0.04, 0.05])
-    T = poses(40, 19, 0.1)
-    T[::2, :3, :3] = np.eye(3)
-    count, guess = len(T), np.random.default_rng(0).normal(size=(40, 3))
-    every = np.random.default_rng(1).permutation(40)
-    listed = np.arange(count + 1), np.zeros(count, dtype=int), np.full(count, -np.inf), np.full(count, np.inf)
-
-    def warm(order: np.ndarray, narrow: Any) -> Closest:
-        R, t = np.ascontiguousarray(T[order, :3, :3]), T[order, :3, 3]
-        rows = [values[: len(order) + (i == 0)] for i, values in enumerate(listed)]
-        return narrow.closest(R, t, *rows, guess[order], np.asarray(order) % 3 > 0)
-
-    used = narrow_phase([a], [b])
-    first, second = warm(np.arange(40), used), warm(every, used)
-    alone = [warm(np.array([i]), narrow_phase([a], [b])) for i in range(40)]
-    for name in ("distance", "point", "normal"):
-        np.testing.assert_array_equal(getattr(second, name), getattr(first, name)[every])
-        np.testing.assert_array_equal(getattr(first, name), [getattr(found, name)[0] for found in alone])
-
-
-def test_an_answer_below_its_bound_is_a_failure() -> None:
-    a, b = ellipsoid_hull(1, 400), ellipsoid_hull(2, 400)
-    T = placed((0.1, 0.02, 0.01))
-    true = ask(a, b, T).distance[0]
-    narrow = narrow_phase([a], [b], Tolerances(slack=0.0))
-    assert closest(narrow, T, bound=true - 1e-9).distance[0] == true
-    failed = closest(narrow, T, bound=true + 1e-6)
-    assert failed.failed[0] and (failed.winner[0], failed.num_queries[0]) == (-1, 1) and np.isinf(failed.distance[0])
+@pytest.mark.parametrize(("slack", "status"), [(1e-6, [1, 0, 2]), (-1e-6, [3, 3, 2])])
+def test_an_answer_below_its_bound_is_a_failure(slack: float, status: list[int]) -> None:
+    """A slack below zero makes answers at their bounds wrong: for spheres, these are the distances."""
+    ball = (piece_body(sphere(0.01)),)
+    T = placed((0.015, 0, 0), (0.05, 0, 0), (0.08, 0, 0))
+    assert closest(Pairs(ball, ball, Tolerances(slack=slack)), T, cutoff=0.05).status.tolist() == status

@@ -241,7 +241,7 @@ def test_the_number_of_threads_is_of_no_account(meeting: Meeting) -> None:
     T_a, T_b = (np.ascontiguousarray(np.tile(T, (10, 1, 1, 1))) for T in (meeting.T_a, meeting.T_b))
     expected = query(pairs, meeting.T_a, meeting.T_b)
     for threads in (1, 2, 7):
-        found = Witness(*pairs.native.query(None, T_a, T_b, limit, None, threads))
+        found = Witness(*pairs.search.query(None, T_a, T_b, limit, None, threads))
         for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
             tiled = np.tile(getattr(expected, name), (10, *(1,) * (getattr(expected, name).ndim - 1)))
             np.testing.assert_array_equal(getattr(found, name), tiled, err_msg=name)
