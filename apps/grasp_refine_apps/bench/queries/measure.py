@@ -152,13 +152,15 @@ class Measurement:
 
 def _bare(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray, batch: int) -> Callable[[], None]:
     """Return a bare loop over the queries of the compiled engine at all poses, `batch` poses in a call."""
+    from grasp_refine.collision.native_search import NativeSearch
+
     loops = []
-    assert pairs.native is not None
+    assert isinstance(pairs.search, NativeSearch)
     for start in range(0, len(T_a), batch):
         rows = slice(start, start + batch)
         first, second = (np.ascontiguousarray(T[rows, 0]) for T in (T_a, T_b))
         zero, limit = np.zeros(len(first), dtype=np.int64), np.full(len(first), np.inf)
-        loops.append(pairs.native.bare_loop(zero, first, second, limit, None))
+        loops.append(pairs.search.bare_loop(zero, first, second, limit))
 
     def run() -> None:
         for loop in loops:
