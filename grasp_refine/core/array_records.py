@@ -9,7 +9,7 @@ import numpy as np
 Batch = TypeVar("Batch")
 """An array with a leading batch dimension, a (nested) dataclass or mapping of such arrays, or None.
 
-A dataclass may also hold tuples of values shared by all items."""
+A dataclass may also hold texts, and tuples of values, shared by all items."""
 
 Item = TypeVar("Item", bound=Hashable)
 
@@ -36,8 +36,8 @@ def index_distinct(items: Sequence[Item]) -> tuple[tuple[Item, ...], np.ndarray]
 
 
 def _map_arrays(function: Callable[..., Any], first: Any, *others: Any) -> Any:
-    """Apply `function` to each array of the first and the others; None and tuples are taken from the first."""
-    if first is None or isinstance(first, tuple):
+    """Apply `function` to each array of the first and the others; None, texts and tuples are taken from the first."""
+    if first is None or isinstance(first, tuple | str):
         return first
     if isinstance(first, Mapping):
         return {key: _map_arrays(function, *(part[key] for part in (first, *others))) for key in first}

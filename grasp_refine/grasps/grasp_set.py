@@ -21,27 +21,29 @@ provenance) may be present too and are not read here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Shaped
 
-from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shown
+from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
+from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
+from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
+from grasp_refine.grasps.rows import row_numbers
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.mimics import followed
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["GraspSet", "Stage", "Targets", "choose_rows", "load_grasps", "match_joints", "save_npz"]
+__all__ = ["GraspSet", "Stage", "Targets", "load_grasps", "match_joints", "save_npz"]
 
 SCHEMA = 1
 """The version of grasp files that is written, and the newest that is read."""
@@ -49,9 +51,6 @@ REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", 
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
 OTHER_STAGES = ("pregrasp", "squeeze")
 """Stages beside the grasp itself: attributes of a set, and prefixes of their entries in a file."""
-QUATERNION_TOLERANCE = 1e-3
-"""Greatest distance from 1 of the norm of a quaternion in a file: rounding to float32 passes, a mix-up does not."""
-
 MIMIC_TOLERANCE = 1e-3
 """Greatest deviation of a mimic joint in a file from the joint that it follows, in rad or m, without a note."""
 
@@ -69,11 +68,6 @@ class Targets:
 
     __repr__ = brief
 
-    def select(self, indices: ArrayLike) -> Targets:
-        """Return the targets of the rows `indices`, in that order."""
-        rows = np.asarray(indices, dtype=int)
-        return Targets(self.links, self.point_link[rows], self.point_object[rows])
-
 
 @dataclass(frozen=True, eq=False)
 class Stage:
@@ -85,11 +79,6 @@ class Stage:
     """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
 
     __repr__ = brief
-
-    def select(self, indices: ArrayLike) -> Stage:
-        """Return the rows `indices`, in that order."""
-        rows = np.asarray(indices, dtype=int)
-        return Stage(self.hand_pose[rows], self.q[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +139,7 @@ class GraspSet:
     def __repr__(self) -> str:
         names = np.unique(self.object)
         on = str(names[0]) if len(names) == 1 else count_text(len(names), "object")
-        with_parts = [name for name in ("targets", *OTHER_STAGES) if getattr(self, name) is not None]
+        with_parts = [*(["targets"] if self.targets is not None else []), *self.other_stages]
         more = f", with {', '.join(with_parts)}" if with_parts else ""
         return f"GraspSet({count_text(len(self), 'grasp')} of {self.hand} on {on}{more})"
 
@@ -167,11 +156,7 @@ class GraspSet:
             check_kind("joint_names", names, tuple[str, ...])
             pose = as_numbers("hand_pose", self.hand_pose, "N", 7, why="x y z qw qx qy qz")
             count = len(pose)
-            _, fault = unit_poses(pose)
-            if fault is not None:
-                raise GraspFileError(
-                    f"GraspSet: hand_pose row {fault[0]} has no unit quaternion: length {fault[1]:.6g}"
-                )
+            unit_poses(pose, "hand_pose", GraspRefineError)
             q = as_numbers("q", self.q, count, len(names), why="one row per hand_pose, one column per joint name")
             scale = np.broadcast_to(as_numbers("scale", self.scale), np.shape(self.scale) or (count,))
             check_shape("scale", scale, count)
@@ -191,10 +176,15 @@ class GraspSet:
         return len(self.object)
 
     @property
+    def other_stages(self) -> dict[str, Stage]:
+        """Stages beside the grasp itself that the set has, by name of `OTHER_STAGES`."""
+        stages = {name: getattr(self, name) for name in OTHER_STAGES}
+        return {name: stage for name, stage in stages.items() if stage is not None}
+
+    @property
     def finite(self) -> Bool[np.ndarray, " N"]:
         """Mask (N,) of grasps whose poses and joint values are finite at all stages."""
-        others = (stage for stage in (self.pregrasp, self.squeeze) if stage is not None)
-        stages: list[GraspSet | Stage] = [self, *others]
+        stages: list[GraspSet | Stage] = [self, *self.other_stages.values()]
         return np.logical_and.reduce(
             [np.isfinite(values).all(axis=1) for stage in stages for values in (stage.hand_pose, stage.q)]
         )
@@ -205,45 +195,11 @@ class GraspSet:
         Raises:
             GraspFileError: not a list of row numbers, or one out of range.
         """
-        rows = row_numbers(indices, len(self))
-        return replace(
-            self,
-            object=self.object[rows],
-            scale=self.scale[rows],
-            hand_pose=self.hand_pose[rows],
-            q=self.q[rows],
-            targets=None if self.targets is None else self.targets.select(rows),
-            pregrasp=None if self.pregrasp is None else self.pregrasp.select(rows),
-            squeeze=None if self.squeeze is None else self.squeeze.select(rows),
-        )
+        return take(self, row_numbers(indices, len(self)))
 
     def at(self, stage: Stage) -> GraspSet:
         """Return the grasps with the poses and joint values of one of their stages, for `match_joints`."""
         return replace(self, hand_pose=stage.hand_pose, q=stage.q)
-
-    def with_(
-        self,
-        *,
-        joint_names: tuple[str, ...] | None = None,
-        hand_pose: Float[np.ndarray, "N 7"] | None = None,
-        q: Float[np.ndarray, "N n"] | None = None,
-        targets: Targets | None = None,
-        pregrasp: Stage | None = None,
-        squeeze: Stage | None = None,
-    ) -> GraspSet:
-        """Return the grasps with the given parts replaced; parts that are None are kept.
-
-        Other `joint_names` need other columns of `q` and of the stages too.
-        """
-        return replace(
-            self,
-            joint_names=self.joint_names if joint_names is None else joint_names,
-            hand_pose=self.hand_pose if hand_pose is None else hand_pose,
-            q=self.q if q is None else q,
-            targets=self.targets if targets is None else targets,
-            pregrasp=self.pregrasp if pregrasp is None else pregrasp,
-            squeeze=self.squeeze if squeeze is None else squeeze,
-        )
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the entries of a grasp file with these grasps, for `save_npz`."""
@@ -261,10 +217,8 @@ class GraspSet:
             entries["target_link"] = np.array(self.targets.links, dtype=str)
             entries["target_point_link"] = self.targets.point_link
             entries["target_point_object"] = self.targets.point_object
-        for name in OTHER_STAGES:
-            stage = getattr(self, name)
-            if stage is not None:
-                entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
+        for name, stage in self.other_stages.items():
+            entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
         return entries
 
 
@@ -359,70 +313,6 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     return q, tuple(notes)
 
 
-def choose_rows(
-    grasps: GraspSet, *, object_name: str | None, index: Sequence[int] | None
-) -> Int[np.ndarray, " chosen"]:
-    """Return the rows (ascending unless `index` orders them) of the grasps of one object.
-
-    `index` counts the grasps of that object: 0 is its first grasp in the file. None takes all of them. Raises
-    GraspFileError when the file holds several objects and none is named, when the named one is not among
-    them, and when an index is out of range.
-    """
-    names, counts = np.unique(grasps.object, return_counts=True)
-    listing = ", ".join(f"{name} ({count})" for name, count in zip(names, counts, strict=True))
-    if object_name is None:
-        if len(names) > 1:
-            raise GraspFileError(f"the grasps are of {len(names)} objects, choose one by name: {listing}")
-        object_name = str(names[0])
-    rows = np.flatnonzero(grasps.object == object_name)
-    if not len(rows):
-        raise GraspFileError(f"no grasp of object '{object_name}'; there are grasps of {listing}")
-    if index is None:
-        return rows
-    outside = [i for i in index if not 0 <= i < len(rows)]
-    if outside:
-        raise GraspFileError(
-            f"grasp index {', '.join(map(str, outside))} is out of range: "
-            f"'{object_name}' has {count_text(len(rows), 'grasp')}, 0 to {len(rows) - 1}"
-        )
-    return rows[np.asarray(index, dtype=int)]
-
-
-def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
-    """Numbers of rows of `count`, from numbers or a mask.
-
-    Raises:
-        GraspFileError: neither, or a row out of range.
-    """
-    rows = np.asarray(indices)
-    if rows.dtype == bool and rows.shape == (count,):
-        return np.flatnonzero(rows)
-    if rows.ndim != 1 or (rows.size and rows.dtype.kind not in "iu"):
-        raise GraspFileError(f"rows must be a list of integers or a mask ({count},), got {shown(indices)}")
-    if rows.size and not -count <= rows.min() <= rows.max() < count:
-        raise GraspFileError(f"rows must be below {count}, the number of grasps, got {shown(indices)}")
-    return rows.astype(int)
-
-
-def unit_poses(poses: Float[np.ndarray, "N 7"]) -> tuple[Float[np.ndarray, "N 7"], tuple[int, float] | None]:
-    """Return poses (N, 7) with quaternions of length 1, and row and norm of the first that is not unit.
-
-    None: all are, up to rounding. Poses that are not finite are kept.
-    """
-    finite = np.isfinite(poses).all(axis=1)
-    with np.errstate(over="ignore"):
-        norm = np.where(finite, np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.5), axis=1), 1.0)
-    wrong = np.flatnonzero(np.abs(norm - 1.0) > QUATERNION_TOLERANCE)
-    if len(wrong):
-        return poses, (int(wrong[0]), float(norm[wrong[0]]))
-    return np.concatenate([poses[:, :3], poses[:, 3:] / norm[:, None]], axis=1), None
-
-
-def without_zero_quaternions(poses: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
-    """Poses (N, 7) with NaN for those whose quaternion is 0: programs write it for unknown ones."""
-    return np.where((poses[:, 3:] == 0.0).all(axis=1, keepdims=True), np.nan, poses)
-
-
 def _check_schema(file: NpzFile) -> None:
     schema = file.entries.get("schema", np.array(1))
     if schema.shape != () or schema.dtype.kind not in "iu" or schema < 1:
@@ -443,14 +333,7 @@ def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int)
             f"{q_key} must have shape ({len(pose)}, {joints}), one row per hand_pose and one column per "
             f"name in joint_names; it has {q.shape}"
         )
-    pose, fault = unit_poses(without_zero_quaternions(pose))
-    if fault is not None:
-        row, norm = fault
-        raise file.error(
-            f"{pose_key} row {row} has no unit quaternion: the norm of its last four numbers, "
-            f"qw qx qy qz, is {norm:.6g}"
-        )
-    return Stage(pose, q)
+    return Stage(unit_poses(without_zero_quaternions(pose), pose_key, file.error), q)
 
 
 def _optional_stage(file: NpzFile, name: str, n: int, joints: int) -> Stage | None:

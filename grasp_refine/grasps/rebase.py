@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -51,12 +52,7 @@ def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> Gr
         return Stage(pose_from_transform(T), q[:, columns])
 
     grasp = moved(Stage(grasps.hand_pose, grasps.q))
+    others: dict[str, Any] = {name: moved(stage) for name, stage in grasps.other_stages.items()}
     return replace(
-        grasps,
-        base_link=base_link,
-        joint_names=new.joint_names,
-        hand_pose=grasp.hand_pose,
-        q=grasp.q,
-        pregrasp=None if grasps.pregrasp is None else moved(grasps.pregrasp),
-        squeeze=None if grasps.squeeze is None else moved(grasps.squeeze),
+        grasps, base_link=base_link, joint_names=new.joint_names, hand_pose=grasp.hand_pose, q=grasp.q, **others
     )

@@ -17,8 +17,9 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.grasps.formats.reading import Reading, reading
-from grasp_refine.grasps.grasp_set import GraspSet, Targets, choose_rows, load_grasps, match_joints
+from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
 from grasp_refine.grasps.rebase import rebased
+from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known
 from grasp_refine.hands.tree import read_tree
@@ -102,7 +103,7 @@ class Loader:
         spec.check()
         grasps = read.grasps
         names = self._names(grasps, path)
-        chosen = {name: choose_rows(grasps, object_name=name, index=spec.index or None) for name in names}
+        chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
         sources = {name: self._source(name, path) for name in names}
         targets = self._targets(grasps, path)
         hand, grasps, resting = self._hand(grasps, path)

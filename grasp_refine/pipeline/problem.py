@@ -125,7 +125,8 @@ class Problem:
     def closing(self, source: StageSource = "auto") -> dict[str, str]:
         """Return the source of pregrasps and squeezes of `Group.motion`: stage -> "file" or "own"."""
         grasps = self.groups[0].grasps
-        return {name: "own" if source == "own" or getattr(grasps, name) is None else "file" for name in OTHER_STAGES}
+        given = () if source == "own" else grasps.other_stages
+        return {name: "file" if name in given else "own" for name in OTHER_STAGES}
 
     @property
     def order(self) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.grasps.grasp_set import choose_rows
+from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.source import check_object
@@ -69,7 +69,7 @@ def sampled_problem(
     if len(grasps) < count:
         notes.append(f"found only {len(grasps)} of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'")
     grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
-    rows = choose_rows(grasps, object_name=None, index=spec.index or None)
+    rows = choose_rows(grasps.object, object_name=None, index=spec.index or None)
     grasps = grasps.select(rows)
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
     group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))

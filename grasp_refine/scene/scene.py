@@ -10,7 +10,7 @@ from grasp_refine.core.arguments import as_numbers, check_kind, shape_error
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
-from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
+from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
@@ -134,13 +134,8 @@ def grasp_arrays(hand: Hand, T_world_root: Any, q: Any) -> tuple[np.ndarray, np.
     """
     T, q = as_numbers("T_world_root", T_world_root), as_numbers("q", q)
     if T.shape[-1:] == (7,) and T.ndim <= 2:
-        poses, fault = unit_poses(without_zero_quaternions(T.reshape(-1, 7)))
-        if fault is not None:
-            raise GraspRefineError(
-                f"T_world_root row {fault[0]} has no unit quaternion: the norm of its last four numbers, qw qx qy qz, "
-                f"is {fault[1]:.6g}"
-            )
-        T = transform_from_pose(poses)
+        poses = without_zero_quaternions(T.reshape(-1, 7))
+        T = transform_from_pose(unit_poses(poses, "T_world_root", GraspRefineError))
     T, q = T[None] if T.ndim == 2 else T, q[None] if q.ndim == 1 else q
     if T.shape[1:] != (4, 4):
         raise shape_error("T_world_root", T, ("N", 4, 4), "transforms, or poses x y z qw qx qy qz (N, 7)")

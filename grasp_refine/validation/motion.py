@@ -76,7 +76,7 @@ def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion
     Raises:
         GraspFileError: the file lacks a stage and there is no `own`, or its joints are not those of the hand.
     """
-    missing = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
+    missing = [name for name in OTHER_STAGES if name not in grasps.other_stages]
     if missing and own is None:
         raise GraspFileError(f"the grasps come without {' and '.join(missing)}")
     T, q = [], []

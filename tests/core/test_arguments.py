@@ -148,7 +148,7 @@ REFUSED = {
     "transform_from_pose(np.zeros(7))": "0",
     "pose_from_transform(pose)": "(4, 7)",
     "body_gradient(T, T[:, :3])": "gradient",
-    "grasps.with_(q=q[:2])": "(2, 16)",
+    "replace(grasps, q=q[:2])": "(2, 16)",
     "grasps.select([99])": "99",
     "grasps.select([0.5])": "0.5",
     "simulate(world, Motion(motion.T_world_root, motion.q[..., :5]))": "(1, 3, 5)",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import pickle
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.grasps.grasp_set import GraspSet, Stage, choose_rows, load_grasps, match_joints, save_npz
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints, save_npz
+from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from grasp_refine.hands.tree import Joint, Mimic
 from refusals import assert_names
@@ -304,17 +306,6 @@ def test_select_takes_rows_of_everything_in_the_given_order(write):
     assert len(grasps.select([])) == 0
 
 
-def test_with_replaces_only_what_is_given(write):
-    grasps = load_grasps(write())
-    changed = grasps.with_(q=grasps.q[:, :1], joint_names=("a",))
-    assert changed.q.shape == (3, 1)
-    assert changed.hand_pose is grasps.hand_pose
-    assert grasps.q.shape == (3, 2)
-    squeeze = Stage(grasps.hand_pose, grasps.q + 1.0)
-    assert grasps.with_(squeeze=squeeze).squeeze is squeeze
-    assert grasps.with_(squeeze=squeeze).with_(pregrasp=squeeze).squeeze is squeeze
-
-
 # -- writing ---------------------------------------------------------------------------------------------
 
 
@@ -400,7 +391,7 @@ def test_joints_are_matched_by_name():
 def test_joints_of_a_stage_are_matched_like_those_of_the_grasp():
     grasps = grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3]]))
     stage = Stage(np.tile([1.0, 2, 3, 1, 0, 0, 0], (1, 1)), np.array([[7.0, 8, 9]]))
-    grasps = grasps.with_(squeeze=stage)
+    grasps = replace(grasps, squeeze=stage)
     squeeze = grasps.at(grasps.squeeze)
     assert match_joints(squeeze, CLAW)[0].tolist() == [[8, 9, 7]]
     assert squeeze.hand_pose[0, :3].tolist() == [1, 2, 3]
@@ -482,18 +473,18 @@ def mixed() -> GraspSet:
 
 
 def test_rows_of_one_object(mixed: GraspSet):
-    assert choose_rows(mixed, object_name="mug", index=None).tolist() == [0, 2, 4]
-    assert choose_rows(mixed, object_name="can", index=None).tolist() == [1, 3]
+    assert choose_rows(mixed.object, object_name="mug", index=None).tolist() == [0, 2, 4]
+    assert choose_rows(mixed.object, object_name="can", index=None).tolist() == [1, 3]
 
 
 def test_an_index_counts_the_grasps_of_the_object(mixed: GraspSet):
-    assert choose_rows(mixed, object_name="mug", index=[2, 0]).tolist() == [4, 0]
+    assert choose_rows(mixed.object, object_name="mug", index=[2, 0]).tolist() == [4, 0]
 
 
 def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
     mugs = mixed.select([0, 2, 4])
-    assert choose_rows(mugs, object_name=None, index=None).tolist() == [0, 1, 2]
-    assert choose_rows(mugs, object_name=None, index=[1]).tolist() == [1]
+    assert choose_rows(mugs.object, object_name=None, index=None).tolist() == [0, 1, 2]
+    assert choose_rows(mugs.object, object_name=None, index=[1]).tolist() == [1]
 
 
 @pytest.mark.parametrize(
@@ -507,4 +498,4 @@ def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
 )
 def test_rows_that_do_not_exist(mixed: GraspSet, object_name, index, named: tuple[str, ...]):
     with expected(GraspFileError, *named):
-        choose_rows(mixed, object_name=object_name, index=index)
+        choose_rows(mixed.object, object_name=object_name, index=index)

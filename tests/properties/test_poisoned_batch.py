@@ -263,7 +263,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mixed = grasps.select([0, 1, 0, 1, 2, 3, 0, 2, 3])
     poses, q = mixed.hand_pose.copy(), mixed.q.copy()
     poses[2, 0], poses[3, 4], q[4, 2], q[5, 0], poses[6, :3] = np.nan, np.nan, np.inf, 1e30, -1e300
-    save_npz(folder / "poisoned.npz", mixed.with_(hand_pose=poses, q=q).arrays())
+    save_npz(folder / "poisoned.npz", replace(mixed, hand_pose=poses, q=q).arrays())
     return folder
 
 

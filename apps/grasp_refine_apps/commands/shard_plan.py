@@ -14,7 +14,7 @@ import numpy as np
 from grasp_refine.core.errors import GraspRefineError, visible
 from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.formats.folders import object_folder
-from grasp_refine.grasps.grasp_set import choose_rows
+from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.source import check_known
 from grasp_refine.objects.source import ObjectSource, chosen_object
 from grasp_refine.pipeline.input_cache import InputCache
@@ -162,7 +162,7 @@ class Planner:
         of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
         for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
-            rows = choose_rows(read.grasps, object_name=name, index=None)
+            rows = choose_rows(read.grasps.object, object_name=name, index=None)
             scales = read.grasps.scale[rows] * inputs.scale
             # Grasps on objects of one size are refined at once.
             order = np.argsort(scales, kind="stable")

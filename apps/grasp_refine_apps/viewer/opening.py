@@ -13,7 +13,8 @@ from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasps.formats.reading import reading
-from grasp_refine.grasps.grasp_set import GraspSet, choose_rows, match_joints
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, load_object
@@ -154,7 +155,7 @@ def _with_grasps(upload: Upload, scene: Scene, report: Callable[[str], None], ch
     notes = (*read.notes, *hand.notes, *notes)
     groups = []
     for name in names:
-        rows = choose_rows(grasps, object_name=name, index=None)
+        rows = choose_rows(grasps.object, object_name=name, index=None)
         for scale in np.unique(grasps.scale[rows]):
             check()
             at = rows[grasps.scale[rows] == scale]

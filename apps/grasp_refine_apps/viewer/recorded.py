@@ -10,7 +10,8 @@ from jaxtyping import Float, Shaped
 
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints, unit_poses
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
+from grasp_refine.grasps.poses import unit_poses
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
 
@@ -105,7 +106,4 @@ def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
             f"initial_pose and initial_q must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "
             f"{grasps.q.shape}; they have {pose.shape} and {q.shape}"
         )
-    pose, fault = unit_poses(pose)
-    if fault is not None:
-        raise file.error(f"initial_pose row {fault[0]} has no unit quaternion: its norm is {fault[1]:.6g}")
-    return Stage(pose, q)
+    return Stage(unit_poses(pose, "initial_pose", file.error), q)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.formats.format import Load
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 
@@ -23,11 +23,9 @@ def fingertip_distances(one: GraspSet, other: GraspSet, load: Load) -> Float[np.
     """
     hands = [load(grasps.base_link) for grasps in (one, other)]
     distances = [_distances(fingertips(one, hands[0]), fingertips(other, hands[1]))]
-    for name in OTHER_STAGES:
-        stages = [getattr(grasps, name) for grasps in (one, other)]
-        if None not in stages:
-            sets = [grasps.at(stage) for grasps, stage in zip((one, other), stages, strict=True)]
-            distances.append(_distances(*(fingertips(*pair) for pair in zip(sets, hands, strict=True))))
+    for name in one.other_stages.keys() & other.other_stages.keys():
+        sets = [grasps.at(grasps.other_stages[name]) for grasps in (one, other)]
+        distances.append(_distances(*(fingertips(*pair) for pair in zip(sets, hands, strict=True))))
     return np.max(distances, axis=0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from grasp_refine.grasps.formats.source import Source
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
 Load = Callable[[str], Hand]
@@ -72,7 +72,7 @@ class Format(Protocol):
 
 def omission_notes(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
     """Notes on what a format with a place for these `joints` and maybe for `stages`, but none for targets, omits."""
-    others = [] if stages else [name for name in OTHER_STAGES if getattr(grasps, name) is not None]
+    others = [] if stages else [*grasps.other_stages]
     notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
     if grasps.targets is not None:
         notes.append("targets have no place in this format and are left out")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_file, is_folder
 from grasp_refine.grasps.formats.content import load_content
@@ -153,30 +154,22 @@ def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, li
                 f"{', '.join(grasps.joint_names)}; {files[0]} is for '{first.hand}' from '{first.base_link}' on, with "
                 f"{', '.join(first.joint_names)}: give them one by one"
             )
-    orders = [[grasps.joint_names.index(name) for name in first.joint_names] for grasps in sets]
-    notes: list[str] = []
-    stages: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
-    for name in OTHER_STAGES:
-        there = [getattr(grasps, name) for grasps in sets]
-        if all(stage is not None for stage in there):
-            stages[name] = Stage(
-                np.concatenate([stage.hand_pose for stage in there]),
-                np.concatenate([stage.q[:, order] for stage, order in zip(there, orders, strict=True)]),
-            )
-        elif any(stage is not None for stage in there):
-            notes.append(f"only some files have a {name}: it is left out")
+    stages = [name for name in OTHER_STAGES if all(name in grasps.other_stages for grasps in sets)]
+    lost = [name for name in OTHER_STAGES if name not in stages and any(name in grasps.other_stages for grasps in sets)]
+    notes = [f"only some files have a {name}: it is left out" for name in lost]
     if any(grasps.targets is not None for grasps in sets):
         notes.append("targets are read from single files only, not from folders: they are left out")
-    joined = replace(
-        first,
-        object=np.concatenate([grasps.object for grasps in sets]),
-        scale=np.concatenate([grasps.scale for grasps in sets]),
-        hand_pose=np.concatenate([grasps.hand_pose for grasps in sets]),
-        q=np.concatenate([grasps.q[:, order] for grasps, order in zip(sets, orders, strict=True)]),
-        targets=None,
-        **stages,
-    )
-    return joined, notes
+    return join(*(_with_columns(grasps, first.joint_names, stages) for grasps in sets)), notes
+
+
+def _with_columns(grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str]) -> GraspSet:
+    """The grasps with the columns of `joint_names` and only the given stages, without targets."""
+    columns = [grasps.joint_names.index(name) for name in joint_names]
+    parts: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
+    for name in stages:
+        stage = grasps.other_stages[name]
+        parts[name] = Stage(stage.hand_pose, stage.q[:, columns])
+    return replace(grasps, joint_names=joint_names, q=grasps.q[:, columns], targets=None, **parts)
 
 
 def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
@@ -185,13 +178,12 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
     Formats that need every stage repeat the grasp for missing ones; a squeeze that presses nothing is none.
     """
     notes = []
-    for name in OTHER_STAGES:
-        stage, known = getattr(grasps, name), grasps.finite
-        if stage is None or (stage.hand_pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any():
-            continue
-        nothing: dict[str, Any] = {name: None}
-        grasps = replace(grasps, **nothing)
-        notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
+    for name, stage in grasps.other_stages.items():
+        known = grasps.finite
+        if not ((stage.hand_pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any()):
+            without: dict[str, Any] = {name: None}
+            grasps = replace(grasps, **without)
+            notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
     return grasps, notes
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_valid
-from grasp_refine.grasps.grasp_set import unit_poses, without_zero_quaternions
+from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside that of an object, whose names are not the object's."""
@@ -72,14 +72,8 @@ class Source:
 
     def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
         """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN for those that are not finite, or 0."""
-        poses = self.numbers(value, what, (count, 7))
-        poses, fault = unit_poses(without_zero_quaternions(poses))
-        if fault is not None:
-            row, norm = fault
-            raise self.error(
-                f"{what} row {row} has no unit quaternion: the norm of its numbers 3 to 6, qw qx qy qz, is {norm:.6g}"
-            )
-        return poses
+        poses = without_zero_quaternions(self.numbers(value, what, (count, 7)))
+        return unit_poses(poses, what, self.error)
 
     def text(self, value: Any, what: str) -> str:
         """Return a text; a list of one is accepted."""

@@ -89,7 +89,7 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
 
     The grasp itself is used for a stage that they lack.
     """
-    stage = getattr(grasps, name, None) or Stage(grasps.hand_pose, grasps.q)
+    stage = grasps.other_stages.get(name, grasps)
     T_world_root = transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base)
     columns = [grasps.joint_names.index(joint) for joint in layout.joints]
     return np.concatenate([pose_from_transform(T_world_root), stage.q[:, columns]], axis=1)
@@ -97,7 +97,7 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
 
 def missing_stage_notes(grasps: GraspSet) -> list[str]:
     """Notes on stages that the grasps lack and rows of stages need."""
-    lacking = [name for name in OTHER_STAGES if getattr(grasps, name) is None]
+    lacking = [name for name in OTHER_STAGES if name not in grasps.other_stages]
     return [f"there is no {name}: the grasp itself is written in its place" for name in lacking]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import typing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def test_grasps_that_are_not_finite_are_left_out(file: Path, capfd: pytest.Captu
     grasps = load_grasps(file).select([0, 1, 0])
     q = grasps.q.copy()
     q[1, 3] = np.nan
-    save_npz(Path("bad.npz"), grasps.with_(q=q).arrays())
+    save_npz(Path("bad.npz"), replace(grasps, q=q).arrays())
     assert main(["convert", "bad.npz", "bench", "--to", "dexgraspbench", "--json", "x.json"]) == 0
     out, error = capfd.readouterr()
     assert_names(out.splitlines()[1], "3 grasps", "allegro", "2 objects")
@@ -86,7 +87,7 @@ def test_grasps_that_are_not_finite_are_left_out(file: Path, capfd: pytest.Captu
     assert main(["convert", "bench", "back.npz", "--to", "ours"]) == 0
     np.testing.assert_allclose(load_grasps("back.npz").q, grasps.q[[0, 2]], atol=1e-15)
     capfd.readouterr()
-    save_npz(Path("worse.npz"), grasps.with_(q=np.full_like(q, np.inf)).arrays())
+    save_npz(Path("worse.npz"), replace(grasps, q=np.full_like(q, np.inf)).arrays())
     assert_names(refused(capfd, "convert", "worse.npz", "x", "--to", "bodex"), "worse.npz", "3 grasps", "finite")
     assert not Path("x").exists()
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def test_a_grasp_that_is_nowhere_has_no_measures(workplace: Path, capfd: pytest.
     grasps = load_grasps(EXAMPLE).select([0, 1, 2])
     pose = grasps.hand_pose.copy()
     pose[1, 0] = 2e6
-    save_npz(Path("far.npz"), grasps.with_(hand_pose=pose).arrays())
+    save_npz(Path("far.npz"), replace(grasps, hand_pose=pose).arrays())
     save_npz(Path("near.npz"), grasps.select([0, 2]).arrays())
     near, far = (validate(name, "--no-simulate") for name in ("near.npz", "far.npz"))
     one, nowhere, two = far["grasps"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import Random
@@ -118,7 +119,7 @@ def test_a_hand_that_a_format_does_not_know_is_refused_with_both_lists(
 def test_what_a_format_cannot_hold_is_said(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = grasps("shadow")
     points = np.zeros((len(before), 1, 3))
-    with_targets = before.with_(targets=Targets(("ffdistal",), points, points))
+    with_targets = replace(before, targets=Targets(("ffdistal",), points, points))
     for known in FORMATS[1:5]:
         _, lost = write(with_targets, tmp_path / known.name, known.name, load)
         assert any("targets" in note for note in lost)

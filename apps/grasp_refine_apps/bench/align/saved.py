@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.grasps.grasp_set import unit_poses
+from grasp_refine.grasps.poses import unit_poses
 
 if TYPE_CHECKING:
     import trimesh
@@ -269,8 +269,5 @@ class _Reader:
 
     def _poses(self, key: str, shape: Sequence[int]) -> np.ndarray:
         """Read transforms (..., 4, 4) from poses x y z qw qx qy qz."""
-        poses, fault = unit_poses(self._numbers(key, shape).reshape(-1, 7))
-        if fault is not None:
-            row, norm = fault
-            raise self.file.error(f"{key} row {row} has no unit quaternion: the norm of qw qx qy qz is {norm:.6g}")
+        poses = unit_poses(self._numbers(key, shape).reshape(-1, 7), key, self.file.error)
         return transform_from_pose(poses).reshape(*shape[:-1], 4, 4)
