@@ -1,6 +1,6 @@
-// The narrow phase: closest or deepest points of convex pieces, from coal (GJK and EPA).
+// The narrow phase of narrowphase.py, without Python: closest or deepest points of convex pieces.
 //
-// certified_distance.py lists coal's traps. Every query is a function of its arguments alone.
+// Coal's traps listed there apply here, too. Every query is a function of its arguments alone.
 #pragma once
 
 #include <coal/shape/convex.h>
@@ -88,9 +88,10 @@ struct NarrowPhase {
   }
 
   // Coal's unchecked distance of a piece pair, in metres.
-  double distance(int64_t index, const Transform3s& T) const {
+  double distance(int64_t index, const Transform3s& T, const Vec3s* guess) const {
     const PiecePair& pair = pairs[index];
-    return pair.unit * certified_query().query_pieces(pair, in_unit(T, pair), nullptr);
+    const Vec3s start = guess ? Vec3s(*guess / pair.unit) : Vec3s();
+    return pair.unit * certified_query().query_pieces(pair, in_unit(T, pair), guess ? &start : nullptr);
   }
 
  private:
