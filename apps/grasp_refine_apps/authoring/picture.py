@@ -1,32 +1,28 @@
 """Draw the README's picture: an embedded grasp of the mug before and after refinement.
 
 Run `python -m grasp_refine_apps.authoring.picture` after anything that changes the example or the refinement. It writes
-robots/allegro/example.png. It needs Pillow, which the extra 'test' installs.
+robots/allegro/example.png.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
+from PIL import Image, ImageDraw
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
-from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Scene, refine
 from grasp_refine.validation.geometry import Geometry, measure
-from grasp_refine_apps.report.rasterizer import Camera, Model, render
-
-if TYPE_CHECKING:
-    from PIL.ImageDraw import ImageDraw
-    from PIL.ImageFont import FreeTypeFont
+from grasp_refine_apps.report.drawing import BAD, GOOD, INK, font, photograph, write
+from grasp_refine_apps.report.rasterizer import Camera
+from grasp_refine_apps.report.skeleton import Skeleton, object_model
 
 OBJECT, EXAMPLE_ROW = "mug", 0
 """Object of the shown grasp, and row of the grasp in its example file."""
@@ -38,54 +34,27 @@ EYE_M, TARGET_M, EXTENT_M = (0.71, -0.22, 0.4), (-0.012, 0.004, 0.062), 0.22
 """Camera position, target point and visible height at the target, metres, object frame."""
 LIGHT_DIRECTION = (0.5, -0.45, 1.0)
 """Direction towards the light, object frame."""
-CREASE_DEG = 35.0
-"""Angle above which edges are shaded as sharp, degrees."""
 OBJECT_OPACITY = 0.8
 """Opacity of the object; a little of the fingers behind and inside it shows through."""
-
-BACKGROUND = (0.976, 0.98, 0.988)
-OBJECT_COLOR, LINK_COLOR, CONTACT_COLOR = (0.66, 0.78, 0.93), (0.74, 0.76, 0.80), (0.95, 0.72, 0.40)
-INK, GREY, BAD, GOOD = "#1b2430", "#5b6675", "#c62828", "#1b8a3a"
 CONTACT_DISTANCE_M = 0.0005
 """Gap and depth below which a contact is drawn, metres."""
 
 
-def hand_models(hand: Hand, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> list[Model]:
-    """The collision geometry of all links in one pose; contact links in their own colour."""
-    links = [link for link in hand.links if link.body is not None]
-    poses = Chain(hand, [link.name for link in links])(T_world_root[None], q[None]).T_world_link[0]
-    touching = {contact.link for contact in hand.contacts}
-
-    models = []
-    for link, T in zip(links, poses, strict=True):
-        mesh = trimesh.util.concatenate([piece.mesh() for piece in link.solid.pieces]).apply_transform(T)
-        models.append(Model.of(mesh, CONTACT_COLOR if link.name in touching else LINK_COLOR, crease=CREASE_DEG))
-    return models
-
-
-def photograph(hand: list[Model], obj: Model, camera: Camera) -> Float[np.ndarray, "H W 3"]:
-    """Render the hand and the slightly transparent object on the background; red, green, blue in [0, 1]."""
-
-    def on_background(models: list[Model]) -> np.ndarray:
-        image = render(models, camera, np.array(LIGHT_DIRECTION))
-        return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
-
-    return OBJECT_OPACITY * on_background([*hand, obj]) + (1.0 - OBJECT_OPACITY) * on_background(hand)
-
-
-def annotate(draw: ImageDraw, camera: Camera, title: str, geometry: Geometry, contacts: int) -> None:
+def annotate(draw: ImageDraw.ImageDraw, camera: Camera, title: str, geometry: Geometry, contacts: int) -> None:
     """Write the title and the two measures, and mark the contacts of the first `contacts` links."""
     s = OVERSAMPLING
     error, depth = np.nanmax(geometry.contact_error[0]), geometry.penetration[0]
-    draw.text((28 * s, 20 * s), title, fill=INK, font=_font(36))
+    draw.text((28 * s, 20 * s), title, fill=INK, font=font(36 * s))
     summary = f"contact error {_mm(error)}, penetration {_mm(depth)}"
-    draw.text((28 * s, 66 * s), summary, fill=GOOD if error < CONTACT_DISTANCE_M else BAD, font=_font(23))
+    draw.text((28 * s, 66 * s), summary, fill=GOOD if error < CONTACT_DISTANCE_M else BAD, font=font(23 * s))
     for k in range(contacts):
         points = geometry.witness.point_a[0, k], geometry.witness.point_b[0, k]
         _mark(draw, camera, *points, geometry.distance[0, k])
 
 
-def _mark(draw: ImageDraw, camera: Camera, on_link: np.ndarray, on_object: np.ndarray, distance: float) -> None:
+def _mark(
+    draw: ImageDraw.ImageDraw, camera: Camera, on_link: np.ndarray, on_object: np.ndarray, distance: float
+) -> None:
     """Draw two witness points (3,) with their signed distance beside them."""
     s = OVERSAMPLING
     link, obj = (camera.project(point)[:2] for point in (on_link, on_object))
@@ -100,9 +69,7 @@ def _mark(draw: ImageDraw, camera: Camera, on_link: np.ndarray, on_object: np.nd
     for x, y in (link, obj):
         r = 6 * s
         draw.ellipse([x - r, y - r, x + r, y + r], fill=color, outline="white", width=2 * s)
-    halo = tuple((255 * np.array(BACKGROUND)).round().astype(int))
-    place, words = (label[0] + 6 * s * side, label[1]), _mm(abs(distance)) + kind
-    draw.text(place, words, color, _font(22), anchor, stroke_width=3 * s, stroke_fill=halo)
+    write(draw, (label[0] + 6 * s * side, label[1]), _mm(abs(distance)) + kind, 22 * s, color, anchor)
 
 
 def _mm(metres: float) -> str:
@@ -111,25 +78,15 @@ def _mm(metres: float) -> str:
     return f"{value:.1f} mm" if value >= 1 else f"{value:.2f} mm"
 
 
-def _font(size: float) -> FreeTypeFont:
-    from PIL import ImageFont
-
-    font = ImageFont.load_default(size * OVERSAMPLING)
-    assert isinstance(font, ImageFont.FreeTypeFont)
-    return font
-
-
 def draw_example() -> UInt8[np.ndarray, "H W 3"]:
     """Draw the picture, uint8 red, green, blue."""
-    from PIL import Image, ImageDraw
-
     hand, obj = load_hand("allegro"), load_object(OBJECT)
     grasps = load_grasps(resource_dir("robots") / "allegro" / f"example_{OBJECT}.npz").select([EXAMPLE_ROW])
     q, _ = match_joints(grasps, hand)
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
     refined = refine(scene)
     camera = Camera(np.array(EYE_M), np.array(TARGET_M), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT_M)
-    solid = Model.of(obj.mesh, OBJECT_COLOR, crease=CREASE_DEG)
+    drawn, solid = Skeleton.of(hand), object_model(obj, OBJECT_OPACITY)
     halves = []
     for title, T, q in (
         ("Before", scene.T_world_root, scene.q),
@@ -138,17 +95,14 @@ def draw_example() -> UInt8[np.ndarray, "H W 3"]:
         geometry = measure(
             hand, obj, scene.links, T, q, refined.target_link, refined.target_object, touching=refined.touching
         )
-        photo = photograph(hand_models(hand, T[0], q[0]), solid, camera)
-        image = Image.fromarray((255 * photo).round().astype(np.uint8))
-        annotate(ImageDraw.Draw(image), camera, title, geometry, len(hand.contacts))
-        halves.append(image.resize((WIDTH, HEIGHT), Image.Resampling.BOX))
+        photo = photograph([*drawn.posed(T[0], q[0]), solid], camera, np.array(LIGHT_DIRECTION))
+        annotate(ImageDraw.Draw(photo), camera, title, geometry, len(hand.contacts))
+        halves.append(photo.resize((WIDTH, HEIGHT), Image.Resampling.BOX))
     return np.concatenate([np.asarray(half) for half in halves], axis=1)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Write the picture."""
-    from PIL import Image
-
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=None, help="file to write [robots/allegro/example.png]")
     path = parser.parse_args(arguments).out or resource_dir("robots") / "allegro" / "example.png"

@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.batch.thumbnail import Pose, Skeleton, skeleton, thumbnail
+from grasp_refine_apps.batch.thumbnail import thumbnail
 from grasp_refine_apps.batch.worst import Case
+from grasp_refine_apps.report.skeleton import Skeleton
 
 TIME_LIMIT_S = 60.0
 """CPU time after which no further picture is begun, seconds; a dozen takes a few."""
@@ -55,7 +58,7 @@ def draw_cases(
         patience_s: CPU time after which no further picture is begun, seconds.
         progress: Called with the case being drawn, and the share that is done.
     """
-    begun, prepared, found = time.process_time(), cache(skeleton), []
+    begun, prepared, found = time.process_time(), cache(Skeleton.of), []
     for number, case in enumerate(cases):
         if progress is not None:
             progress(f"drawing {case.hand} on {case.object}", number / len(cases))
@@ -79,10 +82,9 @@ def _draw_case(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Ske
     hand, obj = load(case)
     path = out / case.file
     after, file = load_grasps(path).select([case.row]), load_npz(path)
-    initial_pose, initial_q = (file.numbers(f"initial_{name}")[[case.row]] for name in ("pose", "q"))
-    poses = []
-    for grasp in (replace(after, hand_pose=initial_pose, q=initial_q), after):
-        q, _ = match_joints(grasp, hand)
-        poses.append(Pose(transform_from_pose(grasp.hand_pose)[0], q[0]))
-    before, refined = thumbnail(prepared(hand), obj, poses)
+    pose, q = (file.numbers(f"initial_{name}")[[case.row]] for name in ("pose", "q"))
+    initial = replace(after, hand_pose=pose, q=q)
+    T = transform_from_pose(np.concatenate([initial.hand_pose, after.hand_pose]))
+    q = np.concatenate([match_joints(grasps, hand)[0] for grasps in (initial, after)])
+    before, refined = thumbnail(prepared(hand), obj, T, q)
     return Picture(case, before, refined)

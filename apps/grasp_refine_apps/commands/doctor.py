@@ -20,13 +20,12 @@ from grasp_refine.assets.names import all_assets
 from grasp_refine.assets.origin import VARIABLE, chosen_origin, shown
 from grasp_refine.collision.engine import VARIABLE as ENGINE
 from grasp_refine.collision.engine import chosen, why_not_native
-from grasp_refine.core.errors import AssetError, CollisionError, GraspRefineError
+from grasp_refine.core.errors import AssetError, CollisionError
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.versions import NAME, Requirement, requirements, versions
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.hand import list_hands
-from grasp_refine.validation.replay.offscreen import choose_gl
 from grasp_refine_apps.commands.options import Overwrite
 from grasp_refine_apps.report.screen import screen
 
@@ -86,7 +85,7 @@ def examine() -> dict[str, Any]:
         "cache": _cache(),
         "assets": _assets(),
         "hands": hands,
-        "pictures": _pictures(),
+        "pictures": "software",
         "problems": problems,
     }
 
@@ -128,14 +127,6 @@ def _engine() -> dict[str, Any]:
 
         coal, threads = built_for(), has_threads()
     return {"used": used, "coal": coal, "threads": threads, "why_not_native": reason or None, "fault": fault}
-
-
-def _pictures() -> str | None:
-    """OpenGL backend for films of simulations; None: there is none."""
-    try:
-        return choose_gl()
-    except GraspRefineError:
-        return None
 
 
 def _cache() -> dict[str, Any]:
@@ -203,7 +194,6 @@ def _lines(found: dict[str, Any]) -> list[str]:
         + (f"; mirror: {assets['mirror']}" if assets["mirror"] and not assets["fault"] else "")
         + (f"; {assets['fault']}" if assets["fault"] else ""),
         f"hands:   {', '.join(found['hands']) or 'none'}",
-        f"films:   {found['pictures'] or 'none, no OpenGL without a screen; apt install libegl1 libgl1-mesa-dri'}",
     ]
     if missing:
         lines.append(f'optional: pip install "{NAME}[{",".join(missing)}]"')

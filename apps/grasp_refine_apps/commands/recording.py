@@ -1,4 +1,4 @@
-"""Options for recordings of simulations: replays, models that open in any MuJoCo, films."""
+"""Options for recordings of simulations: replays, models that open in a plain MuJoCo, films."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ class Recording:
 
     replays: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """Record each grasp in its worst direction into this folder: .npz with all joint values over time, .xml that opens
-    in any MuJoCo; with several FILEs, each into its own subfolder. At most 20 grasps: choose them with --index."""
+    in MuJoCo 3.3 and later; with several FILEs, each into its own subfolder. At most 20 grasps: choose them with
+    --index."""
     direction: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the worst)")] = None
     """Record this direction: +x, -x, +y, -y, +z, -z; with --setting tabletop, lift."""
     film: bool = False
-    """Write a short film (.gif) beside each replay; needs offscreen OpenGL, MUJOCO_GL=egl or osmesa."""
+    """Write a short film (.gif) beside each replay, which takes some ten seconds."""
 
     def check(
         self, protocol: Protocol | None, files: Sequence[Path], drafts: Sequence[Draft], *, overwrite: bool
@@ -77,10 +78,6 @@ class Recording:
                     suffixes = (".npz", ".xml", *([".gif"] if self.film else []))
                     written = (path.with_suffix(suffix) for suffix in suffixes)
                     check_writable(*written, overwrite=overwrite, inside=self.replays)
-        if self.film:
-            from grasp_refine.validation.replay.render import check_renderer
-
-            check_renderer()
 
     def folders(self, files: Sequence[Path]) -> tuple[Path, ...]:
         """Folder of the replays of each grasp file, all distinct; empty: nothing is recorded."""
@@ -127,7 +124,7 @@ class Recording:
         except GraspRefineError as error:
             message += f"; no XML: {error}"
         if self.film:
-            from grasp_refine.validation.replay.render import film
+            from grasp_refine_apps.report.film import film
 
             try:
                 film(world.model, replay, path.with_suffix(".gif"))

@@ -1,33 +1,36 @@
-"""Pictures of triangle meshes in NumPy alone: a z-buffer, one light with a shadow, and dark outlines.
+"""Pictures of triangle meshes in NumPy alone: a z-buffer, one light with a shadow, dark outlines, translucent bodies.
 
-It needs neither a screen nor a graphics driver, which is why the README's picture can be made anywhere.
+It needs neither a screen nor a graphics driver, so that pictures and films can be made on any machine.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.core.se3 import transform_points
 
 if TYPE_CHECKING:
     import trimesh
 
 DIRECTIONAL_SHARE = 0.5
 """Share of the directional light; the rest comes from all sides, more of it from above."""
-SHADOW_SIZE_PX = 1400
-"""Pixels along each side of the shadow map."""
-SHADOW_BIAS_M = 0.0012
-"""Distance behind the depth of the shadow map from which a point lies in shadow, metres."""
+SHADOW_BIAS = 0.006
+"""Distance behind the depth of the shadow map from which a point lies in shadow, in heights of the picture."""
 RELATIVE_SLACK = 1e-9
 """Share of its height by which a triangle is enlarged, so that no gaps open between neighbours."""
+CREASE_DEG = 35.0
+"""Angle above which edges are shaded as sharp, degrees."""
 BLOCK_PIXELS = 2**16
 """Number of bounding-box pixels up to which triangles are drawn together, which bounds the memory."""
-OUTLINE_STEP_M, CREASE_STEP_M = 0.006, 0.0005
-"""Depth step between neighbouring pixels (metres) that is drawn as an outline: in a model, between two models."""
+OUTLINE_STEP, CREASE_STEP = 0.03, 0.0025
+"""Depth step between neighbouring pixels that is drawn as an outline, in heights of the picture: in a model, between
+two models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +45,29 @@ class Model:
     """Vertex indices (F, 3)."""
     color: tuple[float, float, float]
     """Red, green and blue in [0, 1]."""
+    opacity: float = 1.0
+    """Opacity; opaque models show through those below 1."""
 
     @staticmethod
-    def of(mesh: trimesh.Trimesh, color: tuple[float, float, float], *, crease: float) -> Model:
-        """Make a model of a mesh with smooth shading, except across edges sharper than `crease` degrees."""
+    def of(
+        meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh],
+        color: tuple[float, float, float],
+        *,
+        crease: float = CREASE_DEG,
+        opacity: float = 1.0,
+    ) -> Model:
+        """Make one model of meshes with smooth shading, except across edges sharper than `crease` degrees."""
         import trimesh
 
+        mesh = trimesh.util.concatenate(meshes)
+        assert isinstance(mesh, trimesh.Trimesh)
         smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(crease))
-        return Model(np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals), np.asarray(smooth.faces), color)
+        vertices, normals = np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals)
+        return Model(vertices, normals, np.asarray(smooth.faces), color, opacity)
+
+    def moved(self, T: Float[np.ndarray, "4 4"]) -> Model:
+        """Return the model moved by a pose (4, 4)."""
+        return replace(self, vertices=transform_points(T, self.vertices), normals=self.normals @ T[:3, :3].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +87,26 @@ class Camera:
     perspective: bool = True
     """False: a parallel projection."""
 
+    @classmethod
+    def fitted(
+        cls, direction: np.ndarray, points: Float[np.ndarray, "N 3"], width: int, height: int, margin: float = 0.08
+    ) -> Camera:
+        """Return the parallel projection from a `direction` (3,) in which points (N, 3) just fill the picture.
+
+        Args:
+            direction: Direction towards the camera (3,), world frame.
+            points: Points to be seen, metres.
+            width: Width of the picture, pixels.
+            height: Height of the picture, pixels.
+            margin: Free share of the picture.
+        """
+        flat = cls(np.asarray(direction, dtype=float), np.zeros(3), width, height, 1.0, perspective=False)
+        at = points @ flat.axes.T
+        low, high = at.min(axis=0), at.max(axis=0)
+        target, (right, down, depth) = (low + high) / 2 @ flat.axes, high - low
+        extent = (1.0 + margin) * max(down, right * height / width)
+        return replace(flat, eye=target - (depth + extent) * flat.axes[2], target=target, extent=float(extent))
+
     @cached_property
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """Unit vectors to the right, down and forward, as rows, world frame; world z is up in the picture."""
@@ -87,11 +125,6 @@ class Camera:
         x, y = scale * local[..., 0] + 0.5 * self.width, scale * local[..., 1] + 0.5 * self.height
         return np.stack([x, y, depth], axis=-1)
 
-    def unproject(self, depth: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
-        """World points seen at the centres of all pixels, at the given depths in metres."""
-        y, x = np.mgrid[: self.height, : self.width] + 0.5
-        return self.lift(x, y, depth)
-
     def lift(
         self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"], depth: Float[np.ndarray, "*n"]
     ) -> Float[np.ndarray, "*n 3"]:
@@ -102,49 +135,104 @@ class Camera:
         return local @ self.axes + self.eye
 
 
-def render(
-    models: Sequence[Model], camera: Camera, light: np.ndarray, shadow_size: int = SHADOW_SIZE_PX
-) -> Float[np.ndarray, "H W 4"]:
-    """Render `models`: red, green, blue in [0, 1] and 1 where there is a model, else 0.
+def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[np.ndarray, "H W 4"]:
+    """Render `models`: red, green, blue in [0, 1], times the opacity, and the opacity, 0 where there is no model.
 
     Args:
-        models: Shown models; surfaces seen from behind are lit as from the front.
+        models: Shown models; surfaces seen from behind are lit as from the front. Translucent ones hide each other.
         camera: Camera; render at twice the final size and average for smooth edges.
         light: Direction towards the light (3,), world frame.
-        shadow_size: Pixels along each side of the shadow map; small pictures need fewer.
     """
-    vertices = np.concatenate([model.vertices for model in models])
-    normals = np.concatenate([model.normals for model in models])
-    starts = np.cumsum([0, *(len(model.vertices) for model in models)])
-    faces = np.concatenate([model.faces + start for model, start in zip(models, starts[:-1], strict=True)])
-    owner = np.repeat(np.arange(len(models)), [len(model.faces) for model in models])
-    light = np.asarray(light, dtype=float) / np.linalg.norm(light)
+    scene = _Scene(models, camera, np.asarray(light, dtype=float) / np.linalg.norm(light))
+    opacity = np.array([model.opacity for model in models])
+    solid = scene.rasterize(opacity[scene.owner] == 1.0)
+    glass = scene.rasterize(opacity[scene.owner] < 1.0)
+    nearer = glass[1] < solid[1]
+    face, depth = np.where(nearer, glass[0], solid[0]), np.where(nearer, glass[1], solid[1])
+    share = np.where(nearer, opacity[scene.owner[face]], 1.0)[..., None]
+    return share * scene.shade(face, depth) + (1.0 - share) * scene.shade(*solid, nearer)
 
-    face, depth = _rasterize(vertices, faces, camera)
-    pixel = np.flatnonzero(face >= 0)
-    seen = face.ravel()[pixel]
-    x, y = pixel % camera.width + 0.5, pixel // camera.width + 0.5
-    point = camera.lift(x, y, depth.ravel()[pixel])
-    corners = faces[seen].T
-    on_screen = camera.project(vertices)
-    weight = _weights(on_screen[:, 0][corners], on_screen[:, 1][corners], x, y)
-    normal = _unit(sum(share[:, None] * normals[corner] for share, corner in zip(weight, corners, strict=True)))
-    view = _unit(camera.eye - point)
-    normal *= np.where(_dot(normal, view) < 0, -1.0, 1.0)[:, None]
 
-    lit = np.clip(normal @ light, 0.0, 1.0)
-    facing = np.flatnonzero(lit)
-    lit[facing] *= _unshadowed(vertices, faces, point[facing], normal[facing], light, shadow_size)
-    mirrored = np.clip(_dot(normal, _unit(view + light)), 0.0, 1.0)
-    shine = 0.12 * lit * _power_of_30(mirrored)
-    brightness = DIRECTIONAL_SHARE * lit + (1.0 - DIRECTIONAL_SHARE) * (0.95 + 0.2 * normal[:, 2])
-    colors = np.array([model.color for model in models])[owner[seen]]
+def count_owners(models: Sequence[Model], camera: Camera) -> Int[np.ndarray, " M"]:
+    """Return the number of pixels (M,) in which each model is the nearest."""
+    scene = _Scene(models, camera, np.zeros(3))
+    face, _ = scene.rasterize(np.ones(len(scene.faces), dtype=bool))
+    return np.bincount(scene.owner[face[face >= 0]], minlength=len(models))
 
-    image = np.zeros((*face.shape, 4))
-    image.reshape(-1, 4)[pixel, :3] = np.clip(colors * brightness[:, None] + shine[:, None], 0.0, 1.0)
-    image.reshape(-1, 4)[pixel, 3] = 1.0
-    image[_outline(np.where(face >= 0, owner[face], -1), depth), :3] *= 0.45
-    return image
+
+class _Scene:
+    """Triangles of all models, seen by a camera."""
+
+    def __init__(self, models: Sequence[Model], camera: Camera, light: Float[np.ndarray, " 3"]) -> None:
+        self.models, self.camera, self.light = models, camera, light
+        self.vertices = np.concatenate([model.vertices for model in models])
+        self.normals = np.concatenate([model.normals for model in models])
+        starts = np.cumsum([0, *(len(model.vertices) for model in models)])
+        self.faces = np.concatenate([model.faces + start for model, start in zip(models, starts[:-1], strict=True)])
+        self.owner = np.repeat(np.arange(len(models)), [len(model.faces) for model in models])
+
+    def rasterize(self, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest of the faces that are `drawn` (F,), and its depth, as `_rasterize`."""
+        number = np.flatnonzero(drawn)
+        nearest, depth = _rasterize(self.vertices, self.faces[number], self.camera)
+        return np.append(number, -1)[nearest], depth
+
+    def shade(
+        self,
+        face: Int[np.ndarray, "H W"],
+        depth: Float[np.ndarray, "H W"],
+        wanted: Bool[np.ndarray, "H W"] | None = None,
+    ) -> Float[np.ndarray, "H W 4"]:
+        """Colours of the faces seen, and 1, with dark outlines; 0 where there is none, or where none is `wanted`."""
+        camera = self.camera
+        pixel = np.flatnonzero((face >= 0) if wanted is None else (face >= 0) & wanted)
+        seen = face.ravel()[pixel]
+        x, y = pixel % camera.width + 0.5, pixel // camera.width + 0.5
+        point = camera.lift(x, y, depth.ravel()[pixel])
+        corners = self.faces[seen].T
+        weight = _weights(self._on_screen[:, 0][corners], self._on_screen[:, 1][corners], x, y)
+        normal = _unit(sum(part[:, None] * self.normals[corner] for part, corner in zip(weight, corners, strict=True)))
+        view = _unit(camera.eye - point)
+        normal *= np.where(_dot(normal, view) < 0, -1.0, 1.0)[:, None]
+        lit = np.clip(normal @ self.light, 0.0, 1.0)
+        facing = np.flatnonzero(lit)
+        lit[facing] *= self._unshadowed(point[facing], normal[facing])
+        shine = 0.12 * lit * _power_of_30(np.clip(_dot(normal, _unit(view + self.light)), 0.0, 1.0))
+        brightness = DIRECTIONAL_SHARE * lit + (1.0 - DIRECTIONAL_SHARE) * (0.95 + 0.2 * normal[:, 2])
+        colors = np.array([model.color for model in self.models])[self.owner[seen]]
+        image = np.zeros((*face.shape, 4))
+        image.reshape(-1, 4)[pixel, :3] = np.clip(colors * brightness[:, None] + shine[:, None], 0.0, 1.0)
+        image.reshape(-1, 4)[pixel, 3] = 1.0
+        image[_outline(np.where(face >= 0, self.owner[face], -1), depth / camera.extent), :3] *= 0.45
+        return image
+
+    @cached_property
+    def _on_screen(self) -> Float[np.ndarray, "V 3"]:
+        return self.camera.project(self.vertices)
+
+    @cached_property
+    def _shadow_map(self) -> tuple[Camera, Float[np.ndarray, "S S"]]:
+        """Camera that looks along the light at all models, and the depths that it sees."""
+        center = self.vertices.mean(axis=0)
+        reach = float(np.linalg.norm(self.vertices - center, axis=1).max())
+        size = self.camera.height
+        camera = Camera(center + 2.0 * reach * self.light, center, size, size, 2.0 * reach, perspective=False)
+        return camera, _rasterize(self.vertices, self.faces, camera)[1]
+
+    def _unshadowed(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """Share of the light that reaches each point, 0 to 1."""
+        camera, depths = self._shadow_map
+        # No less than a pixel of the map.
+        bias = max(SHADOW_BIAS * self.camera.extent, camera.extent / camera.height)
+        farthest, size = depths.ravel() + bias, camera.height
+        x, y, depth = camera.project(point + bias * normal).T
+        # Nine neighbours soften the edge.
+        columns, rows = ([np.clip(at + d, 0, size - 1).astype(int) for d in (-1.5, 0.0, 1.5)] for at in (x, y))
+        reached = np.zeros(len(point))
+        for row in rows:
+            for column in columns:
+                reached += depth < farthest[row * size + column]
+        return reached / 9.0
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -252,32 +340,12 @@ def _weights(corner_x: np.ndarray, corner_y: np.ndarray, x: np.ndarray, y: np.nd
     return np.stack([1.0 - u - v, u, v])
 
 
-def _unshadowed(
-    vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray, light: np.ndarray, size: int
-) -> np.ndarray:
-    """Share of the light that reaches each point, 0 to 1, from a shadow map that looks along the light."""
-    center = vertices.mean(axis=0)
-    reach = float(np.linalg.norm(vertices - center, axis=1).max())
-    eye = center + 2.0 * reach * light
-    camera = Camera(eye, center, size, size, 2.0 * reach, perspective=False)
-    _, depths = _rasterize(vertices, faces, camera)
-    farthest = depths.ravel() + SHADOW_BIAS_M
-    x, y, depth = camera.project(point + SHADOW_BIAS_M * normal).T
-    # Nine neighbours soften the edge.
-    columns, rows = ([np.clip(at + d, 0, size - 1).astype(int) for d in (-1.5, 0.0, 1.5)] for at in (x, y))
-    reached = np.zeros(len(point))
-    for row in rows:
-        for column in columns:
-            reached += depth < farthest[row * size + column]
-    return reached / 9.0
-
-
 def _outline(owner: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Mask (H, W) of the nearer pixels at steps in depth; a smaller step suffices where two models meet."""
     mask = np.zeros(owner.shape, dtype=bool)
     # The second view is transposed, so that the pixel below becomes the one to the right.
     for owners, depths, marked in ((owner, depth, mask), (owner.T, depth.T, mask.T)):
-        needed = np.where(owners[:, 1:] == owners[:, :-1], OUTLINE_STEP_M, CREASE_STEP_M)
+        needed = np.where(owners[:, 1:] == owners[:, :-1], OUTLINE_STEP, CREASE_STEP)
         with np.errstate(invalid="ignore"):
             step = depths[:, 1:] - depths[:, :-1]
         marked[:, :-1] |= step > needed

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from grasp_refine.assets.embedded import resource_dir
-
-Image = pytest.importorskip("PIL.Image", reason="Pillow comes with the extra 'test'")
-
-from grasp_refine_apps.authoring import picture  # noqa: E402
+from grasp_refine_apps.authoring import picture
 
 
 def reds_and_greens(half: np.ndarray) -> tuple[int, int]:

@@ -8,25 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
 from batch_rows import shard
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.errors import GraspRefineError, MeshError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine_apps.batch import thumbnail as thumbnails
+from grasp_refine_apps.batch.pictures import draw_cases
+from grasp_refine_apps.batch.rows import read_rows
+from grasp_refine_apps.batch.statistics import Statistics
+from grasp_refine_apps.batch.thumbnail import HEIGHT, WIDTH, thumbnail
+from grasp_refine_apps.batch.worst import Case
+from grasp_refine_apps.report.drawing import best_side
+from grasp_refine_apps.report.rasterizer import Model
+from grasp_refine_apps.report.skeleton import Skeleton
 from made_results import save_example_results
 from refusals import assert_names, refused
-
-Image = pytest.importorskip("PIL.Image", reason="pictures are written with Pillow")
-
-from grasp_refine.assets.embedded import resource_dir  # noqa: E402
-from grasp_refine.core.errors import GraspRefineError, MeshError  # noqa: E402
-from grasp_refine.core.se3 import transform_from_pose  # noqa: E402
-from grasp_refine.grasps.grasp_set import load_grasps, match_joints  # noqa: E402
-from grasp_refine.hands.hand import Hand, load_hand  # noqa: E402
-from grasp_refine.objects.object import Object, load_object  # noqa: E402
-from grasp_refine_apps.batch import thumbnail as portraits  # noqa: E402
-from grasp_refine_apps.batch.pictures import draw_cases  # noqa: E402
-from grasp_refine_apps.batch.rows import read_rows  # noqa: E402
-from grasp_refine_apps.batch.statistics import Statistics  # noqa: E402
-from grasp_refine_apps.batch.thumbnail import HEIGHT, WIDTH, Pose, skeleton, thumbnail  # noqa: E402
-from grasp_refine_apps.batch.worst import Case  # noqa: E402
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -48,9 +50,8 @@ def allegro() -> Hand:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures that take less time."""
-    monkeypatch.setattr(portraits, "WIDTH", WIDTH // 3)
-    monkeypatch.setattr(portraits, "HEIGHT", HEIGHT // 3)
-    monkeypatch.setattr(portraits, "SHADOW_SIZE", 100)
+    monkeypatch.setattr(thumbnails, "WIDTH", WIDTH // 3)
+    monkeypatch.setattr(thumbnails, "HEIGHT", HEIGHT // 3)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +69,10 @@ def cases(out: Path) -> tuple[Case, ...]:
     return statistics.worst()
 
 
-def example(hand: Hand) -> Pose:
-    grasps = load_grasps(resource_dir("robots") / "allegro" / "example_mug.npz").select([0])
-    return Pose(transform_from_pose(grasps.hand_pose)[0], match_joints(grasps, hand)[0][0])
+def example(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """The same grasp twice: poses (2, 4, 4) and joint values (2, n)."""
+    grasps = load_grasps(resource_dir("robots") / "allegro" / "example_mug.npz").select([0, 0])
+    return transform_from_pose(grasps.hand_pose), match_joints(grasps, hand)[0]
 
 
 def test_a_case_is_drawn_before_and_after(cases: tuple[Case, ...], allegro: Hand, out: Path):
@@ -112,52 +114,51 @@ def test_pictures_take_no_more_time_than_allowed(cases: tuple[Case, ...], out: P
 
 
 def test_a_grasp_that_is_not_finite_has_no_picture(allegro: Hand):
-    pose = example(allegro)
+    T, q = example(allegro)
+    T[1] *= np.nan
     with refused(ValueError, "finite"):
-        thumbnail(skeleton(allegro), load_object("mug"), [pose, Pose(pose.T_world_root * np.nan, pose.q)])
+        thumbnail(Skeleton.of(allegro), load_object("mug"), T, q)
 
 
 def test_the_same_grasp_looks_the_same_twice(allegro: Hand, small: None):
-    pose, drawn = example(allegro), skeleton(allegro)
-    first, again = thumbnail(drawn, load_object("mug"), [pose, pose])
+    first, again = thumbnail(Skeleton.of(allegro), load_object("mug"), *example(allegro))
     assert first == again
 
 
 @pytest.mark.parametrize("name", ["allegro", "shadow"])
 def test_hands_are_drawn_with_few_triangles_that_stay_where_they_were(name: str):
     hand = load_hand(name)
-    drawn = skeleton(hand)
+    drawn = Skeleton.of(hand)
     assert sum(len(model.faces) for model in drawn.models) < 6000
-    for model, points, link in zip(
-        drawn.models, drawn.points, (link for link in hand.links if link.body is not None), strict=True
-    ):
+    for model, link in zip(drawn.models, (link for link in hand.links if link.body is not None), strict=True):
         # What is left are corners of the pieces, so nothing grows; and nothing shrinks by more than can be seen.
+        points = link.solid.candidates.points
         low, high = points.min(0), points.max(0)
         assert (model.vertices.min(0) >= low - 2e-3).all() and (model.vertices.max(0) <= high + 2e-3).all(), link.name
         assert (np.ptp(model.vertices, axis=0) > high - low - 1.2e-2).all(), link.name
 
 
-def test_a_point_is_seen_from_where_no_other_hides_it():
-    y, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)))
-    wall, points = np.stack([np.ones(y.shape), y, z], axis=1), np.array([[0.0, 0.3, 0.1], [0.0, 0.5, 3.0]])
-    wanted = np.arange(len(wall) + 2) >= len(wall)
-    seen = [
-        portraits._visible_share(np.concatenate([wall, points]), wanted, np.array(direction), 0.2)
-        for direction in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
-    ]
-    # The second looks over the wall.
-    assert seen == [0.5, 1.0]
-    assert portraits._visible_share(wall, np.zeros(len(wall), dtype=bool), np.array([1.0, 0.0, 0.0]), 0.2) == 0.0
+def test_a_side_is_chosen_from_which_no_wall_hides_what_should_be_seen():
+    def block(size: tuple[float, float, float], x: float) -> Model:
+        mesh = trimesh.creation.box(size)
+        mesh.apply_translation([x, 0.0, 0.0])
+        return Model.of(mesh, (1, 1, 1))
+
+    for x in (0.1, -0.1):
+        wall, parts = block((0.01, 1.0, 1.0), x), [block((0.05, 0.05, 0.05), 0.0), block((0.05, 0.05, 0.05), -x)]
+        points = np.concatenate([model.vertices for model in (wall, *parts)])
+        side = best_side([parts, [wall]], points, 1.0)
+        assert side[0] * x < 0
+        # A push along the direction of view would not be seen.
+        across = best_side([parts, [wall]], points, 1.0, push=side)
+        assert abs(across @ side) < 0.5
 
 
 def test_an_object_of_any_size_and_many_triangles_can_be_drawn(allegro: Hand, small: None):
-
-    import trimesh
-
     large = load_object("sphere:0.5")
     fine = replace(load_object("mug"), mesh=trimesh.creation.icosphere(subdivisions=5, radius=0.04))
     assert len(fine.mesh.faces) > 20_000
     for obj in (large, fine):
-        (png,) = thumbnail(skeleton(allegro), obj, [example(allegro)])
+        png, _ = thumbnail(Skeleton.of(allegro), obj, *example(allegro))
         background, blue, _ = shares(png)
         assert blue > 0.02

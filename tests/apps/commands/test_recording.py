@@ -89,27 +89,22 @@ def test_files_with_the_same_grasps_have_folders_of_their_own() -> None:
     assert all(folder.parent == Path("replays") for folder in recording.folders(files))
 
 
-def test_what_cannot_be_exported_is_said_and_the_rest_is_recorded(
-    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("function", "kind", "count"),
+    [("commands.recording.export_xml", "XML", 2), ("report.film.film", "film", 4)],
+)
+def test_what_cannot_be_exported_or_drawn_is_said_and_the_rest_is_recorded(
+    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: str, kind: str, count: int
 ) -> None:
-    def refuse(spec: object, model: object, replay: object, path: Path) -> None:
-        raise GraspRefineError("tendon t: only fixed tendons are exported")
+    def refuse(*_: object) -> None:
+        raise GraspRefineError("geom g: not supported")
 
-    monkeypatch.setattr("grasp_refine_apps.commands.recording.export_xml", refuse)
-    lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
+    monkeypatch.setattr(f"grasp_refine_apps.{function}", refuse)
+    lines = recorded(Recording(tmp_path, direction="+x", film=kind == "film"), group, world, tmp_path)
     for number, line in zip((2, 3), lines, strict=True):
-        assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz;")
-        assert_names(line, "XML", "tendon t: only fixed tendons are exported")
-    assert [load_replay(path).reason for path in tmp_path.iterdir()] == ["held", "held"]
-
-
-def test_a_film_that_cannot_be_drawn_is_said_and_the_rest_is_recorded(
-    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "off")
-    line, _ = recorded(Recording(tmp_path, direction="+x", film=True), group, world, tmp_path)
-    assert_names(line, ".npz, .xml;", "film", "MUJOCO_GL=off")
-    assert len(names(tmp_path)) == 4
+        assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz", kind, "geom g:")
+    assert [load_replay(path).reason for path in tmp_path.glob("*.npz")] == ["held", "held"]
+    assert len(names(tmp_path)) == count
 
 
 def test_a_replay_that_cannot_be_written_is_said(world: World, group: Group, tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -259,9 +262,7 @@ def test_published_outcomes_are_reproduced(workplace: Path, bodex: tuple[str, ..
         assert shares[name] == pytest.approx(published, abs=4), name
 
 
-@pytest.mark.parametrize("command", ["run", "validate", "bench grasp", "bench hold"])
-def test_a_wrong_setting_of_opengl_is_one_line(
-    command: str, workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    assert "MUJOCO_GL=nonsense" in refused(capfd, *command.split())
+def test_a_setting_of_opengl_that_mujoco_refuses_does_not_matter() -> None:
+    command = [sys.executable, "-m", "grasp_refine_apps.cli", "validate", "--help"]
+    done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "nonsense"}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

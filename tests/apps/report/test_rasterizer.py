@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
 from grasp_refine_apps.report import rasterizer
-from grasp_refine_apps.report.rasterizer import Camera, Model, render
+from grasp_refine_apps.report.rasterizer import Camera, Model, count_owners, render
 
 EYE, TARGET = np.array([1.0, 0.0, 0.0]), np.zeros(3)
 UP = np.array([0.0, 0.0, 1.0])
@@ -25,8 +26,8 @@ def ball(radius: float, center: tuple[float, float, float], color: tuple[float, 
 def test_projecting_and_unprojecting_are_inverse(perspective: bool):
     camera = Camera(np.array([0.5, -0.3, 0.4]), np.array([0.0, 0.1, 0.0]), 40, 30, 0.2, perspective)
     depth = np.random.default_rng(0).uniform(0.3, 0.9, (30, 40))
-    back = camera.project(camera.unproject(depth))
     y, x = np.mgrid[:30, :40] + 0.5
+    back = camera.project(camera.lift(x, y, depth))
     np.testing.assert_allclose(back, np.stack([x, y, depth], axis=-1), atol=1e-9)
 
 
@@ -91,7 +92,8 @@ def test_every_pixel_shows_the_triangle_that_its_ray_meets_first(perspective: bo
     triangles = soup(200, 0)
     nearest, depth = rasterizer._rasterize(*vertices_and_faces(triangles), camera)
 
-    start, stop = (camera.unproject(np.full((30, 40), d)).reshape(-1, 1, 3) for d in (0.5, 1.5))
+    y, x = np.mgrid[:30, :40] + 0.5
+    start, stop = (camera.lift(x, y, np.full((30, 40), d)).reshape(-1, 1, 3) for d in (0.5, 1.5))
     a, b, c = triangles.transpose(1, 0, 2)
     # start + t (stop - start) = a + u (b - a) + v (c - a)
     sides = np.broadcast_arrays(start - stop, (b - a)[None], (c - a)[None])
@@ -110,7 +112,7 @@ def test_triangles_that_share_an_edge_leave_no_gap_even_where_it_meets_centres_o
         corner = np.stack([np.zeros_like(y), y, z], axis=-1)
         a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
         triangles = np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
-        assert render([flat(triangles)], camera, EYE, 50)[..., 3].all()
+        assert render([flat(triangles)], camera, EYE)[..., 3].all()
 
 
 def test_of_triangles_in_the_same_place_the_first_is_seen():
@@ -127,7 +129,7 @@ def test_triangles_without_area_and_those_beside_the_picture_are_not_seen(perspe
     camera = Camera(EYE, TARGET, 40, 30, 0.2, perspective)
     triangles = soup(20, 2)
     thin = np.stack([triangles[:, 0], triangles[:, 1], triangles[:, 1]], axis=1)
-    assert not render([flat(np.concatenate([thin, triangles + [0, 5, 0]]))], camera, EYE, 50).any()
+    assert not render([flat(np.concatenate([thin, triangles + [0, 5, 0]]))], camera, EYE).any()
 
 
 def test_the_size_of_the_blocks_changes_nothing_but_the_memory(monkeypatch: pytest.MonkeyPatch):
@@ -152,7 +154,7 @@ def test_what_leaves_the_picture_has_no_outline_at_its_border():
     corners = np.array([[0.2, -1, -1], [0.2, 1, -1], [-0.2, 1, 1], [-0.2, -1, 1]])
     tilted = Model(corners, np.tile([0.98, 0, 0.199], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), (1, 1, 1))
     # Lit from behind, it has the same colour everywhere.
-    image = render([tilted], camera, -EYE, 50)
+    image = render([tilted], camera, -EYE)
     assert image[..., 0].min() == pytest.approx(image[..., 0].max(), rel=1e-9)
 
 
@@ -161,9 +163,37 @@ def test_a_step_between_two_models_is_drawn_on_the_nearer_one():
     back = np.array([[[0.0, -1, -1], [0, 1, -1], [0, 1, 1]], [[0, -1, -1], [0, 1, 1], [0, -1, 1]]])
     for step, seen in ((0.001, True), (0.0001, False)):
         front = 0.05 * back + [step, 0, 0]
-        brightness = render([flat(back), flat(front)], camera, -EYE, 50)[..., 0]
+        brightness = render([flat(back), flat(front)], camera, -EYE)[..., 0]
         dark = brightness < 0.6 * brightness[0, 0]
         expected = np.zeros((40, 40), dtype=bool)
         expected[10:30, 10:30] = seen
         expected[11:29, 11:29] = False
         np.testing.assert_array_equal(dark, expected)
+
+
+def test_what_is_behind_a_translucent_model_shows_through():
+    camera = Camera(EYE, TARGET, 100, 100, 0.2, perspective=False)
+    red, glass = ball(0.02, (-0.1, 0, 0), (1, 0, 0)), replace(ball(0.05, (0, 0, 0), (0, 0, 1)), opacity=0.75)
+    for models in ([red, glass], [glass, red]):
+        image = render(models, camera, UP)
+        alone, behind = (render([model], camera, UP) for model in (replace(glass, opacity=1.0), red))
+        # Away from the smaller one's border and shadow there is no more to it than a mean.
+        np.testing.assert_allclose(image[45, 50, 2], 0.75 * alone[45, 50, 2] + 0.25 * behind[45, 50, 2], atol=0.04)
+        assert image[45, 50, 0] > 0.1 and image[45, 50, 3] == pytest.approx(1.0)
+        assert image[50, 72, 3] == pytest.approx(0.75), "nothing is behind it there"
+    in_front = render([glass, replace(red, vertices=red.vertices + [0.2, 0, 0])], camera, UP)
+    assert in_front[50, 50, 2] < 0.1
+
+
+def test_owners_are_counted_where_they_are_nearest():
+    camera = Camera(EYE, TARGET, 200, 200, 0.2, perspective=False)
+    counts = count_owners([ball(0.05, (0, 0, 0), (1, 1, 1)), ball(0.02, (0.06, 0, 0), (1, 1, 1))], camera)
+    np.testing.assert_allclose(counts, [np.pi * (50**2 - 20**2), np.pi * 20**2], rtol=0.02)
+
+
+def test_a_fitted_camera_shows_all_points_and_no_more():
+    points = np.random.default_rng(3).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
+    for direction in ([1.0, 0.0, 0.0], [0.2, -0.7, 0.4], [0.0, 0.6, -0.8]):
+        x, y, depth = Camera.fitted(np.array(direction), points, 600, 400, margin=0.25).project(points).T
+        assert max(np.abs(x - 300).max() / 300, np.abs(y - 200).max() / 200) == pytest.approx(0.8)
+        assert (depth > 0).all()

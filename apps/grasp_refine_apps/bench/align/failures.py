@@ -36,8 +36,6 @@ BESIDE_DISTANCE, BESIDE_RISE = 0.03, 0.01
 WIDTH, HEIGHT = 420, 340
 OVERSAMPLING = 2
 """Supersampling factor: pictures are drawn this many times larger and averaged, for smooth edges."""
-SHADOW_SIZE_PX = 500
-"""Pixels along each side of the shadow map."""
 PICTURE_HEIGHT_M = 0.2
 """Height of a picture in metres after scaling; the rasterizer's outlines and shadows are made for this size."""
 COLOR_A, COLOR_B, BACKGROUND = (0.56, 0.72, 0.93), (0.96, 0.68, 0.36), (0.976, 0.98, 0.988)
@@ -342,7 +340,7 @@ def _model(body: Body, T: np.ndarray, seen: Callable[[np.ndarray], np.ndarray], 
 
 def _on_background(models: list[Model], camera: Camera) -> np.ndarray:
     right, down, forward = camera.axes
-    image = render(models, camera, LIGHT_OFFSET[0] * right - LIGHT_OFFSET[1] * down - forward, SHADOW_SIZE_PX)
+    image = render(models, camera, LIGHT_OFFSET[0] * right - LIGHT_OFFSET[1] * down - forward)
     return image[..., :3] * image[..., 3:] + np.array(BACKGROUND) * (1.0 - image[..., 3:])
 
 

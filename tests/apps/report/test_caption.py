@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.validation.replay.caption import state_of
 from grasp_refine.validation.replay.replay import Replay, Stage
+from grasp_refine_apps.report.caption import state_of
 from recorded_gripper import recorded_gripper
 
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from grasp_refine.validation.replay.replay import Replay, Stage
-
-INK, FAINT = "#1b2430", "#5b6675"
-"""Colours of the title and of the state."""
-GOOD, BAD = "#1b8a3a", "#c62828"
-"""Colours of a grasp that held, and of one that failed."""
+from grasp_refine_apps.report.drawing import BAD, GOOD, GREY, INK, font
 
 
 def state_of(replay: Replay, frame: int, contacts: int) -> str:
@@ -44,16 +40,9 @@ def write_caption(page: Image.Image, top: int, replay: Replay, frame: int, conta
     title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.setting}"
     state = state_of(replay, frame, contacts)
     color = GOOD if replay.reason == "held" else BAD
-    verdict = _font(replay.reason, 0.25 * width, 0.62 * line)
+    verdict = font(0.62 * line, replay.reason, 0.25 * width)
     draw.text((width - margin, top + 0.62 * line), replay.reason, fill=color, font=verdict, anchor="rm")
     full = width - 2 * margin
     left = full - draw.textlength(replay.reason, font=verdict) - margin
-    draw.text((margin, top + 0.62 * line), title, fill=INK, font=_font(title, left, 0.62 * line), anchor="lm")
-    draw.text((margin, top + 1.55 * line), state, fill=FAINT, font=_font(state, full, 0.55 * line), anchor="lm")
-
-
-def _font(text: str, width: float, size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return the font of that size in pixels, or smaller, so that the text is not wider than `width` pixels."""
-    font = ImageFont.load_default(size)
-    length = font.getlength(text)
-    return font if length <= width else ImageFont.load_default(max(size * width / length, 6.0))
+    draw.text((margin, top + 0.62 * line), title, fill=INK, font=font(0.62 * line, title, left), anchor="lm")
+    draw.text((margin, top + 1.55 * line), state, fill=GREY, font=font(0.55 * line, state, full), anchor="lm")
