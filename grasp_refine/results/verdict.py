@@ -106,13 +106,23 @@ class Agreement:
         counts = (good, good & held, ~good, ~good & held)
         return Agreement(*(int(count.sum()) for count in counts))
 
+    @property
+    def count(self) -> int:
+        """Number of grasps."""
+        return self.good + self.others
+
+    @property
+    def held(self) -> int:
+        """Number of grasps that held in simulation."""
+        return self.good_held + self.others_held
+
     def __add__(self, other: Agreement) -> Agreement:
         """Return the agreement on the grasps of both."""
         return Agreement(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def line(self, when: str = "") -> Text:
         """Return the agreement in words, such as: quality 0.952 or more (an estimate): 1 of 4, which held."""
-        text = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.good + self.others)}"
+        text = f"{when}quality {BAR} (an estimate): {whole(self.good)} of {whole(self.count)}"
         failed = self.good - self.good_held
         if self.good:
             which = "which" if self.good == 1 else f"{whole(failed)} of which" if failed else "all of which"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from grasp_refine_apps.batch.rows import COLUMNS, Kind, Rows
 
 if TYPE_CHECKING:
     import pyarrow
-    from pyarrow.parquet import ParquetWriter
 
 IndexKind = Literal["auto", "parquet", "csv"]
 
@@ -27,13 +26,8 @@ ROW_GROUP_SIZE = 2**14
 """Number of rows in one group of a Parquet file; it determines most of the memory that writing takes."""
 
 
-@runtime_checkable
-class IndexWriter(Protocol):
-    """Writer of the rows of one result file after the other."""
-
-    def add(self, rows: Rows) -> None:
-        """Write rows, at once or buffered."""
-        ...
+AddRows = Callable[[Rows], None]
+"""Writer of the rows of one result file after the other, at once or buffered."""
 
 
 def index_path(out: Path, kind: IndexKind) -> Path:
@@ -50,7 +44,7 @@ def index_path(out: Path, kind: IndexKind) -> Path:
 
 
 @contextmanager
-def index_writer(path: Path) -> Iterator[IndexWriter]:
+def index_writer(path: Path) -> Iterator[AddRows]:
     """Open an index for writing, CSV or Parquet by its suffix; the file appears only if the block succeeds.
 
     Raises:
@@ -58,28 +52,22 @@ def index_writer(path: Path) -> Iterator[IndexWriter]:
     """
     check_table(path)
     writing = _parquet if path.suffix.lower() == ".parquet" else _csv
-    with written_whole(path, GraspRefineError) as partial, writing(partial) as writer:
-        yield writer
+    with written_whole(path, GraspRefineError) as partial, writing(partial) as add:
+        yield add
 
 
 @contextmanager
-def _csv(path: Path) -> Iterator[_CsvWriter]:
-    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
-        yield _CsvWriter(stream)
-
-
-class _CsvWriter:
-    """CSV with empty cells for null, true and false for flags, and the shortest exact text of numbers.
+def _csv(path: Path) -> Iterator[AddRows]:
+    """Write CSV with empty cells for null, true and false for flags, and the shortest exact text of numbers.
 
     Texts are escaped by `to_cell`, so that no spreadsheet reads them as formulas.
     """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._writer = csv.writer(stream, lineterminator="\n")
-        self._writer.writerow(COLUMNS)
-
-    def add(self, rows: Rows) -> None:
-        self._writer.writerows(zip(*(_csv_cells(rows[name], kind) for name, kind in COLUMNS.items()), strict=True))
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        yield lambda rows: writer.writerows(
+            zip(*(_csv_cells(rows[name], kind) for name, kind in COLUMNS.items()), strict=True)
+        )
 
 
 def _csv_cells(values: np.ndarray, kind: Kind) -> list[Any]:
@@ -93,43 +81,30 @@ def _csv_cells(values: np.ndarray, kind: Kind) -> list[Any]:
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[_ParquetWriter]:
+def _parquet(path: Path) -> Iterator[AddRows]:
+    """Write Parquet, rows gathered to groups of a good size."""
     import pyarrow.parquet
 
-    with pyarrow.parquet.ParquetWriter(path, _schema(), compression="zstd") as file:
-        writer = _ParquetWriter(file)
-        yield writer
-        writer.flush()
+    schema = _schema()
+    waiting: list[Rows] = []
 
-
-class _ParquetWriter:
-    """Buffer that gathers rows to groups of a good size."""
-
-    def __init__(self, file: ParquetWriter) -> None:
-        self._file = file
-        self._waiting: list[Rows] = []
-        self._count = 0
-
-    def add(self, rows: Rows) -> None:
-        self._waiting.append(rows)
-        self._count += len(rows)
-        if self._count >= ROW_GROUP_SIZE:
-            self.flush()
-
-    def flush(self) -> None:
-        import pyarrow
-
-        if not self._count:
-            return
-        schema = _schema()
+    def flush() -> None:
         arrays = [
-            _parquet_array(
-                np.concatenate([rows[name] for rows in self._waiting]), COLUMNS[name], schema.field(name).type
-            )
-            for name in COLUMNS
+            _parquet_array(np.concatenate([rows[name] for rows in waiting]), kind, schema.field(name).type)
+            for name, kind in COLUMNS.items()
         ]
-        self._file.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), row_group_size=self._count)
-        self._waiting, self._count = [], 0
+        file.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), row_group_size=sum(map(len, waiting)))
+        waiting.clear()
+
+    def add(rows: Rows) -> None:
+        waiting.append(rows)
+        if sum(map(len, waiting)) >= ROW_GROUP_SIZE:
+            flush()
+
+    with pyarrow.parquet.ParquetWriter(path, schema, compression="zstd") as file:
+        yield add
+        if any(map(len, waiting)):
+            flush()
 
 
 def _parquet_array(values: np.ndarray, kind: Kind, type: pyarrow.DataType) -> pyarrow.Array:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from grasp_refine.refinement.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import Agreement
-from grasp_refine.validation.measures import RECORDED
+from grasp_refine.validation.measures import RECORDED, SIDES
 from grasp_refine_apps.batch.histogram import Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.worst import Case, Worst
@@ -27,12 +28,6 @@ MAX_LISTED_PAIRS = 200
 
 BINS = {column: Bins.of(measure.unit) for measure in RECORDED for column in measure.columns.values()}
 """Column -> bins of its values."""
-
-SUMMED_FIELDS = (
-    *("count", "usable", "converged", "good_before", "good_after"),
-    *("simulated", "held_before", "held_after", "gained", "lost", "agreement_before", "agreement_after"),
-)
-"""Fields of a tally that `merge` adds."""
 
 
 @dataclass(eq=False)
@@ -49,12 +44,6 @@ class Tally:
     """Number of grasps with a quality of `HOLDS` or more before."""
     good_after: int = 0
     """Number of grasps with such a quality after."""
-    simulated: int = 0
-    """Number of grasps simulated."""
-    held_before: int = 0
-    """Number of simulated grasps that held before."""
-    held_after: int = 0
-    """Number of simulated grasps that hold after."""
     gained: int = 0
     """Number of grasps that hold after, and did not before."""
     lost: int = 0
@@ -63,51 +52,68 @@ class Tally:
     """Agreement of quality and simulation of the simulated grasps, before."""
     agreement_after: Agreement = Agreement()
     """Agreement of quality and simulation of the simulated grasps, after."""
-    quality: tuple[float, float] = (0.0, 0.0)
-    """Sums of the qualities before and after, without NaN."""
-    rated: tuple[int, int] = (0, 0)
-    """Numbers of grasps with a quality, before and after."""
+    quality_before: float = 0.0
+    """Sum of the qualities before, without NaN."""
+    quality_after: float = 0.0
+    """Sum of the qualities after, without NaN."""
+    rated_before: int = 0
+    """Number of grasps with a quality before."""
+    rated_after: int = 0
+    """Number of grasps with a quality after."""
     deepest: float = 0.0
     """Deepest penetration after, metres."""
 
     def add(self, rows: Rows) -> None:
         """Count grasps."""
-        before, after = (rows[f"quality_{when}"] for when in ("before", "after"))
         known = np.isfinite(rows["held_after"])
-        held_before, held_after = (rows[f"held_{when}"][known] > 0 for when in ("before", "after"))
+        good, quality = ({side: rows[f"{key}_{side}"] for side in SIDES} for key in ("good", "quality"))
+        held = {side: rows[f"held_{side}"][known] > 0 for side in SIDES}
+        both: dict[str, Any] = {}
+        for side in SIDES:
+            both |= {
+                f"good_{side}": int(good[side].sum()),
+                f"agreement_{side}": Agreement.of(good[side][known] > 0, held[side]),
+                f"quality_{side}": float(np.nansum(quality[side])),
+                f"rated_{side}": int(np.isfinite(quality[side]).sum()),
+            }
         self.merge(
             Tally(
                 count=len(rows),
                 usable=int((~np.isin(rows["status"], UNUSABLE)).sum()),
                 converged=int((rows["status"] == Status.CONVERGED.label).sum()),
-                good_before=int(rows["good_before"].sum()),
-                good_after=int(rows["good_after"].sum()),
-                simulated=int(known.sum()),
-                held_before=int(held_before.sum()),
-                held_after=int(held_after.sum()),
-                gained=int((held_after & ~held_before).sum()),
-                lost=int((held_before & ~held_after).sum()),
-                agreement_before=Agreement.of(rows["good_before"][known] > 0, held_before),
-                agreement_after=Agreement.of(rows["good_after"][known] > 0, held_after),
-                quality=(float(np.nansum(before)), float(np.nansum(after))),
-                rated=(int(np.isfinite(before).sum()), int(np.isfinite(after).sum())),
+                gained=int((held["after"] & ~held["before"]).sum()),
+                lost=int((held["before"] & ~held["after"]).sum()),
                 deepest=float(np.nanmax(rows["penetration_after_m"], initial=0.0)),
+                **both,
             )
         )
 
     def merge(self, other: Tally) -> None:
         """Add the counts of another tally."""
-        for name in SUMMED_FIELDS:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.quality = self.quality[0] + other.quality[0], self.quality[1] + other.quality[1]
-        self.rated = self.rated[0] + other.rated[0], self.rated[1] + other.rated[1]
-        self.deepest = max(self.deepest, other.deepest)
+        for each in fields(self):
+            own, its = getattr(self, each.name), getattr(other, each.name)
+            setattr(self, each.name, max(own, its) if each.name == "deepest" else own + its)
+
+    @property
+    def simulated(self) -> int:
+        """Number of grasps simulated."""
+        return self.agreement_after.count
+
+    @property
+    def held_before(self) -> int:
+        """Number of simulated grasps that held before."""
+        return self.agreement_before.held
+
+    @property
+    def held_after(self) -> int:
+        """Number of simulated grasps that hold after."""
+        return self.agreement_after.held
 
     @property
     def mean_quality(self) -> tuple[float, float]:
         """Mean quality before and after; NaN where no grasp has one."""
-        before, after = (q / n if n else float("nan") for q, n in zip(self.quality, self.rated, strict=True))
-        return before, after
+        before = self.quality_before / self.rated_before if self.rated_before else nan
+        return before, self.quality_after / self.rated_after if self.rated_after else nan
 
     @property
     def failures(self) -> int:

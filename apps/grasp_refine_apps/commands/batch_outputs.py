@@ -14,7 +14,7 @@ from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine_apps.batch.index import IndexWriter, index_writer
+from grasp_refine_apps.batch.index import AddRows, index_writer
 from grasp_refine_apps.batch.page import page
 from grasp_refine_apps.batch.pictures import draw_cases
 from grasp_refine_apps.batch.progress import Progress
@@ -64,15 +64,15 @@ class Outputs:
     def read(self, summary: Summary, progress: Progress) -> Summary:
         """Write the index, if there is one, and gather statistics; unreadable shards are no longer complete."""
         if self.index is None:
-            return self._read(summary, None, progress)
+            return self._read(summary, lambda rows: None, progress)
         progress.wait("writing the index")
-        with index_writer(self.index) as writer:
-            found = self._read(summary, writer, progress)
+        with index_writer(self.index) as add_rows:
+            found = self._read(summary, add_rows, progress)
         # One in the other format would be outdated.
         _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
         return found
 
-    def _read(self, summary: Summary, writer: IndexWriter | None, progress: Progress) -> Summary:
+    def _read(self, summary: Summary, add_rows: AddRows, progress: Progress) -> Summary:
         readable = []
         for shard in summary.complete:
             try:
@@ -85,8 +85,7 @@ class Outputs:
                 continue
             readable.append(shard)
             summary.statistics.add(rows)
-            if writer is not None:
-                writer.add(rows)
+            add_rows(rows)
         return replace(summary, complete=tuple(readable))
 
     def write(self, document: Mapping[str, Any], summary: Summary, progress: Progress) -> None:

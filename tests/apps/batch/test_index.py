@@ -37,9 +37,9 @@ def batch(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Shard]]:
 
 
 def write(path: Path, parts: list[Rows]) -> None:
-    with index_writer(path) as index:
+    with index_writer(path) as add:
         for rows in parts:
-            index.add(rows)
+            add(rows)
 
 
 # Rows
@@ -202,8 +202,8 @@ def test_a_failure_leaves_the_old_index_and_nothing_else(ending: str, tmp_path: 
     path = tmp_path / f"index.{ending}"
     write(path, [made_up_rows(3)])
     before = path.read_bytes()
-    with pytest.raises(RuntimeError), index_writer(path) as index:
-        index.add(made_up_rows(5))
+    with pytest.raises(RuntimeError), index_writer(path) as add:
+        add(made_up_rows(5))
         raise RuntimeError
     assert path.read_bytes() == before and [one.name for one in tmp_path.iterdir()] == [path.name]
 
@@ -237,9 +237,9 @@ def test_memory_does_not_grow_with_the_rows(ending: str, tmp_path: Path, monkeyp
 
     def peak(shards: int) -> int:
         tracemalloc.start()
-        with index_writer(tmp_path / f"index.{ending}") as index:
+        with index_writer(tmp_path / f"index.{ending}") as add:
             for _ in range(shards):
-                index.add(part)
+                add(part)
         found = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return found
