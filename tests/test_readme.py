@@ -15,9 +15,9 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, l
 from grasp_refine.hands.hand import HAND_TOML, load_hand
 from grasp_refine.results.verdict import HOLDS, should_hold
 from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import read_jobs
 from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, python_block, run_python, section
 
 BENCHES = ("bench align", "bench queries", "bench stability", "bench grasp", "bench hold", "bench --gate")

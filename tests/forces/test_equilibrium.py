@@ -30,7 +30,7 @@ from grasp_refine.refinement.solvers.least_squares import Point
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.commands.inputs import Sources
 
 ONLY = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, wrench=1.0)
 SCALES = (1.0, 0.05, 0.04)

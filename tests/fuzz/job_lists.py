@@ -9,8 +9,8 @@ from random import Random
 from fuzz.mutations import VALUES
 from fuzz.reader import Reader, plain, written
 from fuzz.toml import WORDS, changed_toml, toml
+from grasp_refine_apps.batch.jobs import KEYS, read_jobs
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import KEYS, read_jobs
 
 JOBS = {
     "defaults": {"hand": "shadow", "scale": 0.1},

@@ -16,11 +16,11 @@ from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.objects.object import load_object
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine_apps.batch.plan import Planner
+from grasp_refine_apps.batch.work import unusable_objects
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import read_jobs
-from grasp_refine_apps.commands.shard_plan import Planner
-from grasp_refine_apps.commands.shard_work import unusable_objects
 
 EXAMPLES = resource_dir("robots")
 QUICK = ("--geometry-only", "--iterations", "5")

@@ -21,9 +21,9 @@ from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.convention_check import convention_notes, joint_notes, position_notes
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.batch.progress import Progress
+from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands.batch_session import Session
 from refusals import assert_names
 
 XYZW = [0, 1, 2, 4, 5, 6, 3]
@@ -166,7 +166,7 @@ def test_batch_says_so_once_a_job(tmp_path: Path):
         Shard(n, "hand/object", f"{job}, part {n}", 4, tmp_path / f"{n}.npz", "stamp", SimpleNamespace(job=job))
         for n, job in enumerate(jobs)
     ]
-    session, console = Session(set(), len(shards)), Console(file=io.StringIO())
+    session, console = Session(tuple(shards), (), set()), Console(file=io.StringIO())
     with Progress(console, shards, 1) as progress:
         for one in shards:
             notes = (f"joint values look like degrees: in {one.number} of 4",)

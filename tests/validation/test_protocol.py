@@ -24,7 +24,7 @@ from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.commands.simulating import Robustness, Simulation
+from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
 from gripper import KP, RADIUS, around, ball, gripper
 
 UNIT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}

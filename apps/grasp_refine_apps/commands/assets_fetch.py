@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
-from tyro.conf import DisallowNone, Positional, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.assets.cache import asset_folder, is_whole, main_path
 from grasp_refine.assets.fetching import fetch_asset
@@ -19,9 +18,9 @@ from grasp_refine.assets.manifest import Asset
 from grasp_refine.assets.names import choose_asset
 from grasp_refine.assets.origin import Origin, Upstream, chosen_origin, wanted
 from grasp_refine.core.errors import AssetError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
-from grasp_refine.core.versions import versions
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine.core.json_files import check_writable
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 
@@ -33,7 +32,7 @@ class AssetsFetch:
     """Names from `refine-grasp assets list`; the part after a _ is enough where it is unique."""
     accept_license: bool = False
     """Confirm that you have read the licence and may use the assets; required unless the licence is open."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the fetched assets and their paths to this file."""
     overwrite: Overwrite = False
 
@@ -52,8 +51,7 @@ class AssetsFetch:
             for asset in assets:
                 check_accepted(asset)
         facts = [_fetch(asset, origin, self.accept_license, console) for asset in assets]
-        if self.json is not None:
-            save_json(self.json, {"schema": SCHEMA, "command": "assets fetch", "versions": versions(), "assets": facts})
+        save_document(self.json, "assets fetch", {"assets": facts})
         return 0
 
 

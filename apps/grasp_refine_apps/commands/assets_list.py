@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from rich import box
@@ -17,11 +16,11 @@ from grasp_refine.assets.manifest import KINDS, Asset
 from grasp_refine.assets.names import all_assets
 from grasp_refine.assets.origin import VARIABLE, Mirror, Origin, chosen_origin, shown, total_bytes
 from grasp_refine.core.errors import AssetError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.versions import versions
 from grasp_refine.geometry.cache import default_cache
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 COLORS = {"open": "green", "unclear": "yellow", "non-commercial": "red"}
@@ -41,7 +40,7 @@ class AssetsList:
         Positional[DisallowNone[str | None]], arg(metavar="[KIND|TEXT]", help_behavior_hint="(default: all)")
     ] = None
     """hands, objects or grasps; or a part of their names."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the facts about them to this file."""
     overwrite: Overwrite = False
 
@@ -53,9 +52,7 @@ class AssetsList:
         """
         check_writable(self.json, overwrite=self.overwrite)
         assets, origin = _chosen(self.which), chosen_origin()
-        if self.json is not None:
-            facts = [asset_facts(asset, origin) for asset in assets]
-            save_json(self.json, {"schema": SCHEMA, "command": "assets list", "versions": versions(), "assets": facts})
+        save_document(self.json, "assets list", {"assets": [asset_facts(asset, origin) for asset in assets]})
         _show(assets, origin, screen())
         return 0
 

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
-from tyro.conf import DisallowNone, Positional, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.assets.names import all_assets, choose_asset
 from grasp_refine.assets.verifying import Verdict, verify
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.versions import versions
 from grasp_refine.geometry.cache import default_cache
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 MAX_NAMED = 3
@@ -32,7 +30,7 @@ class AssetsVerify:
         Positional[tuple[str, ...]], arg(metavar="[NAME ...]", help_behavior_hint="(default: all that is here)")
     ] = ()
     """Assets to check; named ones that are not here count as failures."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the results to this file."""
     overwrite: Overwrite = False
 
@@ -47,10 +45,8 @@ class AssetsVerify:
         verdicts = list(verify(assets))
         here = {verdict.asset.full_name for verdict in verdicts}
         absent = [asset.full_name for asset in assets if asset.full_name not in here] if self.names else []
-        if self.json is not None:
-            found = [_facts(verdict) for verdict in verdicts]
-            document = {"schema": SCHEMA, "command": "assets verify", "versions": versions()}
-            save_json(self.json, document | {"assets": found, "not_here": absent})
+        found = [_facts(verdict) for verdict in verdicts]
+        save_document(self.json, "assets verify", {"assets": found, "not_here": absent})
         _show(verdicts, absent, screen())
         return NOTHING_USABLE if absent or any(verdict.state != "whole" for verdict in verdicts) else 0
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from uuid import uuid4
 
 from rich.console import Console
-from tyro.conf import DisallowNone, Positional, Suppress, arg
+from tyro.conf import Positional, Suppress, arg
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.cores import usable_cores
@@ -27,23 +27,23 @@ from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine_apps.batch.index import IndexKind, index_path
+from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine_apps.batch.outputs import Outputs
+from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import State, clean, state_of
+from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.table import batch_table
-from grasp_refine_apps.commands.batch_outputs import Outputs
-from grasp_refine_apps.commands.batch_session import Session, Summary
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.batch.work import ShardWork, unusable_objects
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.invocation import invocation
-from grasp_refine_apps.commands.job_list import read_jobs
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
-from grasp_refine_apps.commands.shard_work import ShardWork, unusable_objects
 from grasp_refine_apps.commands.sharding import Sharding
-from grasp_refine_apps.commands.validation_options import ValidationOptions
+from grasp_refine_apps.commands.simulation_options import ValidationOptions
 from grasp_refine_apps.processes.dispatch import Pool, dispatch
 from grasp_refine_apps.processes.local import LocalPool
+from grasp_refine_apps.report.command_line import invocation
 from grasp_refine_apps.report.screen import screen
 
 MAX_NAMED = 10
@@ -72,7 +72,7 @@ class Output:
     """Format of the table of all grasps with all measures; auto: Parquet if pyarrow is installed, else CSV."""
     report: bool = True
     """Write report.html: distributions before and after, the worst cases with pictures, failures and their causes."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write a summary and the measures of each grasp to this file, in SI units."""
     profile: bool = False
     """Show the time of each stage: loading, kinematics, collision queries, derivatives, solver, simulation."""
@@ -123,12 +123,12 @@ class Batch:
             shards = part_of(plan.shards, *part)
             states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in shards}
             _report_states(shards, states, progress)
-        todo = [shard for shard in shards if states[shard.number] is not State.COMPLETE]
-        session = Session({number for number, state in states.items() if state is State.COMPLETE}, len(shards))
-        session.skipped = sum(shard.size for shard in shards if shard.number in session.complete)
-        self._run_shards(todo, ShardWork(config, protocol, described, self.output.profile), session, console)
+        complete = {number for number, state in states.items() if state is State.COMPLETE}
+        session = Session(shards, plan.refused, complete)
+        self._run_shards(ShardWork(config, protocol, described, self.output.profile), session, console)
         with Progress(console, (), 1) as progress:
-            summary = outputs.read(Summary.of(shards, plan.refused, session), progress)
+            outputs.read(session, progress)
+            failed = session.failures()
             document = {
                 "schema": SCHEMA,
                 "command": "batch",
@@ -136,14 +136,14 @@ class Batch:
                 "versions": versions(),
                 "config": described | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
                 "seed": config.seed,
-                "totals": summary.totals(session, time.perf_counter() - wall, cpu_seconds() - cpu),
-                "failed": summary.failed,
-                "jobs": summary.jobs(),
+                "totals": session.totals(len(failed), time.perf_counter() - wall, cpu_seconds() - cpu),
+                "failed": failed,
+                "jobs": session.jobs(),
                 "profile": profile_entry(session.profile or None),
             }
-            outputs.write(document, summary, progress)
-        self._show(document, summary, session, outputs, time.perf_counter() - wall)
-        return NOTHING_USABLE if summary.failed or (shards and not summary.statistics.all.usable) else 0
+            outputs.write(document, session, progress)
+        self._show(document, session, outputs, time.perf_counter() - wall)
+        return NOTHING_USABLE if failed or (shards and not session.statistics.all.usable) else 0
 
     def _outputs(self) -> Outputs:
         """Return the files to write; a part of a batch has results and a summary only.
@@ -156,12 +156,10 @@ class Batch:
         whole = self.sharding.shard is None
         return Outputs(out, index if whole else None, self.output.report and whole, self.output.json)
 
-    def _show(
-        self, document: dict[str, Any], summary: Summary, session: Session, outputs: Outputs, wall_s: float
-    ) -> None:
+    def _show(self, document: dict[str, Any], session: Session, outputs: Outputs, wall_s: float) -> None:
         """Print the tables."""
         console = screen()
-        console.print(batch_table(document, summary.statistics))
+        console.print(batch_table(document, session.statistics))
         if session.profile:
             console.print(profile_table(session.profile))
         if outputs.index is None:
@@ -226,12 +224,13 @@ class Batch:
         with connect(self.sharding.dask) as client:
             yield ClusterPool(client, self.sharding.dask, work, self.output.out.absolute())
 
-    def _run_shards(self, todo: list[Shard], work: ShardWork, session: Session, console: Console) -> None:
+    def _run_shards(self, work: ShardWork, session: Session, console: Console) -> None:
         """Work on the shards that are left, and record the result of each.
 
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
+        todo = [shard for shard in session.shards if shard.number not in session.complete]
         if not todo:
             return
         clean(todo)
@@ -254,7 +253,7 @@ class Batch:
                     ):
                         session.take(shard, result, progress)
             except KeyboardInterrupt:
-                there = f"{len(session.complete)} of {count_text(session.num_shards, 'shard')} complete"
+                there = f"{len(session.complete)} of {count_text(len(session.shards), 'shard')} complete"
                 command = "without --again, the command" if self.sharding.again else "the same command"
                 progress.say(f"{there}; {command} continues from there")
                 raise

@@ -22,7 +22,8 @@ from grasp_refine_apps.bench.align.study import Outcome, Study, run_study
 from grasp_refine_apps.bench.align.table import bench_table
 from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
 from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers, flag
+from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers
+from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
 PresetName = Literal[

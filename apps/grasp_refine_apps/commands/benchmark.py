@@ -21,9 +21,8 @@ from grasp_refine.results.document import settings
 from grasp_refine_apps.bench.jobs import run_jobs
 from grasp_refine_apps.bench.study import Study
 from grasp_refine_apps.bench.timing import machine
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.invocation import invocation
-from grasp_refine_apps.commands.options import flag
+from grasp_refine_apps.commands.options import NOTHING_USABLE
+from grasp_refine_apps.report.command_line import flag, invocation
 from grasp_refine_apps.report.screen import screen
 
 SOMETHING_WRONG = 1

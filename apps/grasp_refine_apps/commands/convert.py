@@ -16,8 +16,7 @@ from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import SCHEMA, check_no_input, check_writable, save_json
-from grasp_refine.core.versions import versions
+from grasp_refine.core.json_files import check_no_input, check_writable
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.format import Format, Load
 from grasp_refine.grasps.formats.listing import FormatName, format_named
@@ -27,8 +26,8 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known
 from grasp_refine.scene.convention_check import joint_notes, position_notes
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 MAX_DIFFERENCE_M = 1e-6
@@ -63,7 +62,7 @@ class Convert:
     nor joints and fits several hands."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """URDF of the hand, if it ships without one."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write a summary of the conversion to this file."""
     overwrite: Overwrite = False
 
@@ -116,11 +115,10 @@ class Convert:
                 return NOTHING_USABLE
         notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
         _print_notes(notes[len(doubts) :], messages)
-        if self.json is not None:
-            document = {
-                "schema": SCHEMA,
-                "command": "convert",
-                "versions": versions(),
+        save_document(
+            self.json,
+            "convert",
+            {
                 "input": {"path": self.source, "format": read.format.name, "files": len(read.files)},
                 "output": {"path": self.output, "format": self.to, "files": len(parts)},
                 "hand": read.grasps.hand,
@@ -131,8 +129,8 @@ class Convert:
                 "limit_m": MAX_DIFFERENCE_M,
                 "notes": notes,
                 "wall_s": time.perf_counter() - began,
-            }
-            save_json(self.json, document)
+            },
+        )
         for line in _summary(read, self.source, self.output, to, len(parts), difference):
             console.print(line, soft_wrap=True, markup=False)
         return 0

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import platform
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import DisallowNone, arg
 
 from grasp_refine import __version__
 from grasp_refine.assets.cache import LAYOUTS, seems_here
@@ -21,12 +19,13 @@ from grasp_refine.assets.origin import VARIABLE, chosen_origin, shown
 from grasp_refine.collision.engine import VARIABLE as ENGINE
 from grasp_refine.collision.engine import chosen, why_not_native
 from grasp_refine.core.errors import AssetError, CollisionError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.versions import NAME, Requirement, requirements, versions
+from grasp_refine.core.versions import NAME, Requirement, requirements
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.hand import list_hands
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 BROKEN = 1
@@ -40,7 +39,7 @@ DEVELOPMENT = "test"
 class Doctor:
     """Check the installation: versions of packages, missing extras, devices, collision engine, caches."""
 
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the findings to this file."""
     overwrite: Overwrite = False
 
@@ -48,8 +47,7 @@ class Doctor:
         """Run the command and return its exit code, which is 0 also when optional packages are missing."""
         check_writable(self.json, overwrite=self.overwrite)
         found = examine()
-        if self.json is not None:
-            save_json(self.json, {"schema": SCHEMA, "command": "doctor", "versions": versions(), **found})
+        save_document(self.json, "doctor", found)
         _show(found, screen())
         return BROKEN if found["problems"] else 0
 

@@ -10,16 +10,15 @@ from rich.console import Console
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save_text
-from grasp_refine.core.versions import versions
+from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.hand import Hand, list_hands, load_hand, needs_urdf
 from grasp_refine.hands.link_geometry import HULL_LIMIT
 from grasp_refine.hands.source import HAND_TOML
 from grasp_refine.pipeline.spec import check_hull_limit
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine_apps.report.hand_table import bullets, list_table, show_hand
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ class Hands:
         None
     )
     """With --write: folder of the hand.toml."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the facts about the hands to this file."""
     overwrite: Overwrite = False
 
@@ -157,8 +156,7 @@ class Hands:
         return NOTHING_USABLE if found.refused else 0
 
     def _save(self, facts: list[dict[str, Any]]) -> None:
-        if self.json is not None:
-            save_json(self.json, {"schema": SCHEMA, "command": "hands", "versions": versions(), "hands": facts})
+        save_document(self.json, "hands", {"hands": facts})
 
 
 def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:

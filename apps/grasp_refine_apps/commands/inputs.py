@@ -1,4 +1,4 @@
-"""Options for the grasps to refine: from a file, the hand's example, or sampled; `pipeline.load` reads them."""
+"""Options for hand, object and grasps; `pipeline.load` reads them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,30 @@ from typing import Annotated
 
 from tyro.conf import DisallowNone, arg
 
-from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine_apps.commands.sources import Sources
+from grasp_refine.geometry.units import Unit
+from grasp_refine.grasps.formats.listing import FormatName
+from grasp_refine.pipeline.spec import ProblemSpec, SourceSpec
+from grasp_refine_apps.commands.options import INDICES
+
+
+@dataclass(frozen=True)
+class Sources(SourceSpec):
+    """Hand and objects: the fields of `SourceSpec`, as options."""
+
+    hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
+    urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
+        None
+    )
+    object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
+    object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
+    objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None
+    unit: Annotated[DisallowNone[Unit | None], arg(help_behavior_hint="(default: m, asked about if unlikely)")] = None
+    format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
+    index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
+    table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
+    other_object: Annotated[bool, arg(help_behavior_hint="")] = False
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.report.command_line import flag
 
 Command = TypeVar("Command")
 
@@ -22,6 +24,14 @@ Overwrite = Annotated[
     bool, tyro.conf.arg(help="Replace existing files; without it they are kept.", help_behavior_hint="")
 ]
 """The option `--overwrite` of commands that write files."""
+
+OptionalFile = Annotated[
+    tyro.conf.DisallowNone[Path | None], tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+]
+"""An option such as `--json`, a file that is written if it is given."""
+
+NOTHING_USABLE = 1
+"""Exit code when there are no usable results."""
 
 LARGEST_SEED = 2**32 - 1
 
@@ -125,11 +135,6 @@ def _has_option(command: Any, name: str) -> bool:
     """Return True if a dataclass of options, or one nested in it, has a field of this name."""
     types = get_type_hints(command)
     return name in types or any(_has_option(kind, name) for kind in types.values() if is_dataclass(kind))
-
-
-def flag(name: str, prefix: str = "--") -> str:
-    """Name of the option of a field."""
-    return prefix + name.replace("_", "-")
 
 
 def check_numbers(options: Any, prefix: str = "--") -> None:

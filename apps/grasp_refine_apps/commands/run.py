@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import torch
-from tyro.conf import DisallowNone, arg
+from tyro.conf import arg
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
@@ -32,12 +32,11 @@ from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine_apps.commands.digests import Digests
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
+from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.validation_options import ValidationOptions
+from grasp_refine_apps.commands.simulation_options import ValidationOptions
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -48,7 +47,7 @@ class Output:
 
     out: Path = Path("grasp-refine-results")
     """Folder for the refined grasps, <hand>_<object>.npz."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
     overwrite: Overwrite = False
     verbose: bool = False

@@ -28,11 +28,11 @@ from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.commands.ending import NOTHING_USABLE
-from grasp_refine_apps.commands.options import Overwrite, check_numbers, flag
+from grasp_refine_apps.commands.inputs import Sources
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.commands.recording import Recording
-from grasp_refine_apps.commands.simulating import Robustness, Simulation
-from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
+from grasp_refine_apps.report.command_line import flag
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -45,9 +45,9 @@ class Output:
         DisallowNone[tuple[Path, Path] | None], arg(metavar="BEFORE AFTER", help_behavior_hint="(default: none)")
     ] = None
     """Two files with the same grasps, instead of FILE: show what became better and worse."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all results of each grasp to this file, in SI units."""
-    rows: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    rows: OptionalFile = None
     """Write one row per grasp to this .csv or .parquet file."""
     overwrite: Overwrite = False
     verbose: bool = False

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from tyro.conf import DisallowNone, Positional, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.se3 import pose_from_transform
-from grasp_refine.core.versions import versions
 from grasp_refine.grasps.formats.listing import OURS
 from grasp_refine.grasps.formats.reading import Reading
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -27,8 +26,9 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
@@ -58,7 +58,7 @@ class Serving:
     """Port to listen on; 0: any that is free."""
     open: bool = True
     """Open the page in a browser, if there is a screen."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write the address to this file once the page is served."""
     overwrite: Overwrite = False
 
@@ -98,9 +98,8 @@ class View:
 
             with Viewer(server, self._controller()):
                 screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
-                if self.serving.json is not None:
-                    where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
-                    save_json(self.serving.json, {"schema": SCHEMA, "command": "view", "versions": versions(), **where})
+                where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
+                save_document(self.serving.json, "view", where)
                 if self.serving.open and _has_screen():
                     webbrowser.open(address(server))
                 _wait()

@@ -25,7 +25,7 @@ from grasp_refine.validation.motion import closing
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.commands.sources import Sources
+from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.validating import Validator, protocol_of, record_direction, run_trial, stages
 from grasp_refine_apps.viewer.worker import Control, Stopped

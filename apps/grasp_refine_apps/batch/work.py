@@ -19,19 +19,18 @@ from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refine import Listener, refine_problem
 from grasp_refine.pipeline.refined import RefinedGrasps
-from grasp_refine.pipeline.spec import AUTO, NEAREST
+from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine.validation.protocol import Protocol
+from grasp_refine_apps.batch.digests import Digests
+from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard
-from grasp_refine_apps.commands.digests import Digests
-from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.invocation import words
-from grasp_refine_apps.commands.shard_plan import Task
 from grasp_refine_apps.processes.task import Failed, Heartbeat
+from grasp_refine_apps.report.command_line import words
 
 
 @dataclass(frozen=True)
@@ -220,10 +219,10 @@ def _check_unchanged(task: Task, loader: Loader, path: Path) -> None:
             raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")
 
 
-def _view_options(inputs: Inputs) -> list[str]:
+def _view_options(inputs: ProblemSpec) -> list[str]:
     """Options of `refine-grasp view` to show the result, whose scale is the factor from the mesh to metres."""
     other = ("grasps", "targets", "scale", "unit", "format", "object_name", "index", "other_object")
-    return list(words(replace(inputs, **{name: getattr(Inputs, name) for name in other})))
+    return list(words(replace(inputs, **{name: getattr(ProblemSpec, name) for name in other})))
 
 
 def peak_bytes() -> int:

@@ -12,12 +12,12 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.validation.protocol import SETTINGS
+from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine_apps.batch.plan import Plan, Planner
 from grasp_refine_apps.batch.record import State, state_of
 from grasp_refine_apps.batch.shard import Done, Shard
+from grasp_refine_apps.batch.work import ShardWork
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import read_jobs
-from grasp_refine_apps.commands.shard_plan import Plan, Planner
-from grasp_refine_apps.commands.shard_work import ShardWork
 from grasp_refine_apps.processes.task import Sign
 from refusals import refused
 

@@ -7,13 +7,16 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from grasp_refine_apps.commands.options import flag
-
 WRITTEN = ("json", "html", "overwrite")
 """Options for output files."""
 
 POSITIONAL = ("jobs",)
 """Options without a name on the command line."""
+
+
+def flag(name: str, prefix: str = "--") -> str:
+    """Name of the option of a field."""
+    return prefix + name.replace("_", "-")
 
 
 def invocation(command: str, options: Any) -> str:

@@ -18,17 +18,16 @@ from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import SUFFIXES
-from grasp_refine.pipeline.spec import SAMPLE
-from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
 """Suffixes of job lists."""
 
-KEYS = tuple(field.name for field in fields(Inputs) if field.name != "index")
+KEYS = tuple(field.name for field in fields(ProblemSpec) if field.name != "index")
 """Keys of a job in a list, besides its name: the options of `refine-grasp run` of these names."""
 
 NAMES_OR_PATHS = ("hand", "object", "targets")
-"""Inputs that are names, or paths if they cannot be names."""
+"""ProblemSpec that are names, or paths if they cannot be names."""
 
 
 @dataclass(frozen=True)
@@ -37,19 +36,19 @@ class Job:
 
     name: str
     """Name in results, unique in a batch. A name derived from a file may be invalid."""
-    inputs: Inputs
-    """Inputs; grasps are always given, and nothing depends on the working folder."""
+    inputs: ProblemSpec
+    """ProblemSpec; grasps are always given, and nothing depends on the working folder."""
     named: bool = True
     """Whether its file was named explicitly, not found in a folder or by a pattern: then it is always refined."""
 
 
-def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = False) -> list[Job]:
+def read_jobs(sources: Sequence[str], defaults: ProblemSpec, *, together: bool = False) -> list[Job]:
     """Return the jobs that some sources name; duplicates count once.
 
     Args:
         sources: Job lists (.toml, .csv), grasp files, folders of them at any depth, patterns such as "sets/*.npz", or
             sample:N.
-        defaults: Inputs that a job does not specify itself.
+        defaults: ProblemSpec that a job does not specify itself.
         together: Treat a folder as one job.
 
     Raises:
@@ -72,7 +71,7 @@ def read_jobs(sources: Sequence[str], defaults: Inputs, *, together: bool = Fals
     return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
 
 
-def _jobs(source: str, inputs: Inputs, name: str, together: bool) -> Iterator[Job]:
+def _jobs(source: str, inputs: ProblemSpec, name: str, together: bool) -> Iterator[Job]:
     """Yield a job for each grasp file of a source, with these inputs.
 
     Raises:
@@ -126,7 +125,7 @@ def _job_name(file: Path, within: Path) -> str:
     return file.relative_to(within).with_suffix("").as_posix()
 
 
-def _jobs_of_list(path: Path, defaults: Inputs, together: bool) -> Iterator[Job]:
+def _jobs_of_list(path: Path, defaults: ProblemSpec, together: bool) -> Iterator[Job]:
     """Yield the jobs of a list."""
     rows, common = _read_toml(path) if path.suffix.lower() == ".toml" else (_read_csv(path), {})
     defaults = replace(defaults, **_values(common, path, f"{path}: [defaults]"))
@@ -189,11 +188,11 @@ def _check_keys(keys: Sequence[str], where: str) -> None:
 
 
 def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
-    """Convert a table to fields of `Inputs`."""
+    """Convert a table to fields of `ProblemSpec`."""
     _check_keys(list(raw), where)
     if "name" in raw:
         raise GraspRefineError(f"{where}: the name of a job must be unique; give it in [[job]]")
-    hints = get_type_hints(Inputs)
+    hints = get_type_hints(ProblemSpec)
     return {key: _value(key, value, hints[key], path.parent, f"{where}: {key}") for key, value in raw.items()}
 
 
@@ -235,7 +234,7 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _with_absolute_paths(inputs: Inputs) -> Inputs:
+def _with_absolute_paths(inputs: ProblemSpec) -> ProblemSpec:
     """Return the inputs with absolute paths: a worker may run in another folder."""
 
     def absolute(value: Any) -> Any:

@@ -1,32 +1,32 @@
-"""State of a batch: in one run of the command, and after all runs."""
+"""State of a batch in one run of the command."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.plan import Refused
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import forget_failure, note_failure, noted_failure
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.statistics import Statistics
-from grasp_refine_apps.commands.shard_plan import Refused
-from grasp_refine_apps.commands.shard_work import peak_bytes
+from grasp_refine_apps.batch.work import peak_bytes
 from grasp_refine_apps.processes.task import Failed
 
 
 @dataclass(eq=False)
 class Session:
-    """Results and costs of one run of the command."""
+    """State of a batch, or of a part of it: results and costs of this run of the command, and complete shards."""
 
+    shards: tuple[Shard, ...]
+    """All shards of the batch or part."""
+    refused: tuple[Refused, ...]
+    """Jobs that cannot be done."""
     complete: set[int]
     """Numbers of the shards with result files."""
-    num_shards: int
-    """Number of shards of this run or part."""
-    skipped: int = 0
+    skipped: int = field(init=False)
     """Number of grasps that were complete before."""
     done: int = 0
     """Number of shards completed."""
@@ -44,6 +44,17 @@ class Session:
     """Notes that were printed."""
     profile: dict[str, tuple[float, float, int]] = field(default_factory=dict)
     """Stage -> CPU seconds, wall seconds and calls of all shards."""
+    statistics: Statistics = field(default_factory=Statistics.empty)
+    """Statistics of all grasps in the result files, once they are read."""
+
+    def __post_init__(self) -> None:
+        """Count what is complete."""
+        self.skipped = sum(shard.size for shard in self.complete_shards)
+
+    @property
+    def complete_shards(self) -> list[Shard]:
+        """Shards with result files, in order."""
+        return [shard for shard in self.shards if shard.number in self.complete]
 
     def take(self, shard: Shard, result: Done | Failed, progress: Progress) -> None:
         """Record and show the result of a shard."""
@@ -76,71 +87,37 @@ class Session:
                 progress.say(f"note: {shard.task.job}: {note}")
         progress.done(shard, result)
 
+    def failures(self) -> list[dict[str, Any]]:
+        """Entries of refused jobs and failed shards, also of those that failed in an earlier run, with reasons."""
+        nothing = {"shard": None, "path": None, "reason": "refused", "tries": 0, "traceback": ""}
+        found: list[dict[str, Any]] = [{**nothing, "name": one.job, "message": one.message} for one in self.refused]
+        for shard in self.shards:
+            # A note may be missing: it could not be written.
+            failed = self.failed.get(shard.number) or noted_failure(shard)
+            if shard.number not in self.complete and failed is not None:
+                found.append({"shard": shard.number, "name": shard.name, "path": shard.path, **asdict(failed)})
+        return found
 
-@dataclass(frozen=True, eq=False)
-class Summary:
-    """State of a batch, or of a part of it, after a run of the command, from this and earlier runs."""
-
-    shards: tuple[Shard, ...]
-    """All shards of the batch or part."""
-    complete: tuple[Shard, ...]
-    """Shards with result files, in order."""
-    failed: list[dict[str, Any]]
-    """Entries of failed shards and refused jobs, with reasons."""
-    statistics: Statistics
-    """Statistics of all grasps in the result files."""
-
-    @staticmethod
-    def of(shards: tuple[Shard, ...], refused: Sequence[Refused], session: Session) -> Summary:
-        """Return the summary, still without statistics."""
-        failed = [_entry(None, one.job, None, "refused", one.message, 0, "") for one in refused]
-        for shard in shards:
-            if shard.number not in session.complete:
-                # A note may be missing: it could not be written.
-                failure = session.failed.get(shard.number) or noted_failure(shard)
-                if failure is not None:
-                    details = (failure.reason, failure.message, failure.tries, failure.traceback)
-                    failed.append(_entry(shard.number, shard.name, shard.path, *details))
-        complete = tuple(shard for shard in shards if shard.number in session.complete)
-        return Summary(shards, complete, failed, Statistics.empty())
-
-    def totals(self, session: Session, wall_s: float, cpu_s: float) -> dict[str, Any]:
-        """Counts of the whole batch, and costs of this run."""
+    def totals(self, failed: int, wall_s: float, cpu_s: float) -> dict[str, Any]:
+        """Counts of the whole batch with its number of failures, and costs of this run."""
         return {
             **self.statistics.totals(),
             "shards": len(self.shards),
-            "done": session.done,
+            "done": self.done,
             "complete": len(self.complete),
-            "skipped": session.skipped,
-            "failed": len(self.failed),
+            "skipped": self.skipped,
+            "failed": failed,
             "wall_s": wall_s,
             "cpu_s": cpu_s,
-            "grasps_per_s": session.grasps / session.wall_s if session.wall_s else None,
-            "cpu_s_per_grasp": session.cpu_s / session.grasps if session.grasps else None,
-            "peak_bytes": max(session.peak_bytes, peak_bytes()),
+            "grasps_per_s": self.grasps / self.wall_s if self.wall_s else None,
+            "cpu_s_per_grasp": self.cpu_s / self.grasps if self.grasps else None,
+            "peak_bytes": max(self.peak_bytes, peak_bytes()),
         }
 
     def jobs(self) -> list[dict[str, Any]]:
         """Numbers of grasps, shards and complete shards of each job."""
-        there = {shard.number for shard in self.complete}
         counts: dict[str, Counter[str]] = {}
         for shard in self.shards:
             count = counts.setdefault(shard.task.job, Counter())
-            found: Mapping[str, int] = {"grasps": shard.size, "shards": 1, "complete": int(shard.number in there)}
-            count.update(found)
+            count.update({"grasps": shard.size, "shards": 1, "complete": int(shard.number in self.complete)})
         return [{"job": job, **count} for job, count in counts.items()]
-
-
-def _entry(
-    number: int | None, name: str, path: Path | None, reason: str, message: str, tries: int, traceback: str
-) -> dict[str, Any]:
-    """Entry of a failed shard or a refused job."""
-    return {
-        "shard": number,
-        "name": name,
-        "path": path,
-        "reason": reason,
-        "message": message,
-        "tries": tries,
-        "traceback": traceback,
-    }

@@ -20,15 +20,14 @@ from grasp_refine.objects.source import ObjectSource, chosen_object
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.sampled import check_sampled
-from grasp_refine.pipeline.spec import SAMPLE
+from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
+from grasp_refine_apps.batch.digests import Digests
+from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
-from grasp_refine_apps.commands.digests import Digests
-from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import Job
 
 INPUT_PATHS = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
-"""Inputs that may be files or folders."""
+"""ProblemSpec that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")
 """Names of files beside the folders of results."""
@@ -39,13 +38,13 @@ MAX_NAME_BYTES = 150
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Inputs of a shard for a worker."""
+    """ProblemSpec of a shard for a worker."""
 
     batch: str
     """Unique id of the batch: a worker's cache for one batch must not be used for another."""
     job: str
     """Name of the job."""
-    inputs: Inputs
+    inputs: ProblemSpec
     """The inputs of the job."""
     source: dict[str, Any]
     """Grasp file and its hash, or number, draw and hand of sampled grasps."""

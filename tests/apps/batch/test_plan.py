@@ -9,10 +9,10 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, save_npz
+from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import read_jobs
-from grasp_refine_apps.commands.shard_plan import Plan, Planner, part_of
 
 EXAMPLES = resource_dir("robots") / "allegro"
 

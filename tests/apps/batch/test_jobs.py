@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.jobs import KEYS, Job, read_jobs
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.job_list import KEYS, Job, read_jobs
 from refusals import refused
 
 

@@ -9,8 +9,8 @@ import pytest
 from grasp_refine_apps.commands.bench_align import BenchAlign
 from grasp_refine_apps.commands.bench_grasp import BenchGrasp
 from grasp_refine_apps.commands.bench_hold import BenchHold
-from grasp_refine_apps.commands.invocation import invocation
 from grasp_refine_apps.commands.options import parse
+from grasp_refine_apps.report.command_line import invocation
 
 
 @pytest.mark.parametrize(

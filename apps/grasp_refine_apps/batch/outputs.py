@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,17 @@ from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine_apps.batch.index import AddRows, index_writer
+from grasp_refine_apps.batch.document import save_batch
+from grasp_refine_apps.batch.index import index_writer
 from grasp_refine_apps.batch.page import page
 from grasp_refine_apps.batch.pictures import draw_cases
+from grasp_refine_apps.batch.plan import Plan
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.rows import COLUMNS, read_rows
+from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.batch.work import problem_of
 from grasp_refine_apps.batch.worst import Case
-from grasp_refine_apps.commands.batch_document import save_batch
-from grasp_refine_apps.commands.batch_session import Summary
-from grasp_refine_apps.commands.shard_plan import Plan
-from grasp_refine_apps.commands.shard_work import problem_of
 
 REPORT = "report.html"
 
@@ -61,44 +61,39 @@ class Outputs:
             if _identity(path) in inputs:
                 raise GraspRefineError(f"{path}: the results would overwrite an input; give another --out or --json")
 
-    def read(self, summary: Summary, progress: Progress) -> Summary:
-        """Write the index, if there is one, and gather statistics; unreadable shards are no longer complete."""
-        if self.index is None:
-            return self._read(summary, lambda rows: None, progress)
-        progress.wait("writing the index")
-        with index_writer(self.index) as add_rows:
-            found = self._read(summary, add_rows, progress)
-        # One in the other format would be outdated.
-        _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
-        return found
+    def read(self, session: Session, progress: Progress) -> None:
+        """Gather statistics, and write the index, if there is one; unreadable shards are no longer complete."""
+        progress.wait("writing the index" if self.index is not None else "reading the results")
+        with nullcontext() if self.index is None else index_writer(self.index) as add_rows:
+            for shard in session.complete_shards:
+                try:
+                    rows = read_rows(shard, self.out)
+                    if rows.stamp != shard.stamp:
+                        raise GraspFileError(
+                            f"{shard.path}: was replaced meanwhile by the result of another batch in this folder"
+                        )
+                except GraspFileError as error:
+                    progress.say(str(error))
+                    session.complete.discard(shard.number)
+                    continue
+                session.statistics.add(rows)
+                if add_rows is not None:
+                    add_rows(rows)
+        if self.index is not None:
+            # One in the other format would be outdated.
+            _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
 
-    def _read(self, summary: Summary, add_rows: AddRows, progress: Progress) -> Summary:
-        readable = []
-        for shard in summary.complete:
-            try:
-                rows = read_rows(shard, self.out)
-            except GraspFileError as error:
-                progress.say(str(error))
-                continue
-            if rows.stamp != shard.stamp:
-                progress.say(f"{shard.path}: was replaced meanwhile by the result of another batch in this folder")
-                continue
-            readable.append(shard)
-            summary.statistics.add(rows)
-            add_rows(rows)
-        return replace(summary, complete=tuple(readable))
-
-    def write(self, document: Mapping[str, Any], summary: Summary, progress: Progress) -> None:
+    def write(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
         """Write report and summary, as far as they are enabled."""
         if self.report:
-            shards = {shard.number: shard for shard in summary.complete}
+            shards = {shard.number: shard for shard in session.complete_shards}
             load = partial(_load_case, shards, InputCache(), document["seed"])
-            worst = summary.statistics.worst()
+            worst = session.statistics.worst()
             pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
-            save_text(self.out / REPORT, page(document, summary.statistics, pictures))
+            save_text(self.out / REPORT, page(document, session.statistics, pictures))
         if self.json is not None:
             progress.wait("writing the summary")
-            save_batch(self.json, document, summary.complete)
+            save_batch(self.json, document, session.complete_shards)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
