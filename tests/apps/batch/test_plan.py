@@ -91,6 +91,12 @@ def test_the_stamp_changes_with_what_the_result_depends_on_and_with_nothing_else
     assert not set(first) & set(stamps(mixed, scale=2.0))
     assert not set(first) & set(stamps(mixed, hand="leap"))
     assert not set(first) & set(stamps(mixed, size=2))
+    aims = tmp_path / "aims" / "aims.npz"
+    aims.parent.mkdir()
+    for content in (b"one", b"two"):
+        aims.write_bytes(content)
+        assert not set(first) & set(aimed := stamps(mixed, targets=str(aims)))
+        first += aimed
     moved = load_grasps(mixed)
     moved.hand_pose[0, 0] += 1e-9
     save_npz(mixed, moved.arrays())
@@ -132,19 +138,14 @@ def test_sampled_grasps_are_drawn_shard_by_shard():
 
 def test_jobs_that_cannot_be_done_are_named_and_the_others_planned(mixed: Path, tmp_path: Path):
     (tmp_path / "broken.npz").write_text("no grasps")
-    plan = planned(tmp_path / "broken.npz", tmp_path / "none.npz", mixed, "sample:3")
+    save_npz(tmp_path / "foreign.npz", replace(grasps_of(["mug"], [1.0]), hand="claw").arrays())
+    plan = planned(tmp_path / "broken.npz", tmp_path / "none.npz", mixed, "sample:3", tmp_path / "foreign.npz")
     assert [shard.task.job for shard in plan.shards] == ["mixed", "mixed"]
     said = {refused.job: refused.message for refused in plan.refused}
     assert "not an .npz grasp file" in said["broken"]
     assert "no such grasp file" in said["none"]
     assert "--hand and --object" in said["sample_3"]
-
-
-def test_an_unknown_hand_is_told_before_anything_is_done(tmp_path: Path):
-    path = tmp_path / "foreign.npz"
-    save_npz(path, replace(grasps_of(["mug"], [1.0]), hand="claw").arrays())
-    (refused,) = planned(path).refused
-    assert "'claw'" in refused.message
+    assert "'claw'" in said["foreign"]
 
 
 def test_parts_are_runs_of_shards_that_make_up_the_whole(mixed: Path):

@@ -9,7 +9,7 @@ import pytest
 
 import refusals
 from asset_server import serving
-from command_line import call, refused
+from command_line import refused
 from grasp_refine.assets.cache import asset_folder
 from grasp_refine.assets.manifest import Asset, read_manifest
 from grasp_refine.assets.names import all_assets, choose_asset, find_asset
@@ -235,11 +235,3 @@ def test_a_mirror_that_does_not_exist_is_said(monkeypatch: pytest.MonkeyPatch, c
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "/nowhere")
     for words in (("list",), ("fetch", "leap")):
         assert_names(refused(capfd, "assets", *words), "GRASP_REFINE_ASSETS=/nowhere", "http://", "https://")
-
-
-def test_the_commands_work_in_a_process_of_their_own(mirror: Path):
-    for command in ("list", "fetch", "verify"):
-        result = call("assets", command, "--help")
-        assert result.returncode == 0 and f"usage: refine-grasp assets {command}" in result.stdout
-    result = call("assets", "fetch", "leap_cube")
-    assert result.returncode == 0 and result.stderr == ""

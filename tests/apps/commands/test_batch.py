@@ -19,7 +19,7 @@ from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine_apps.cli import main
 from refusals import assert_names
-from running_processes import PATIENCE_S, children, nothing_left, running_in_session, soon
+from running_processes import PATIENCE_S, nothing_left, soon
 
 EXAMPLES = resource_dir("robots") / "allegro"
 WITH_REPORT = ("--geometry-only", "--iterations", "12", "--index", "csv", "--workers", "1")
@@ -373,13 +373,10 @@ def wait_for(out: Path, files: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
-    tmp_path: Path, sources: Path, signal_: signal.Signals
-):
+def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(tmp_path: Path, sources: Path):
     process = running(sources, tmp_path / "out", "--workers", "1", "--geometry-only", "--no-report")
     wait_for(tmp_path / "out", 1)
-    (os.killpg if signal_ == signal.SIGINT else os.kill)(process.pid, signal_)
+    os.killpg(process.pid, signal.SIGINT)
     out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert " of 8 shards" in " ".join(error.split())
@@ -389,9 +386,10 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(
     assert not list((tmp_path / "out").rglob(".*"))
 
 
-def test_a_failure_that_cannot_be_noted_is_told_all_the_same(
-    copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+def test_a_full_disk_costs_only_what_cannot_be_written(
+    copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
+    """Also where the failure cannot be noted."""
     path = copy / "example_bottle" / "allegro_bottle_00001.npz"
     path.unlink()
     path.symlink_to("/dev/full")
@@ -401,43 +399,10 @@ def test_a_failure_that_cannot_be_noted_is_told_all_the_same(
     assert batch(sources, *command, "--json", copy / "full.json") == 1
     (failed,) = json.loads((copy / "full.json").read_text())["failed"]
     assert failed["path"] == str(path)
-    assert f"{path.name}.failed.json" in "".join(capsys.readouterr().err.split("\n"))
-
-
-@pytest.mark.slow
-def test_a_full_disk_costs_only_what_cannot_be_written(copy: Path, whole: Path, sources: Path):
-    path = copy / "example_bottle" / "allegro_bottle_00001.npz"
-    path.unlink()
-    path.symlink_to("/dev/full")
-    command = ("--out", copy, "--shard-size", 3, *QUICK)
-    assert batch(sources, *command, "--json", copy / "full.json") == 1
-    (failed,) = json.loads((copy / "full.json").read_text())["failed"]
-    assert failed["path"] == str(path)
     assert "No space left on device" in failed["message"]
+    assert f"{path.name}.failed.json" in "".join(capsys.readouterr().err.split("\n"))
     assert batch(sources, *command) == 0
     assert_same(copy, whole)
-
-
-def workers_of(process: subprocess.Popen[str]) -> list[int]:
-    """The processes that a process started, but for those that only look after resources."""
-    found = running_in_session(process)
-    return [number for number in map(int, children(process.pid)) if "spawn_main" in found.get(number, "")]
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="there is no /proc to find the workers in")
-@pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
-@pytest.mark.slow
-def test_a_worker_that_is_lost_is_replaced(tmp_path: Path, sources: Path, signal_: signal.Signals):
-    out, summary = tmp_path / "out", tmp_path / "summary.json"
-    options = ("--workers", "2", "--no-report", "--patience", "30", "--json", str(summary))
-    process = running(sources, out, *options)
-    wait_for(out, 1)
-    os.kill(workers_of(process)[0], signal_)
-    _, error = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, error
-    assert json.loads(summary.read_text())["totals"]["n"] == 8
-    assert len(results(out)) == 8
-    assert nothing_left(process)
 
 
 @pytest.mark.slow

@@ -1,0 +1,36 @@
+"""Options become the settings of the library: defaults are its own, and units are converted once."""
+
+from math import inf, radians
+
+import pytest
+
+from grasp_refine.refinement.config import Config
+from grasp_refine.validation.protocol import FORCE_CLOSURE, SETTINGS
+from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.commands.simulation_options import Robustness, Simulation, ValidationOptions
+
+
+def test_without_options_the_settings_are_those_of_the_library():
+    assert Settings().config() == Config()
+    assert Simulation().protocol() == FORCE_CLOSURE
+    assert ValidationOptions().protocol() is None
+    assert ValidationOptions(validate=True, setting="strict").protocol() == SETTINGS["strict"]
+
+
+def test_what_a_method_does_not_choose_itself_reaches_it():
+    config = Settings(solver="descent", derivative="distance", seed=3, iterations=7, transport=True).config()
+    assert (config.solver.iterations, config.solver.transport, config.derivative.seed) == (7, True, 3)
+    assert (config.tolerance, Settings().config().tolerance) == (1e-7, Config.tolerance)
+    least_squares = Settings(iterations=7, max_move=(0.1, 0.2, inf), reach=0.5, geometry_only=True).config()
+    assert least_squares.solver.iterations == 7 and least_squares.weights.wrench == 0
+    move = least_squares.max_move
+    assert (move.translation, move.rotation, move.joints) == (0.1, 0.2, inf)
+    # Links within reach are among those that are searched.
+    assert least_squares.contact_selection.farthest == 0.5
+
+
+def test_durations_and_angles_have_the_units_of_the_library():
+    assert Simulation(seconds=0.4).protocol().checks == 2
+    assert Simulation(mass=0.5, friction=0.2).protocol().mass == 0.5
+    noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
+    assert (noise.count, noise.offset, noise.turn) == pytest.approx((3, 0.01, radians(90.0)))
