@@ -7,23 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-import struct
-import tempfile
-import tokenize
-import warnings
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import platformdirs
 
-READ_ERRORS: tuple[type[Exception], ...]
-READ_ERRORS = (OSError, EOFError, LookupError, ValueError, TypeError, SyntaxError, RuntimeError, MemoryError)
-READ_ERRORS += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
-"""Errors from reading an entry that is incomplete or foreign."""
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.npz_files import load_npz, save_npz
 
 SCHEMA = 1
 """Version of an entry's layout and of its name's hash; a new one leaves all old entries unused."""
@@ -47,36 +38,21 @@ def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
 
 
 def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
-    """Save polytopes as one entry, see `save_arrays`.
+    """Save polytopes as one entry, atomically, also when several processes write it.
 
     Raises:
-        OSError: the folder is not writable.
+        GraspFileError: the folder is not writable.
     """
     vertices, faces = zip(*polytopes, strict=True)
-    save_arrays(
+    save_npz(
         entry,
-        vertices=np.concatenate(vertices),
-        faces=np.concatenate(faces),
-        vertex_counts=np.array([len(part) for part in vertices]),
-        face_counts=np.array([len(part) for part in faces]),
+        {
+            "vertices": np.concatenate(vertices),
+            "faces": np.concatenate(faces),
+            "vertex_counts": [len(part) for part in vertices],
+            "face_counts": [len(part) for part in faces],
+        },
     )
-
-
-def save_arrays(entry: Path, **arrays: Any) -> None:
-    """Save an entry atomically, also when several processes write it.
-
-    Raises:
-        OSError: the folder is not writable.
-    """
-    entry.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=entry.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)
-        os.replace(temporary, entry)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 def load(entry: Path) -> list[Polytope] | None:
@@ -92,14 +68,10 @@ def load(entry: Path) -> list[Polytope] | None:
 def load_arrays(entry: Path, *names: str) -> list[np.ndarray] | None:
     """Return the arrays of an entry by name; None when there is no such entry, or it cannot be read."""
     try:
-        # NumPy leaves a file open that it opened itself and could not read.
-        with open(entry, "rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about headers from Python 2, or damaged ones
-            with np.load(file, allow_pickle=False) as arrays:
-                found = [arrays[name] for name in names]
-    except READ_ERRORS:
+        arrays = load_npz(entry, only=names).entries
+    except GraspFileError:
         return None
-    return found if all(isinstance(array, np.ndarray) for array in found) else None
+    return [arrays[name] for name in names] if set(names) <= set(arrays) else None
 
 
 def _is_valid(vertices: np.ndarray, faces: np.ndarray, per_vertex: np.ndarray, per_face: np.ndarray) -> bool:

@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from grasp_refine.core.errors import MeshError
-from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.holes import find_holes
 from grasp_refine.geometry.mesh import FlatMeshError
-from grasp_refine.geometry.nearest_triangle import Triangles
-from grasp_refine.geometry.over_cover import MAX_OVERESTIMATE, over_cover
 from grasp_refine.geometry.pieces import Piece, convex_pieces, hull
+from grasp_refine.geometry.sampling import sample
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,8 +37,12 @@ MIN_PROTRUSION_M = 2e-3
 OUTSIDE_TOLERANCE_M = 1e-5
 """Largest distance of a vertex of the mesh outside all pieces, in metres."""
 
-_SCHEMA = 1
-"""Version of the measured distances; a new one leaves all old cache entries unused."""
+MAX_KEPT_RATIO = 0.9
+"""Protrusion of several pieces over that of the hull, above which they are no gain."""
+
+_SURFACE_POINTS, _MESH_POINTS = 2**13, 2**16
+"""Points on the exposed surface of pieces, and on the mesh, between which protrusion is measured: 0 to 5 % too small on
+25 scanned and drawn objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,7 @@ def covering(
     Args:
         mesh: Closed or open, one body or several.
         limit: Largest protrusion in metres; infinite: always the hull, and nothing is measured.
-        cache: Folder of earlier cuts and measurements; None: no cache.
+        cache: Folder of earlier cuts; None: no cache.
         progress: Called with a line before and one after CoACD cuts.
         name: Name in messages.
 
@@ -92,15 +95,14 @@ def covering(
     # Searching a long arm for 2 mm would take long.
     least = min(limit, max(MIN_PROTRUSION_M, 0.01 * float(np.linalg.norm(np.ptp(vertices, axis=0)))))
     mesh = _without_small_holes(mesh, least)
-    triangles = Triangles(vertices[mesh.faces])
-    before = _measure_cached([whole], triangles, least, cache)
+    before = protrusion([whole], mesh, least)
     if before <= limit:
         return Covering((whole,), before, before, least)
     found, troubles = _body_pieces(mesh, limit, cache, progress, name)
     pieces = _merge_smallest(_outermost(found)) or [whole]
     pieces = [_clip_to_hull(whole, piece) for piece in _extend_to(pieces, vertices[np.unique(mesh.faces)])]
-    after = _measure_cached(pieces, triangles, least, cache)
-    if after > (1 - 2 * MAX_OVERESTIMATE) * before:
+    after = protrusion(pieces, mesh, least)
+    if after > MAX_KEPT_RATIO * before:
         return Covering(
             (whole,),
             before,
@@ -109,6 +111,19 @@ def covering(
             "; ".join(troubles) or f"{len(pieces)} piece{'s stand' if len(pieces) > 1 else ' stands'} out as far",
         )
     return Covering(tuple(pieces), before, after, least, "; ".join(troubles))
+
+
+def protrusion(pieces: Sequence[Piece], mesh: trimesh.Trimesh, least: float) -> float:
+    """Protrusion of the union of `pieces` from `mesh`, in metres; 0 where it is at most `least`.
+
+    That is the largest distance from points on the exposed surface of the pieces to points on the mesh.
+    """
+    import trimesh
+
+    on_mesh, _ = trimesh.sample.sample_surface(mesh, _MESH_POINTS, seed=0)
+    exposed = sample(pieces, _SURFACE_POINTS, seed=0).points
+    found = float(KDTree(np.concatenate([on_mesh, mesh.vertices])).query(exposed)[0].max())
+    return found if found > least else 0.0
 
 
 def _without_small_holes(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
@@ -144,10 +159,7 @@ def _body_pieces(
             solid.append((body, hull(body.vertices, name=name)))
         except FlatMeshError:
             flat.append(np.asarray(body.vertices, dtype=np.float64))
-    measured = [
-        _measure_cached([whole], Triangles(np.asarray(body.vertices, dtype=np.float64)[body.faces]), limit, cache)
-        for body, whole in solid
-    ]
+    measured = [protrusion([whole], body, limit) for body, whole in solid]
     pieces = _flat_hulls(flat)
     for index in np.argsort(-np.array(measured), kind="stable"):
         body, whole = solid[index]
@@ -216,22 +228,6 @@ def _simplify(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
     if solid.status() != manifold3d.Error.NoError or len(simpler.tri_verts) < 4:
         return mesh
     return trimesh.Trimesh(simpler.vert_properties[:, :3], simpler.tri_verts.astype(np.int64), process=False)
-
-
-def _measure_cached(pieces: Sequence[Piece], mesh: Triangles, least: float, cache: Path | None) -> float:
-    """Protrusion of pieces from a mesh in metres, 0 if at most `least`; from the cache where possible."""
-    corners = np.concatenate([piece.vertices for piece in pieces])
-    settings = f"over-cover {_SCHEMA} {least!r} {MAX_OVERESTIMATE} {[len(piece.vertices) for piece in pieces]}"
-    faces = np.concatenate([piece.faces for piece in pieces])
-    entry = cache and cache / disk.entry_name(np.concatenate([corners, mesh.corners.reshape(-1, 3)]), faces, settings)
-    known = disk.load_arrays(entry, "over_cover") if entry else None
-    if known and known[0].shape == () and known[0].dtype == np.float64:
-        return float(known[0])
-    found = over_cover(pieces, mesh, least=least)
-    if entry:
-        with suppress(OSError):  # measured again the next time
-            disk.save_arrays(entry, over_cover=np.array(found))
-    return found
 
 
 def _outermost(pieces: Sequence[Piece]) -> list[Piece]:

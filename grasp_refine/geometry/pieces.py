@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from grasp_refine.core.cores import usable_cores
-from grasp_refine.core.errors import MeshError
+from grasp_refine.core.errors import GraspFileError, MeshError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry import cache as disk
@@ -249,7 +249,7 @@ def cut_meshes(
         try:
             if cache:
                 disk.save(cache / unit.entry, solid)
-        except OSError as error:
+        except GraspFileError as error:
             report(f"{unit.name}: the pieces could not be cached ({error})")
     for number, unit in concave.items():
         pieces[number] = tuple(Piece(corners * unit.diagonal, faces) for corners, faces in parts[unit.entry])

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.errors import CollisionError, HandError
+from grasp_refine.core.errors import CollisionError, GraspFileError, HandError
+from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.profiling import stage
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hands.chain import Chain
@@ -110,8 +111,8 @@ def touching_pairs(
     if touching is None:
         touching = _touching(hand, candidates, sampling)
         if entry is not None:
-            with suppress(OSError):  # it takes about a second the next time, too
-                disk.save_arrays(entry, touching=touching)
+            with suppress(GraspFileError):  # it takes about a second the next time, too
+                save_npz(entry, {"touching": touching})
     return tuple(pair for pair, kept in zip(candidates, touching.tolist(), strict=True) if kept)
 
 

@@ -23,7 +23,6 @@ def seeds() -> tuple[tuple[str, bytes], ...]:
         "faces": np.concatenate([piece.faces for piece in pieces]),
         "vertex_counts": np.array([len(piece.vertices) for piece in pieces]),
         "face_counts": np.array([len(piece.faces) for piece in pieces]),
-        "over_cover": np.array(0.1),
         "touching": np.zeros((2, 2), bool),
     }
     return (("entry.npz", archive({f"{name}.npy": member(array) for name, array in arrays.items()})),)
@@ -34,8 +33,7 @@ def read(path: Path) -> Hashable:
     found = load(path)
     for vertices, faces in found or ():
         assert np.isfinite(vertices).all() and faces.min() >= 0 and faces.max() < len(vertices)
-    arrays = [load_arrays(path, name) for name in ("over_cover", "touching")]
-    return found is None, tuple(array is None for array in arrays)
+    return found is None, load_arrays(path, "touching") is None
 
 
 READER = Reader("cache", seeds, read, change, WORDS)

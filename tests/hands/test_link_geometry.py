@@ -181,7 +181,7 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
 @pytest.mark.parametrize(
     ("hand", "link", "pieces", "note"),
     [
-        ("barrett/barrett.urdf", "base_link", 2, r"base_link: .*base_link_cylinder.obj .* 28.\d mm"),
+        ("barrett/barrett.urdf", "base_link", 2, r"base_link: .*base_link_cylinder.obj .* 27.\d mm"),
         ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: .*forearm_E3M5.obj .* [56].\d mm"),
         ("leap/leap_right.urdf", "fingertip", 1, None),
     ],
