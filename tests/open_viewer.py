@@ -13,6 +13,7 @@ from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.worker import Control, Stopped
 from running_processes import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -58,3 +59,22 @@ def settled(viewer: Controller, seconds: float = PATIENCE_S) -> None:
     while viewer.state.job is not None:
         assert time.monotonic() < end, f"still doing {viewer.state.job}"
         time.sleep(0.005)
+
+
+def ignored() -> Control:
+    """The control of a job that nobody follows."""
+    return Control(lambda share, what: None)
+
+
+def stopped_at(count: int) -> Control:
+    """A control that ends its job at the check of this number, from 1."""
+
+    class Ending(Control):
+        checks = 0
+
+        def check(self) -> None:
+            self.checks += 1
+            if self.checks == count:
+                raise Stopped
+
+    return Ending(lambda share, what: None)

@@ -159,7 +159,7 @@ class View:
         problem = loader.cut(loader.draft_read(_grasp_of(motion, hand), path))
         controller = Controller(Collection.of(problem), self.settings)
         controller.show_motion(motion)
-        controller.say("this is a simulation: play it in the tab Validate")
+        controller.notify("this is a simulation: play it in the tab Validate")
         return controller
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any
 
-import numpy as np
-import rich
 import viser
-from jaxtyping import Float
 
 from grasp_refine_apps.viewer.film import Film, Frame
-from grasp_refine_apps.viewer.nodes import Lines, Meshes, place
-from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.page import without_greeting
+from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
+from grasp_refine_apps.viewer.viser_private import NODE_TEXT
 
 FILM_DURATION_S = 6.0
 """Duration of a film in seconds, without the pauses at both ends."""
@@ -34,8 +31,8 @@ font:15px/1.5 system-ui, sans-serif; color:#333"><b>TITLE</b>
 <span id="caption"></span>
 <span style="color:#999">drag to turn, wheel to zoom, space bar to pause</span></div>
 <script>setInterval(() => {{
-    const node = window.__viserSceneTree && window.__viserSceneTree.getState()["{CAPTION_NODE}"];
-    if (node) document.getElementById("caption").textContent = node.message.props.text;
+    {NODE_TEXT.replace("NAME", CAPTION_NODE)}
+    if (text) document.getElementById("caption").textContent = text;
 }}, 100);</script>"""
 """HTML above the scene: title, caption of the frame, and hints on mouse and keys."""
 
@@ -49,28 +46,23 @@ def animation_html(film: Film, seconds: float = FILM_DURATION_S) -> str:
         film: The film.
         seconds: Duration of all frames, without the pauses at both ends.
     """
-    # Servers print a greeting on the terminal.
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
+    with without_greeting():
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
             return _with_title(_recorded_html(server, film, seconds), film.title)
         finally:
             server.stop()
-    finally:
-        console.quiet = quiet
 
 
 def _recorded_html(server: viser.ViserServer, film: Film, seconds: float) -> str:
     _light(server, film)
-    cast = _FilmNodes(server.scene, film)
+    nodes = _FilmNodes(server.scene, film)
     first, *others = film.frames
-    cast.show(first)
+    nodes.show(first)
     recording = server.get_scene_serializer()
     recording.insert_sleep(FIRST_FRAME_S)
     for frame in others:
-        cast.show(frame)
+        nodes.show(frame)
         recording.insert_sleep(min(seconds / len(others), MAX_FRAME_S))
     recording.insert_sleep(LAST_FRAME_S)
     return recording.as_html()
@@ -88,38 +80,25 @@ def _light(server: viser.ViserServer, film: Film) -> None:
 
 
 class _FilmNodes:
-    """Scene nodes of a film; only changes between frames are sent."""
+    """Scene nodes of a film."""
 
     def __init__(self, scene: viser.SceneApi, film: Film) -> None:
         """Make all nodes, at their poses in the first frame."""
         first = film.frames[0]
-        self._film = film
         self._object = scene.add_frame("/object", show_axes=False)
         Meshes(scene, "/object/mesh", film.object, opacity=OPACITY, shadow=False)
-        self._links = Meshes(scene, "/hand", film.hand, shadow=False).nodes
-        ghost = Meshes(scene, "/ghost", film.hand, opacity=GHOST_OPACITY, color=GHOST_COLOR, shadow=False).nodes
-        for node, T in zip(ghost, self._places(first.pose), strict=True):
-            place(node, T)
+        self._hand = HandMeshes(scene, "/hand", film.hand, film.poses, shadow=False)
+        ghost = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
+        HandMeshes(scene, "/ghost", film.hand, film.poses, **ghost).move(first.pose)
         self._lines = Lines(scene, "/contacts", 3.0)
         self._caption = scene.add_label(CAPTION_NODE, first.caption, visible=False)
-        self._at: dict[str, np.ndarray] = {}
 
     def show(self, frame: Frame) -> None:
         """Move all nodes to their poses in a frame."""
-        for node, T in zip(self._links, self._places(frame.pose), strict=True):
-            self._move(node, T)
-        self._move(self._object, frame.T_object)
+        self._hand.move(frame.pose)
+        place(self._object, frame.T_object)
         self._lines.draw(frame.lines, frame.colors)
         self._caption.text = frame.caption
-
-    def _places(self, pose: Pose) -> list[Float[np.ndarray, "4 4"]]:
-        T = self._film.poses(pose.T_object_root, pose.q)
-        return [T[shape.link] for shape in self._film.hand]
-
-    def _move(self, node: Any, T: Float[np.ndarray, "4 4"]) -> None:
-        if node.name not in self._at or not np.allclose(T, self._at[node.name], atol=1e-6):
-            self._at[node.name] = T
-            place(node, T)
 
 
 def _with_title(html: str, title: str) -> str:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import contacts
-from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, contact_forces
+from grasp_refine.forces.wrench import center_of_mass, contact_forces
 from grasp_refine.hands.chain import Frames
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.pose import Target
 
 DEFAULT_SELECTION = ContactSelection()
 """Contact selection where none is specified."""
@@ -30,20 +28,12 @@ CONTACT_TOLERANCE_M = 1e-4
 class Forces:
     """Best balancing forces of C contacts, per unit of total pressure, in the object's frame."""
 
-    link: tuple[str, ...]
-    """Name of the link of each contact (C,)."""
     point: Float[np.ndarray, "C 3"]
     """Contact points (C, 3) on the object, metres."""
     normal: Float[np.ndarray, "C 3"]
     """Unit normals (C, 3) from link to object."""
     force: Float[np.ndarray, "C 3"]
-    """Force (C, 3) of each link on the object; 0 where none is known."""
-    pressure: Float[np.ndarray, " C"]
-    """Normal component of each force (C,), at least 0; the pressures sum to 1."""
-    residual: float
-    """Norm of the unbalanced forces and torques, without unit; NaN where no forces are known."""
-    friction: float
-    """Coefficient of friction of the cones that contain the forces."""
+    """Force (C, 3) of each link on the object, within the cones of `PLANNING_FRICTION`; 0 where none is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +46,6 @@ class Contacts:
     """Witness points (K, 3) on the links: nearest to the object, or deepest in it."""
     point_object: Float[np.ndarray, "K 3"]
     """Witness points (K, 3) on the object."""
-    normal: Float[np.ndarray, "K 3"]
-    """Unit normals (K, 3) from link to object."""
     distance: Float[np.ndarray, " K"]
     """Signed distances (K,); negative where a link penetrates."""
     should: Bool[np.ndarray, " K"]
@@ -83,38 +71,18 @@ class Contacts:
         return self.distance < -CONTACT_TOLERANCE_M
 
     @property
-    def deepest(self) -> int | None:
-        """Index among the K links of the deepest one; None if none is `deep`."""
-        return int(self.distance.argmin()) if self.deep.any() else None
-
-    @property
     def contact_error(self) -> float:
         """The largest error of a link that should touch; NaN where none should or it is not known."""
         known = self.error[~np.isnan(self.error)]
         return float(known.max()) if len(known) else np.nan
 
-    @cached_property
+    @property
     def forces(self) -> Forces:
         """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
-        hand, links = self.prepared.hand, self.prepared.chain.links
-        point, normal = contacts(hand, links, self.witness)
+        point, normal = contacts(self.prepared.hand, self.prepared.chain.links, self.witness)
         found = contact_forces(point, normal, center_of_mass(self.prepared.object))
-        near = np.flatnonzero(np.isfinite(point[0, :, 0]))
-        return Forces(
-            link=tuple(links[column] for column in near),
-            point=point[0, near],
-            normal=normal[0, near],
-            force=found.force[0, near],
-            pressure=found.pressure[0, near],
-            residual=float(found.residual[0]),
-            friction=PLANNING_FRICTION,
-        )
-
-    @cached_property
-    def quality(self) -> float:
-        """The quality of the grasp in (0, 1], higher is better; NaN where no forces are known."""
-        hand, chain = self.prepared.hand, self.prepared.chain
-        return float(quality(hand, self.prepared.object, chain, self.frames, self.witness).value[0])
+        near = np.isfinite(point[0, :, 0])
+        return Forces(point[0, near], normal[0, near], found.force[0, near])
 
 
 def contacts_of(
@@ -163,7 +131,6 @@ def contacts_of(
         link=tuple(links[column] for column in shown),
         point_link=witness.point_a[0, shown],
         point_object=witness.point_b[0, shown],
-        normal=witness.normal[0, shown],
         distance=distance[shown],
         should=should[shown],
         error=np.where(should, error, np.nan)[shown],

@@ -11,24 +11,23 @@ from dataclasses import replace
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.editing import Editing
-from grasp_refine_apps.viewer.jobs import Change
+from grasp_refine_apps.viewer.editing import Editor, History
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.refining import refine_grasp, targets_of
+from grasp_refine_apps.viewer.pose import Pose, targets_of
+from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.state import DisplayOptions, State
+from grasp_refine_apps.viewer.store import Change
 from grasp_refine_apps.viewer.trace import Trace
 from grasp_refine_apps.viewer.validated import TrialResult
-from grasp_refine_apps.viewer.validating import Validator, protocol_of, record_direction, run_trial
+from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, protocol_of, record_direction, run_trial
 from grasp_refine_apps.viewer.worker import Control, Stopped
 
 
-class Controller(Editing):
+class Controller(Editor):
     """Commands on the open grasps."""
 
     def __init__(
@@ -64,7 +63,7 @@ class Controller(Editing):
                 self._measuring = False
                 if self._state.job is not None and self._state.job.kind == "measure":
                     self._halt()
-            self._history.clear()
+            self._history = History()
             now = replace(
                 self._state, collection=collection, trials_by_grasp=self._state.trials_by_grasp if same_grasps else {}
             )
@@ -76,10 +75,9 @@ class Controller(Editing):
             if 0 <= number < len(self._state.collection) and number != self._state.number:
                 self.change_collection(self._state.collection, number)
 
-    def set_showing(self, **changes: Any) -> None:
-        """Show or hide parts of the scene: fields of `Showing`."""
-        with self._lock:
-            self._set(showing=replace(self._state.showing, **changes))
+    def set_display(self, display: DisplayOptions) -> None:
+        """Show or hide parts of the scene."""
+        self._set(display=display)
 
     def set_side_by_side(self, beside: bool) -> None:
         """Draw the input grasp beside the shown one, or not."""
@@ -93,7 +91,7 @@ class Controller(Editing):
             try:
                 collection.save_marks(number)
             except GraspRefineError as error:
-                self.say(f"{error}; the mark is kept until the viewer ends", bad=True)
+                self.notify(f"{error}; the mark is kept until the viewer ends", bad=True)
 
     def measure(self) -> None:
         """Measure the grasps whose files have no measures; jobs of the user come first."""
@@ -150,11 +148,9 @@ class Controller(Editing):
                 return
             if job is not None and job.kind != "measure":
                 return
-            try:
-                # Invalid options are refused before anything starts.
-                config = self._state.settings.config()
-            except GraspRefineError as error:
-                self.say(str(error), bad=True)
+            # Invalid options are refused before anything starts.
+            config = self._checked(self._state.settings.config)
+            if config is None:
                 return
             self._push("")
             pose = self._state.standing
@@ -203,63 +199,46 @@ class Controller(Editing):
     def run_trial(self, setting: str = "force-closure", friction: float | None = None) -> None:
         """Simulate the shown grasp in MuJoCo."""
         with self._lock:
-            try:
-                protocol = protocol_of(setting, friction)
-            except GraspRefineError as error:
-                self.say(str(error), bad=True)
+            protocol = self._checked(lambda: protocol_of(setting, friction))
+            if protocol is None:
                 return
-            now = self._state
-            pose, scene, file_grasp, number = now.standing, now.scene, _file_grasp(now), now.number
+            number, grasp = self._state.number, self._posed_grasp(self._state.standing)
 
             def work(control: Control) -> Change:
-                prepared, report, check = self._hand_object(scene), control.report, control.check
-                found = run_trial(
-                    self._validator,
-                    scene,
-                    pose,
-                    protocol,
-                    file_grasp=file_grasp,
-                    prepared=prepared,
-                    report=report,
-                    check=check,
-                )
+                prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
+                found = run_trial(self._validator, prepared, protocol, control)
                 return lambda state: replace(
-                    state, trial=found, trials_by_grasp=self._updated_trials(state, number, pose, found)
+                    state, trial=found, trials_by_grasp=self._updated_trials(state, number, grasp.pose, found)
                 )
 
             if self.run_job("validate", "testing in MuJoCo", work):
                 # The simulated pose is the shown one, and stays shown.
-                self._set(pose=pose, frame=None, motion=None, trial=None)
+                self._set(pose=grasp.pose, frame=None, motion=None, trial=None)
 
     def _updated_trials(self, state: State, number: int, pose: Pose, found: TrialResult) -> Mapping[int, TrialResult]:
         """Return the simulation results of the grasps as in their file, updated by that of one grasp."""
         _, _, file_pose = _grasp(state.collection, number)
         return {**state.trials_by_grasp, number: found} if pose.same(file_pose) else state.trials_by_grasp
 
-    def watch(self, direction: str) -> None:
+    def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""
         with self._lock:
-            now, trial = self._state, self._state.trial
+            trial, grasp = self._state.trial, self._posed_grasp(self._state.pose)
             if trial is None or direction not in trial.directions:
                 return
-            pose, scene, file_grasp = now.pose, now.scene, _file_grasp(now)
 
             def work(control: Control) -> Change:
-                prepared, report, check = self._hand_object(scene), control.report, control.check
-                found = record_direction(
-                    self._validator,
-                    scene,
-                    pose,
-                    trial,
-                    direction,
-                    file_grasp=file_grasp,
-                    prepared=prepared,
-                    report=report,
-                    check=check,
-                )
+                prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
+                found = record_direction(self._validator, prepared, trial, direction, control)
                 return lambda state: replace(state, motion=found, motion_frame=0)
 
             self.run_job("replay", f"recording the push along {direction}", work)
+
+    def _posed_grasp(self, pose: Pose) -> PosedGrasp:
+        """Return the shown grasp at a pose, as in its file with pregrasp and squeeze."""
+        collection, number = self._state.collection, self._state.number
+        row = collection.member[number : number + 1]
+        return PosedGrasp(self._state.scene, pose, collection.group(number).grasps.select(row))
 
     def show_motion_frame(self, frame: int) -> None:
         """Show a frame of the simulation."""
@@ -277,12 +256,6 @@ class Controller(Editing):
         self._set(motion=None, motion_frame=0)
 
 
-def _file_grasp(state: State) -> GraspSet:
-    """Return the shown grasp as in its file, with pregrasp and squeeze."""
-    collection, number = state.collection, state.number
-    return collection.group(number).grasps.select(collection.member[number : number + 1])
-
-
 def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
     """Scene, input pose and pose in the file of a grasp."""
     scene = collection.scene(number)
@@ -292,7 +265,7 @@ def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
 def _state_with_grasp(state: State, number: int) -> State:
     """Return the state with another grasp of the same collection; display options and the running job stay."""
     scene, initial, pose = _grasp(state.collection, number)
-    kept = ("settings", "trials_by_grasp", "job", "gizmo", "showing", "side_by_side", "notice", "change")
+    kept = ("settings", "trials_by_grasp", "job", "gizmo", "display", "side_by_side", "notice", "change")
     return State(
         collection=state.collection,
         number=number,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,21 +13,87 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.viewer.history import EditSnapshot
-from grasp_refine_apps.viewer.jobs import Change, Jobs
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.refining import nearest_targets, targets_of
+from grasp_refine_apps.viewer.pose import Pose, Target, targets_of
+from grasp_refine_apps.viewer.refining import nearest_targets
 from grasp_refine_apps.viewer.state import Gizmo, State
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.store import Change, Store
 from grasp_refine_apps.viewer.worker import Control
 
+MAX_STEPS = 200
+"""Maximum number of steps that can be undone."""
 
-class Editing(Jobs):
-    """Jobs and edits; an edit stops a running refinement, validation or replay."""
+MERGE_WINDOW_S = 0.7
+"""Seconds within which successive changes of the same thing are one step, such as a dragged slider."""
+
+
+@dataclass(frozen=True, eq=False)
+class EditSnapshot:
+    """Snapshot of the state that can be edited."""
+
+    pose: Pose
+    """Pose of the hand, object frame."""
+    targets: tuple[Target, ...]
+    """Target points of links on the object."""
+    T_world_object: np.ndarray
+    """Pose of the object (4, 4), world frame."""
+
+    @staticmethod
+    def of(state: State) -> EditSnapshot:
+        """Return the snapshot of a state."""
+        return EditSnapshot(state.standing, state.targets, state.T_world_object)
+
+
+class History:
+    """Snapshots before the present state, and undone ones."""
+
+    def __init__(self) -> None:
+        """Start with an empty history."""
+        self._before: list[EditSnapshot] = []
+        self._after: list[EditSnapshot] = []
+        self._last: tuple[str, float] = ("", -np.inf)
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is something to undo."""
+        return bool(self._before)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is something to do again."""
+        return bool(self._after)
+
+    def push(self, now: EditSnapshot, what: str = "") -> None:
+        """Keep a snapshot before `what` changes; the same `what` within `MERGE_WINDOW_S` continues one step."""
+        moment = time.monotonic()
+        (name, last), self._last = self._last, (what, moment)
+        if what and what == name and moment - last < MERGE_WINDOW_S and self._before:
+            return
+        self._before = [*self._before[1 - MAX_STEPS :], now]
+        self._after = []
+
+    def undo(self, now: EditSnapshot) -> EditSnapshot | None:
+        """Return the snapshot before the last step; None: there is none."""
+        return self._exchange(self._before, self._after, now)
+
+    def redo(self, now: EditSnapshot) -> EditSnapshot | None:
+        """Return the last undone snapshot; None: there is none."""
+        return self._exchange(self._after, self._before, now)
+
+    def _exchange(self, out: list[EditSnapshot], into: list[EditSnapshot], now: EditSnapshot) -> EditSnapshot | None:
+        self._last = ("", -np.inf)
+        if not out:
+            return None
+        into.append(now)
+        return out.pop()
+
+
+class Editor(Store):
+    """Store with edits; an edit stops a running refinement, validation or replay."""
 
     def __init__(self, state: State) -> None:
         """Start without edits."""
         super().__init__(state)
+        self._history = History()
         self._prepared: HandObject | None = None
 
     def set_gizmo(self, gizmo: Gizmo) -> None:
@@ -91,11 +158,11 @@ class Editing(Jobs):
             if not self._state.picking:
                 return
             if self._state.picked is None:
-                self.say("click a link of the hand first, then the place on the object")
+                self.notify("click a link of the hand first, then the place on the object")
                 return
             link, point_link = self._state.picked
             if link not in self._state.scene.links:
-                self.say(
+                self.notify(
                     f"link {link} cannot touch anything, it has no collision geometry: click another one", bad=True
                 )
                 self._set(picked=None)
@@ -129,10 +196,8 @@ class Editing(Jobs):
         """Set targets at the points of the object nearest to links within reach, to be dragged from there."""
         with self._lock:
             now = self._state
-            try:
-                config = now.settings.config()
-            except GraspRefineError as error:
-                self.say(str(error), bad=True)
+            config = self._checked(now.settings.config)
+            if config is None:
                 return
 
             def work(control: Control) -> Change | None:
@@ -154,8 +219,7 @@ class Editing(Jobs):
 
     def _push(self, what: str) -> None:
         """Push the present state onto the undo history, before a change."""
-        now = self._state
-        self._history.push(EditSnapshot(now.standing, now.targets, now.T_world_object), what)
+        self._history.push(EditSnapshot.of(self._state), what)
 
     def _edit(self, what: str, **changes: Any) -> None:
         """Apply an edit that can be undone; a running refinement, validation or recording stops."""
@@ -178,10 +242,11 @@ class Editing(Jobs):
 
     def _exchange(self, take: Callable[[EditSnapshot], EditSnapshot | None]) -> None:
         with self._lock:
-            now = self._state
-            found = take(EditSnapshot(now.standing, now.targets, now.T_world_object))
+            found = take(EditSnapshot.of(self._state))
             if found is not None:
                 self._interrupt()
-                back = {"pose": found.pose, "targets": found.targets, "T_world_object": found.T_world_object}
                 nothing = dict.fromkeys(("frame", "motion", "trial", "outcome", "picked"))
-                self._set(**back, **nothing)
+                self._set(pose=found.pose, targets=found.targets, T_world_object=found.T_world_object, **nothing)
+
+    def _become(self, state: State) -> None:
+        super()._become(replace(state, can_undo=self._history.can_undo, can_redo=self._history.can_redo))

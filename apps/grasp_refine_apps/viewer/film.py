@@ -16,11 +16,10 @@ from grasp_refine_apps.viewer.camera import FirstCamera, first_camera_of
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import contacts_of
 from grasp_refine_apps.viewer.glyphs import segments
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.shapes import LinkPoses, LinkShape, Shape, object_shapes, visual_shapes
+from grasp_refine_apps.viewer.pose import Pose, Target
+from grasp_refine_apps.viewer.shapes import LinkPoses, Shape, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.target import Target
 from grasp_refine_apps.viewer.trace import Trace
 
 MAX_FRAMES = 200
@@ -49,7 +48,7 @@ class Film:
 
     title: str
     """Title."""
-    hand: Sequence[LinkShape]
+    hand: Sequence[Shape]
     """Shapes of the links."""
     poses: LinkPoses
     """Kinematics of the links."""

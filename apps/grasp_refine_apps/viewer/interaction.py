@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.nodes import HandMeshes, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.picking import hit_mesh, nearest_on_surface
+from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.state import State
 
 GIZMO_HOLD_S = 0.5
@@ -45,7 +45,8 @@ class Interaction:
         """
         self._scene, self._controller, self._length = scene, controller, length
         self._hand, self._object, self._targets = hand, obj, targets
-        self._gizmos: dict[str, Any] = {}
+        self.gizmos: dict[str, Any] = {}
+        """The gizmo that is shown, by the body that it moves."""
         self._picking = False
         self._dragged = -np.inf
 
@@ -54,20 +55,20 @@ class Interaction:
         if state.picking != self._picking:
             self._picking = state.picking
             self._listen(state.picking)
-        for kind in [kind for kind in self._gizmos if kind != state.gizmo]:
-            self._gizmos.pop(kind).remove()
+        for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
+            self.gizmos.pop(kind).remove()
         if state.gizmo == "none" or state.motion is not None:
             return
         T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
-        node = self._gizmos.get(state.gizmo)
+        node = self.gizmos.get(state.gizmo)
         if node is None:
             node = self._scene.add_transform_controls(
                 f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False
             )
             place(node, T)
             node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
-            self._gizmos[state.gizmo] = node
-        elif time.monotonic() - self._dragged > GIZMO_HOLD_S and not np.allclose(_pose_of(node), T, atol=1e-9):
+            self.gizmos[state.gizmo] = node
+        elif time.monotonic() - self._dragged > GIZMO_HOLD_S:
             place(node, T)
 
     # Asynchronous, so that they are called at once and in order, before the gizmo is moved again.
@@ -93,7 +94,7 @@ class Interaction:
             self._targets.nodes[k].on_drag(partial(self._drag_target, k))
 
     def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
-        state, shape = self._controller.state, self._hand.link_shapes[k]
+        state, shape = self._controller.state, self._hand.shapes[k]
         if state.motion is not None:
             return
         T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]
@@ -101,8 +102,7 @@ class Interaction:
         body = state.scene.hand.links_by_name[shape.link].body
         if hit is not None:
             # The visual mesh may differ from the collision geometry.
-            point = hit.point if body is None else nearest_on_surface(body, hit.point).point
-            self._controller.pick_link(shape.link, point)
+            self._controller.pick_link(shape.link, hit if body is None else nearest_on_surface(body, hit))
 
     def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
         state = self._controller.state
@@ -120,15 +120,14 @@ class Interaction:
         """First point (3,) of the object on a ray in the world frame; object frame."""
         ray = _ray_in_frame(state.T_world_object, origin, direction)
         hits = [hit_mesh(*ray, shape.vertices, shape.faces) for shape in self._object.shapes]
-        known = [hit for hit in hits if hit is not None]
-        if not known:
-            return None
-        first = min(known, key=lambda hit: hit.distance)
-        return nearest_on_surface(state.scene.object.body, first.point).point
+        first = min(
+            (hit for hit in hits if hit is not None), key=lambda hit: float(np.linalg.norm(hit - ray[0])), default=None
+        )
+        return None if first is None else nearest_on_surface(state.scene.object.body, first)
 
     def remove(self) -> None:
         """Remove the gizmos."""
-        for node in self._gizmos.values():
+        for node in self.gizmos.values():
             node.remove()
 
 

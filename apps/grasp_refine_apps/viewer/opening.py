@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError, MeshError
-from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
-from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.pipeline.problem import Group, Problem
+from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
@@ -27,6 +26,7 @@ from grasp_refine_apps.viewer.mesh_bounds import check_faces
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.unpacking import UploadError
 from grasp_refine_apps.viewer.uploads import Upload
+from grasp_refine_apps.viewer.worker import Control
 
 NUM_SAMPLED_GRASPS = 8
 """Number of grasps sampled for an uploaded hand."""
@@ -50,13 +50,7 @@ class MeshOptions:
 
 
 def open_upload(
-    upload: Upload,
-    scene: Scene,
-    pose: Pose,
-    *,
-    options: MeshOptions | None = None,
-    report: Callable[[str], None] = lambda line: None,
-    check: Callable[[], None] = lambda: None,
+    upload: Upload, scene: Scene, pose: Pose, control: Control, options: MeshOptions | None = None
 ) -> Problem:
     """Open an upload, and return its grasps.
 
@@ -67,19 +61,19 @@ def open_upload(
         upload: The upload.
         scene: The present scene.
         pose: Pose of its hand.
+        control: Receives a description of each step, and can stop the opening between steps.
         options: Options for reading a mesh; None: the defaults.
-        report: Called with a description of each step.
-        check: Called between steps; what it raises ends the opening.
 
     Raises:
         GraspRefineError: it cannot be read, or does not fit; the message names no folder of this machine.
+        Stopped: the job was stopped.
     """
     try:
         if upload.kind == "mesh":
-            return _with_object(upload, scene, pose, options or MeshOptions(), report)
+            return _with_object(upload, scene, pose, options or MeshOptions(), control)
         if upload.kind == "hand":
-            return _with_hand(upload, scene, report, check)
-        return _with_grasps(upload, scene, report, check)
+            return _with_hand(upload, scene, control)
+        return _with_grasps(upload, scene, control)
     except GraspRefineError as error:
         raise UploadError(_for_uploader(str(error), upload)) from None
 
@@ -97,100 +91,78 @@ def _for_uploader(text: str, upload: Upload) -> str:
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 
-def _with_object(
-    upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, report: Callable[[str], None]
-) -> Problem:
-    obj = load_object(upload.source, unit=options.unit, holes=options.holes, progress=report)
+def _with_object(upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, control: Control) -> Problem:
+    """Return the present grasp on an uploaded object."""
+    obj = load_object(upload.source, unit=options.unit, holes=options.holes, progress=control.describe)
     check_faces(len(obj.mesh.faces), upload.name)
     scale = UNITS[options.unit or "m"]
-    hand = scene.hand
-    new = Scene(hand, obj, pose.T_object_root[None], pose.q[None], table=scene.table)
-    grasps = GraspSet(
-        hand=hand.name,
-        base_link=hand.base_link,
-        joint_names=hand.joint_names,
-        object=np.array([obj.name]),
-        scale=np.array([scale]),
-        hand_pose=pose_from_transform(new.T_world_root),
-        q=new.q,
-    )
-    notes = tuple(f"{obj.name}: {note}" for note in obj.notes)
-    return _problem(upload, hand, [(obj.name, scale, new, grasps, np.arange(1))], notes, sampled=True)
+    grasps = GraspSet.of(scene.hand, pose.T_object_root[None], pose.q[None], object=obj.name, scale=scale)
+    notes = [f"{obj.name}: {note}" for note in obj.notes]
+    return _problem(upload, scene, scene.hand, grasps, {(obj.name, scale): obj}, notes, sampled=True)
 
 
-def _with_hand(upload: Upload, scene: Scene, report: Callable[[str], None], check: Callable[[], None]) -> Problem:
-    hand, obj = load_hand(upload.source, progress=report), scene.object
-    check()
+def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
+    """Return sampled grasps of an uploaded hand on the present object."""
+    hand, obj = load_hand(upload.source, progress=control.describe), scene.object
+    control.check()
 
     def progress(found: int, tried: int) -> None:
-        check()
-        report(f"sampling grasps: {found} found, of {tried} hands")
+        control.check()
+        control.describe(f"sampling grasps: {found} found, of {tried} hands")
 
     grasps = sample_grasps(hand, obj, NUM_SAMPLED_GRASPS, table=scene.table, progress=progress)
-    q, notes = match_joints(grasps, hand)
-    new = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, table=scene.table)
-    groups = [(obj.name, 1.0, new, grasps, np.arange(len(grasps)))]
-    return _problem(upload, hand, groups, (*hand.notes, *notes), sampled=True)
+    grasps = replace(grasps, object=np.full(len(grasps), obj.name), scale=np.ones(len(grasps)))
+    return _problem(upload, scene, hand, grasps, {(obj.name, 1.0): obj}, hand.notes, sampled=True)
 
 
-def _with_grasps(upload: Upload, scene: Scene, report: Callable[[str], None], check: Callable[[], None]) -> Problem:
-    present = scene.hand
+def _with_grasps(upload: Upload, scene: Scene, control: Control) -> Problem:
+    """Return uploaded grasps of the hand and on the objects that they name."""
     try:
         read = reading(upload.source, within=upload.folder)
     except GraspRefineError:
         # Files without joint names may fit several hands; the present one is assumed then.
-        read = reading(upload.source, hand=present, within=upload.folder)
+        read = reading(upload.source, hand=scene.hand, within=upload.folder)
     grasps = read.grasps
     if len(grasps) > MAX_GRASPS:
         raise UploadError(f"{upload.name}: has {len(grasps)} grasps, more than {MAX_GRASPS}; upload a part of them")
-    names = list(dict.fromkeys(grasps.object.tolist()))
-    sizes = {*zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)}
-    if len(sizes) > MAX_OBJECTS:
+    named = list(dict.fromkeys(grasps.object.tolist()))
+    keys = sorted({*zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)}, key=lambda key: key[1])
+    if len(keys) > MAX_OBJECTS:
         raise UploadError(
-            f"{upload.name}: has grasps on {len(sizes)} objects and scales, more than {MAX_OBJECTS}; upload a part"
+            f"{upload.name}: has grasps on {len(keys)} objects and scales, more than {MAX_OBJECTS}; upload a part"
         )
-    hand = _hand_of(grasps, present, upload, report)
-    check()
-    q, notes = match_joints(grasps, hand)
-    notes = (*read.notes, *hand.notes, *notes)
-    groups = []
-    for name in names:
-        rows = choose_rows(grasps.object, object_name=name, index=None)
-        for scale in np.unique(grasps.scale[rows]):
-            check()
-            at = rows[grasps.scale[rows] == scale]
-            obj, note = _object_of(name, float(scale), scene.object, report)
-            notes += (note,) if note else ()
-            T = transform_from_pose(grasps.hand_pose[at])
-            new = _with_targets(Scene(hand, obj, T, q[at], table=scene.table), grasps, at)
-            groups.append((name, float(scale), new, grasps.select(at), at))
-    doubts = convention_notes([group[2] for group in groups])
-    problem = _problem(upload, hand, groups, (*notes, *doubts))
-    objects = {(name, scale): new.object for name, scale, new, *_ in groups}
+    hand = _hand_of(grasps, scene.hand, upload, control)
+    notes, objects = [*read.notes, *hand.notes], {}
+    for name, scale in sorted(keys, key=lambda key: named.index(key[0])):
+        control.check()
+        objects[name, scale], note = _object_of(name, scale, scene.object, control)
+        notes += [note] if note else []
+    problem = _problem(upload, scene, hand, grasps, objects, notes)
+    doubts = convention_notes([group.scene for group in problem.groups])
     others = (_for_uploader(note, upload) for note in check_objects(read.files, objects, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
-    return replace(problem, files=files, notes=(*problem.notes, *others))
+    return replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
 
 
-def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, report: Callable[[str], None]) -> Hand:
+def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, control: Control) -> Hand:
     """Return the hand that grasps name: the present one or an included one; a name is never taken as a path."""
     if grasps.hand == present.name:
         if grasps.base_link == present.base_link:
             return present
         urdf = None if present.toml is None else present.urdf
-        return load_hand(present.toml or present.urdf, base_link=grasps.base_link, urdf=urdf, progress=report)
+        return load_hand(present.toml or present.urdf, base_link=grasps.base_link, urdf=urdf, progress=control.describe)
     if grasps.hand in list_hands():
-        return load_hand(grasps.hand, base_link=grasps.base_link, progress=report)
+        return load_hand(grasps.hand, base_link=grasps.base_link, progress=control.describe)
     raise UploadError(
         f"{upload.name}: is for hand '{grasps.hand}', which is neither the present one ('{present.name}') nor one of "
         f"those included ({', '.join(list_hands())}): upload that hand first"
     )
 
 
-def _object_of(name: str, scale: float, present: Object, report: Callable[[str], None]) -> tuple[Object, str]:
+def _object_of(name: str, scale: float, present: Object, control: Control) -> tuple[Object, str]:
     """Return the object that grasps name, if it is included, else the present one; a name is never taken as a path."""
     if name in EMBEDDED or _is_primitive(name):
-        return load_object(name, scale=scale, progress=report), ""
+        return load_object(name, scale=scale, progress=control.describe), ""
     if name == present.name:
         return present, ""
     return present, f"object '{name}' is unknown: its grasps are shown on '{present.name}'; upload its mesh"
@@ -204,35 +176,26 @@ def _is_primitive(name: str) -> bool:
     return True
 
 
-def _with_targets(scene: Scene, grasps: GraspSet, rows: np.ndarray) -> Scene:
-    """Return the scene with the targets of some rows of a file, one column per link of the scene."""
-    if grasps.targets is None:
-        return scene
-    columns, points = list(scene.links), np.full((2, len(rows), len(scene.links), 3), np.nan)
-    for k, link in enumerate(grasps.targets.links):
-        if link not in columns:
-            raise UploadError(f"target link '{link}' has no collision geometry; there are {', '.join(scene.links)}")
-        at = columns.index(link)
-        # A link with several contact points has as many columns.
-        columns[at] = ""
-        points[0, :, at] = grasps.targets.point_link[rows, k]
-        points[1, :, at] = grasps.targets.point_object[rows, k]
-    return replace(scene, target_link=points[0], target_object=points[1])
-
-
 def _problem(
     upload: Upload,
+    scene: Scene,
     hand: Hand,
-    groups: list[tuple[str, float, Scene, GraspSet, np.ndarray]],
-    notes: tuple[str, ...],
+    grasps: GraspSet,
+    objects: Mapping[tuple[str, float], Object],
+    notes: Sequence[str],
     *,
     sampled: bool = False,
 ) -> Problem:
+    """Return grasps with the objects of their names and scales, and the table of the present scene."""
     if not any(link.body is not None for link in hand.links):
         raise UploadError(f"{upload.name}: no link of hand '{hand.name}' has collision geometry: nothing can touch")
-    made: list[Group] = []
-    for name, scale, scene, grasps, rows in groups:
-        same = np.sort(np.concatenate([entry[4] for entry in groups if entry[0] == name]))
-        made.append(Group(name, scale, scene, grasps, rows, np.searchsorted(same, rows), rows))
-    all_notes = tuple(dict.fromkeys([*upload.notes, *notes]))
-    return Problem(hand, (upload.source,), tuple(made), all_notes, f"upload:{upload.name}" if sampled else "")
+    q, joint_notes = match_joints(grasps, hand)
+    groups = []
+    for (name, scale), obj in objects.items():
+        of_object = np.flatnonzero(grasps.object == name)
+        rows = of_object[grasps.scale[of_object] == scale]
+        some, targets = grasps.select(rows), aim(hand, grasps.targets, rows)
+        new = Scene(hand, obj, transform_from_pose(some.hand_pose), q[rows], *targets, table=scene.table)
+        groups.append(Group(name, scale, new, some, rows, np.searchsorted(of_object, rows), rows))
+    all_notes = tuple(dict.fromkeys([*upload.notes, *notes, *joint_notes]))
+    return Problem(hand, (upload.source,), tuple(groups), all_notes, f"upload:{upload.name}" if sampled else "")

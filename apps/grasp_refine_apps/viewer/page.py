@@ -4,30 +4,25 @@ from __future__ import annotations
 
 import errno
 import logging
-import re
 import socket
 import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import rich
 import viser
-import websockets.asyncio.server
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.viser_private import forbid_sharing, own_pages_only
 
 DRAW_RATE_HZ = 30.0
 """Maximum drawing rate in hertz."""
 
 TITLE = "grasp-refine"
-
-LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
-"""Names of this machine."""
 
 
 @runtime_checkable
@@ -100,12 +95,12 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             raise GraspRefineError(f"cannot listen on {host}:{port} ({reason}): {advice}") from None
     # A client that connects without a request would cause a traceback on the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
-    with _silent(), _only_own_pages(host):
+    with without_greeting(), own_pages_only(host):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
         raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or 0 for any that is free")
-    _forbid_sharing(server)
+    forbid_sharing(server)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     # Beside the scene, not in front of it.
     server.gui.main_panel.dock_right()
@@ -125,12 +120,12 @@ def address(server: viser.ViserServer) -> str:
 
 def close_server(server: viser.ViserServer) -> None:
     """Stop listening."""
-    with _silent():
+    with without_greeting():
         server.stop()
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def without_greeting() -> Iterator[None]:
     """Suppress the messages that viser prints at start and stop."""
     console = rich.get_console()
     quiet, console.quiet = console.quiet, True
@@ -138,29 +133,3 @@ def _silent() -> Iterator[None]:
         yield
     finally:
         console.quiet = quiet
-
-
-@contextmanager
-def _only_own_pages(host: str) -> Iterator[None]:
-    """Restrict a server started in this context to pages from this machine, if it listens on a local host.
-
-    Otherwise any page that is open in the same browser could connect to it.
-    """
-    if host not in LOCAL_HOSTS:
-        yield
-        return
-    module: Any = websockets.asyncio.server
-    serve = module.serve
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL_HOSTS)
-    # Programs other than browsers send no origin.
-    own = [None, re.compile(rf"https?://({names})(:\d+)?")]
-    module.serve = partial(serve, origins=own)
-    try:
-        yield
-    finally:
-        module.serve = serve
-
-
-def _forbid_sharing(server: viser.ViserServer) -> None:
-    """Disable share links, with which any page that reaches the server could open a tunnel to the outside."""
-    server._websock_server.unregister_handler(viser._messages.ShareUrlRequest)

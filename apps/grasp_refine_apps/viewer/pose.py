@@ -1,11 +1,16 @@
-"""Pose of a hand."""
+"""Pose of a hand, and targets of its links on the object."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+
+from grasp_refine.grasps.grasp_set import Targets
+from grasp_refine.pipeline.problem import aim
+from grasp_refine.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,3 +25,55 @@ class Pose:
     def same(self, other: Pose) -> bool:
         """Return whether both poses are equal."""
         return np.array_equal(self.T_object_root, other.T_object_root) and np.array_equal(self.q, other.q)
+
+    @property
+    def finite(self) -> bool:
+        """Whether all values are finite."""
+        return bool(np.isfinite(self.T_object_root).all() and np.isfinite(self.q).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Target point of a link on the object."""
+
+    link: str
+    """Name of the link."""
+    point_link: Float[np.ndarray, " 3"]
+    """The point on it (3,), link frame, metres."""
+    point_object: Float[np.ndarray, " 3"]
+    """The point on the object (3,), its frame, metres."""
+
+    @property
+    def values(self) -> tuple[str, list[float], list[float]]:
+        """Values that can be compared."""
+        return self.link, self.point_link.tolist(), self.point_object.tolist()
+
+
+def posed_scene(scene: Scene, pose: Pose, targets: Sequence[Target] = ()) -> Scene:
+    """Return a scene with the hand at one pose, and with these targets only.
+
+    Raises:
+        GraspFileError: a link of a target cannot touch anything.
+    """
+    link, obj = aim(scene.hand, file_targets(targets), np.zeros(1, dtype=int))
+    T, q = pose.T_object_root[None], pose.q[None]
+    return replace(scene, T_world_root=T, q=q, target_link=link, target_object=obj, direction=None)
+
+
+def file_targets(targets: Sequence[Target]) -> Targets | None:
+    """Return the targets of one grasp as grasp files have them; None without targets."""
+    if not targets:
+        return None
+    return Targets(
+        tuple(target.link for target in targets),
+        np.array([[target.point_link for target in targets]]),
+        np.array([[target.point_object for target in targets]]),
+    )
+
+
+def targets_of(scene: Scene) -> tuple[Target, ...]:
+    """Return the targets of the one grasp of a scene."""
+    if scene.target_link is None or scene.target_object is None:
+        return ()
+    given = zip(scene.links, scene.target_link[0], scene.target_object[0], strict=True)
+    return tuple(Target(*target) for target in given if np.isfinite(target[1:]).all())

@@ -18,8 +18,7 @@ from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.pose import Pose, Target, posed_scene, targets_of
 from grasp_refine_apps.viewer.trace import Recorder, Trace
 from grasp_refine_apps.viewer.worker import Control
 
@@ -85,7 +84,7 @@ def refine_grasp(
             if trace is not None:
                 show(trace)
 
-    control.report(None, "preparing")
+    control.describe("preparing")
     alone = replace(group, scene=scene, rows=np.zeros(1, dtype=int), index=np.zeros(1, dtype=int))
     outcome = refine_group(
         alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
@@ -97,31 +96,8 @@ def refine_grasp(
     return RefinedGrasp(end, trace, outcome)
 
 
-def posed_scene(scene: Scene, pose: Pose, targets: tuple[Target, ...]) -> Scene:
-    """Return the scene with the hand at a pose, and with other targets."""
-    posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None], direction=None)
-    if not targets:
-        return replace(posed, target_link=None, target_object=None)
-    points = np.full((2, 1, len(scene.links), 3), np.nan)
-    columns = list(scene.links)
-    for target in targets:
-        at = columns.index(target.link)
-        # A link with several contact points has as many columns.
-        columns[at] = columns[at] if columns.count(target.link) == 1 else ""
-        points[:, 0, at] = target.point_link, target.point_object
-    return replace(posed, target_link=points[0], target_object=points[1])
-
-
-def targets_of(scene: Scene) -> tuple[Target, ...]:
-    """Return the targets of the one grasp of a scene."""
-    if scene.target_link is None or scene.target_object is None:
-        return ()
-    given = zip(scene.links, scene.target_link[0], scene.target_object[0], strict=True)
-    return tuple(Target(*target) for target in given if np.isfinite(target[1:]).all())
-
-
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:
     """Return targets where the links that should touch are nearest to the object."""
-    scene = posed_scene(scene, pose, ())
+    scene = posed_scene(scene, pose)
     goal = goal_of(scene, config.contact_selection, prepared, nearest=True)
     return targets_of(replace(scene, target_link=goal.target_link, target_object=goal.target_object))

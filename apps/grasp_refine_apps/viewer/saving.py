@@ -21,13 +21,12 @@ from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
-from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets
+from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, posed_scene
 
 FINGERTIP_TOLERANCE_M = 1e-6
 """Maximum distance in metres between fingertips of the written grasp and of the one read again."""
@@ -72,32 +71,14 @@ def grasp_set(
     Raises:
         GraspFileError: the pose or the joint values are not finite.
     """
-    if not (np.isfinite(pose.T_object_root).all() and np.isfinite(pose.q).all()):
+    if not pose.finite:
         raise GraspFileError("the shown grasp is not finite, so no file can hold it: reset it first")
-    alone = replace(
-        scene,
-        T_world_root=pose.T_object_root[None],
-        q=pose.q[None],
-        target_link=None,
-        target_object=None,
-        direction=None,
-    )
-    motion = closing(alone, prepared)
+    motion = closing(posed_scene(scene, pose), prepared)
     opened, grasp, pressing = (
         Stage(pose_from_transform(motion.T_world_root[:, stage]), motion.q[:, stage]) for stage in range(3)
     )
-    return GraspSet(
-        hand=scene.hand.name,
-        base_link=scene.hand.base_link,
-        joint_names=scene.hand.joint_names,
-        object=np.array([name]),
-        scale=np.array([float(scale)]),
-        hand_pose=grasp.hand_pose,
-        q=grasp.q,
-        targets=_targets(targets),
-        pregrasp=opened,
-        squeeze=pressing,
-    )
+    alone = GraspSet.of(scene.hand, grasp.hand_pose, grasp.q, object=name, scale=float(scale))
+    return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing)
 
 
 def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
@@ -132,16 +113,6 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
             _check(grasps, parts, Path(folder, "again"), hand, to, load)
             name += ".zip"
     return Saved(name, content, tuple(notes))
-
-
-def _targets(targets: Sequence[Target]) -> Targets | None:
-    if not targets:
-        return None
-    return Targets(
-        tuple(target.link for target in targets),
-        np.array([[target.point_link for target in targets]]),
-        np.array([[target.point_object for target in targets]]),
-    )
 
 
 def _loader(hand: Hand) -> Load:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt32
@@ -14,13 +14,10 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.viewer.decimate import decimate
+from grasp_refine_apps.viewer.colors import Color
 
 if TYPE_CHECKING:
     import trimesh
-
-Color = tuple[int, int, int]
-"""Red, green and blue, 0 to 255."""
 
 LINK_COLOR, CONTACT_COLOR, OBJECT_COLOR = (189, 194, 204), (242, 184, 102), (168, 199, 237)
 """Colours of links, of those that should touch, and of the object."""
@@ -46,8 +43,12 @@ CREASE_ANGLE_DEG = 35.0
 MAX_FACES = 20_000
 """Maximum faces of a drawn mesh; larger ones are decimated."""
 
+CELL_GROWTH = 1.25
+"""Factor from one size of the cells of decimation to the next."""
 
-class Shape(NamedTuple):
+
+@dataclass(frozen=True, eq=False)
+class Shape:
     """A coloured triangle mesh; vertices are doubled at sharp edges, so that smooth shading shows these."""
 
     vertices: Float32[np.ndarray, "V 3"]
@@ -56,23 +57,11 @@ class Shape(NamedTuple):
     """Triangles (F, 3), counter-clockwise seen from outside."""
     color: Color
     """Red, green and blue, 0 to 255."""
+    link: str = ""
+    """Name of the link; empty for objects."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinkShape:
-    """The shape of one link."""
-
-    link: str
-    """Name of the link."""
-    vertices: Float32[np.ndarray, "V 3"]
-    """Vertices (V, 3) in metres, link frame."""
-    faces: UInt32[np.ndarray, "F 3"]
-    """Triangles (F, 3), counter-clockwise seen from outside."""
-    color: Color
-    """Red, green and blue, 0 to 255."""
-
-
-def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) -> tuple[LinkShape, ...]:
+def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) -> tuple[Shape, ...]:
     """Return the visual shapes of a hand, one per link, in the order of `hand.links`.
 
     A link without a readable <visual> has its collision geometry, if any. `say` is called with a line about each
@@ -94,7 +83,7 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
     return tuple(shapes)
 
 
-def collision_shapes(hand: Hand) -> tuple[LinkShape, ...]:
+def collision_shapes(hand: Hand) -> tuple[Shape, ...]:
     """Return the collision shapes of a hand: all convex pieces of a link as one, in the order of `hand.links`."""
     return tuple(
         _link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces])
@@ -134,7 +123,7 @@ class LinkPoses:
 
 def _link_shape(
     hand: Hand, link: str, meshes: Sequence[trimesh.Trimesh], color: tuple[float, float, float] | None = None
-) -> LinkShape:
+) -> Shape:
     """Shape of some meshes together; `color` (red, green and blue in [0, 1]) is that of the URDF."""
     import trimesh
 
@@ -142,14 +131,14 @@ def _link_shape(
     assert isinstance(whole, trimesh.Trimesh)
     vertices, faces = _arrays(whole)
     if any(contact.link == link for contact in hand.contacts):
-        return LinkShape(link, vertices, faces, CONTACT_COLOR)
+        return Shape(vertices, faces, CONTACT_COLOR, link)
     if color is None:
-        return LinkShape(link, vertices, faces, LINK_COLOR)
+        return Shape(vertices, faces, LINK_COLOR, link)
     red, green, blue = (
         round(255 * URDF_COLOR_SHARE * own + (1 - URDF_COLOR_SHARE) * quiet)
         for own, quiet in zip(color, LINK_COLOR, strict=True)
     )
-    return LinkShape(link, vertices, faces, (red, green, blue))
+    return Shape(vertices, faces, (red, green, blue), link)
 
 
 def _arrays(mesh: trimesh.Trimesh) -> tuple[Float32[np.ndarray, "V 3"], UInt32[np.ndarray, "F 3"]]:
@@ -159,3 +148,35 @@ def _arrays(mesh: trimesh.Trimesh) -> tuple[Float32[np.ndarray, "V 3"], UInt32[n
     small = decimate(mesh, MAX_FACES)
     shown = trimesh.graph.smooth_shade(small, angle=np.radians(CREASE_ANGLE_DEG))
     return np.asarray(shown.vertices, dtype=np.float32), np.asarray(shown.faces, dtype=np.uint32)
+
+
+def decimate(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
+    """Return a mesh of at most `max_faces` triangles; the input if it has no more.
+
+    All vertices in one cell of a grid are merged at their mean (Rossignac and Borrel 1993, "Multi-resolution 3D
+    approximations"), so that no vertex moves by more than the diagonal of a cell; the cells are about as small as
+    `max_faces` allows. Duplicate and degenerate triangles are dropped.
+    """
+    import trimesh
+
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    faces = np.asarray(mesh.faces)
+    low = vertices.min(axis=0)
+    # A surface of area A has about A / size^2 cells, and two triangles in each.
+    size = np.sqrt(mesh.area / max_faces)
+    while True:
+        place = np.floor((vertices - low) / size).astype(np.int64)
+        _, cell, count = np.unique(
+            np.ravel_multi_index(place.T, place.max(axis=0) + 1), return_inverse=True, return_counts=True
+        )
+        joined = cell[faces]
+        a, b, c = joined.T
+        joined = joined[(a != b) & (b != c) & (c != a)]
+        first = np.unique(np.sort(joined, axis=1), axis=0, return_index=True)[1]
+        if len(first) <= max_faces:
+            break
+        size *= CELL_GROWTH
+    means = np.stack([np.bincount(cell, vertices[:, axis]) for axis in range(3)], axis=1) / count[:, None]
+    return trimesh.Trimesh(means, joined[np.sort(first)], process=False)

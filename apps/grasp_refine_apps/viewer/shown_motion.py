@@ -81,11 +81,6 @@ class ShownMotion:
         return self.reason == Reason.HELD.label
 
     @property
-    def seconds(self) -> float:
-        """Duration in seconds."""
-        return float(self.time[-1] - self.time[0])
-
-    @property
     def lost(self) -> Bool[np.ndarray, " T"]:
         """True in frames (T,) from the loss of the object on: it has once been too far away, or turned too far.
 
@@ -98,10 +93,6 @@ class ShownMotion:
     def pushed(self) -> Bool[np.ndarray, " T"]:
         """True in frames (T,) in which `force` acts."""
         return (self.stage == Stage.PUSH) & bool(np.any(self.force))
-
-    def frame_at(self, seconds: float) -> int:
-        """Return the last frame that is at most `seconds` after the first."""
-        return max(int(np.searchsorted(self.time - self.time[0], seconds + 1e-9, side="right")) - 1, 0)
 
     def stage_text(self, frame: int) -> str:
         """Description of the stage in a frame, such as "pushed along +x"."""

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.trace import Trace
 
 if TYPE_CHECKING:
@@ -51,25 +50,25 @@ class Notice:
 
 
 @dataclass(frozen=True)
-class Showing:
+class DisplayOptions:
     """Display options of the scene."""
 
     hand: Literal["visual", "collision"] = "visual"
-    """Shapes of the hand: its visual meshes, or the convex pieces that collide."""
+    """Its visual meshes, or the convex pieces that collide."""
     object: Literal["mesh", "pieces", "wireframe"] = "mesh"
-    """Shapes of the object."""
+    """Its surface, its convex pieces in colours, or its edges."""
     transparent: bool = True
-    """Whether the object is transparent, to show contacts behind it."""
-    ghost: bool = True
-    """Whether the input hand is shown, too."""
+    """See through the object, to contacts behind it."""
+    input_hand: bool = True
+    """A pale copy of the hand before refinement."""
     contacts: bool = True
-    """Whether witness points, their lines, targets and penetration are shown."""
+    """Points where links and object are nearest or deepest, and lines between them."""
     forces: bool = False
-    """Whether contact forces and friction cones are shown."""
+    """The contact forces that balance best, and friction cones."""
     frames: bool = False
-    """Whether the frames of the base link and of the object are shown."""
+    """Axes of the base link and of the object: x red, y green, z blue."""
     table: bool = True
-    """Whether the table is shown, if there is one."""
+    """The table, where there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ class State:
     """Shown simulation."""
     motion_frame: int = 0
     """Number of its shown frame."""
-    showing: Showing = Showing()
+    display: DisplayOptions = DisplayOptions()
     """Display options of the scene."""
     side_by_side: bool = False
     """Whether the input grasp is drawn beside, with its own object."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from html import escape
 from math import ceil
 
@@ -80,12 +79,11 @@ def page_of(numbers: Int[np.ndarray, " M"], number: int) -> int:
 
 
 def table_html(
-    collection: Collection, listing: Listing, numbers: Int[np.ndarray, " M"], page: int, number: int, widget: str
+    collection: Collection, listing: Listing, numbers: Int[np.ndarray, " M"], page: int, number: int, on_click: str
 ) -> str:
     """Return a page of the table.
 
-    A click on a row sends "open <number>", one on a header "sort <key>", one on an arrow "page <page>", each followed
-    by a number that makes it unique.
+    The attribute data-do of a row is "open <number>", of a header "sort <key>", and of an arrow "page <page>".
 
     Args:
         collection: The grasps.
@@ -93,7 +91,7 @@ def table_html(
         numbers: Numbers of the listed grasps, in order.
         page: Number of the page, from 0.
         number: Number of the shown grasp.
-        widget: Identifier of the text widget whose value a click changes.
+        on_click: Script that sends the attribute data-do of the clicked part.
     """
     columns = shown_columns(collection)
     here = numbers[page * ROWS_PER_PAGE : (page + 1) * ROWS_PER_PAGE]
@@ -104,17 +102,8 @@ def table_html(
     if not len(here):
         body = f'<tr><td colspan="{len(columns) + 1}">no grasp passes the filters</td></tr>'
     return (
-        f'{STYLE}<div class="gr-table" onclick="{escape(_click(widget))}">'
+        f'{STYLE}<div class="gr-table" onclick="{escape(on_click)}">'
         f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{_footer(collection, numbers, page)}</div>"
-    )
-
-
-def _click(widget: str) -> str:
-    """Script that sends the clicked part of the table."""
-    return (
-        "const c=event.target.closest('[data-do]');"
-        "if(c&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
-        f"{json.dumps(widget)},updates:{{value:c.dataset.do+' '+performance.now()}}}})"
     )
 
 

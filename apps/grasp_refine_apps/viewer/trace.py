@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.contacts import contacts_of
-from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.target import Target
+from grasp_refine_apps.viewer.pose import Pose, Target
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from mujoco.batch import Batch
@@ -26,6 +26,7 @@ from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shown_motion import ShownMotion, shown_motion
 from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.worker import Control
 
 MAX_HANDS, MAX_WORLDS = 2, 6
 """Numbers of cached hands, and of cached worlds of a hand, an object and a protocol."""
@@ -36,11 +37,8 @@ MAX_FRICTION = 10.0
 STEPS_PER_REPORT = 20
 """Simulation steps between two reports of progress."""
 
-ReportProgress = Callable[[float, str], None]
-"""Callback with the completed share, 0 to 1, and a description."""
-
-Check = Callable[[], None]
-"""Callback every few milliseconds, which raises to end the work."""
+PREPARING = "preparing the simulation"
+"""Description of the first step of a trial."""
 
 
 def protocol_of(setting: str, friction: float | None = None) -> Protocol:
@@ -84,136 +82,107 @@ class Validator:
         return build_world(self._model(hand), obj, protocol, table)
 
 
-def run_trial(
-    validator: Validator,
-    scene: Scene,
-    pose: Pose,
-    protocol: Protocol,
-    *,
-    file_grasp: GraspSet | None = None,
-    prepared: HandObject | None = None,
-    report: ReportProgress = lambda share, what: None,
-    check: Check = lambda: None,
-) -> TrialResult:
-    """Simulate one pose of the hand.
+@dataclass(frozen=True, eq=False)
+class PosedGrasp:
+    """One grasp with the hand at a pose, to be simulated."""
+
+    scene: Scene
+    """Hand, object and table, and the one input grasp."""
+    pose: Pose
+    """Pose of the hand."""
+    file_grasp: GraspSet | None = None
+    """The one grasp as in its file; None: it is in none."""
+    prepared: HandObject | None = None
+    """Prepared hand and object; None: built when needed."""
+
+    def motion(self, check: Callable[[], None] = lambda: None) -> tuple[Motion, Mapping[str, str]]:
+        """Return the closing motion, and the source of pregrasp and squeeze: stage -> "file" or "own".
+
+        They are those of the file if the pose is that of the file, and the file has them; otherwise they are our own.
+
+        Args:
+            check: Called often; its exceptions end the work.
+        """
+        scene, pose, of_file = self.scene, self.pose, self.file_grasp
+        is_file_pose = pose.same(Pose(scene.T_world_root[0], scene.q[0]))
+        owners = {
+            name: "file" if is_file_pose and of_file is not None and getattr(of_file, name) is not None else "own"
+            for name in OTHER_STAGES
+        }
+        own = None
+        if "own" in owners.values():
+            posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None])
+            own = closing(posed, self.prepared, lambda finished, iteration, loss: check())
+        if own is not None and "file" not in owners.values():
+            return own, owners
+        assert of_file is not None  # some stages are of its file
+        return motion_of(of_file, scene.hand, own), owners
+
+
+def run_trial(validator: Validator, grasp: PosedGrasp, protocol: Protocol, control: Control) -> TrialResult:
+    """Simulate one grasp.
 
     Args:
         validator: Cache of compiled models.
-        scene: Hand, object and table, and the one input grasp.
-        pose: Pose of the hand.
+        grasp: The grasp.
         protocol: Protocol of the simulation.
-        file_grasp: As for `stages`.
-        prepared: Prepared hand and object; None: built here.
-        report: Called with the progress.
-        check: Its exceptions end the work.
+        control: Receives the progress, and can stop the simulation.
 
     Raises:
         GraspRefineError: MuJoCo cannot make the hand or the world.
+        Stopped: the job was stopped.
     """
-    report(0.0, "preparing the simulation")
-    check()
-    world = validator.world(scene, protocol)
-    check()
-    motion, owners = stages(scene, pose, file_grasp=file_grasp, prepared=prepared, check=check)
+    control.report(0.0, PREPARING)
+    control.check()
+    world = validator.world(grasp.scene, protocol)
+    control.check()
+    motion, owners = grasp.motion(control.check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
-    observer = trial_observer(protocol, pushing, report, check)
+    observer = trial_observer(protocol, pushing, control)
     closed = close(world, motion, Conditions.nominal(world, 1), watch=observer)
     trials = push(world, closed, watch=observer)
-    report(1.0, "done")
+    control.report(1.0, "done")
     return TrialResult.of(trials, 0, protocol, owners, motion)
 
 
 def record_direction(
-    validator: Validator,
-    scene: Scene,
-    pose: Pose,
-    trial: TrialResult,
-    direction: str,
-    *,
-    file_grasp: GraspSet | None = None,
-    prepared: HandObject | None = None,
-    report: ReportProgress = lambda share, what: None,
-    check: Check = lambda: None,
+    validator: Validator, grasp: PosedGrasp, trial: TrialResult, direction: str, control: Control
 ) -> ShownMotion:
     """Simulate one direction again, this time recorded.
 
     Args:
         validator: Cache of compiled models.
-        scene: As for `run_trial`.
-        pose: As for `run_trial`; only needed where the result has no closing motion.
+        grasp: The grasp; its motion is only needed where the result has none.
         trial: Result of the trial.
         direction: One of its directions.
-        file_grasp: As for `stages`.
-        prepared: Prepared hand and object; None: built here.
-        report: Called with the progress.
-        check: Its exceptions end the work.
+        control: Receives the progress, and can stop the simulation.
 
     Raises:
         GraspRefineError: no such direction, or the trial cannot start, so that nothing can be seen.
+        Stopped: the job was stopped.
     """
     if direction not in trial.directions:
         raise GraspRefineError(f"direction '{direction}': there are {', '.join(trial.directions)}")
-    report(0.0, "preparing the simulation")
-    check()
-    world = validator.world(scene, trial.protocol)
-    motion = trial.motion
-    if motion is None:
-        motion, _ = stages(scene, pose, file_grasp=file_grasp, prepared=prepared, check=check)
-    pushing = "lifting the object" if trial.protocol.tabletop else f"pushing along {direction}"
-    replay = record(
-        world,
-        motion,
-        direction,
-        name=scene.object.name,
-        hand=scene.hand.name,
-        also=trial_observer(trial.protocol, pushing, report, check),
-    )
+    control.report(0.0, PREPARING)
+    control.check()
+    hand, protocol = grasp.scene.hand, trial.protocol
+    world = validator.world(grasp.scene, protocol)
+    motion = grasp.motion(control.check)[0] if trial.motion is None else trial.motion
+    pushing = "lifting the object" if protocol.tabletop else f"pushing along {direction}"
+    observer = trial_observer(protocol, pushing, control)
+    replay = record(world, motion, direction, name=grasp.scene.object.name, hand=hand.name, also=observer)
     if replay is None:
         raise GraspRefineError(f"nothing to watch: {trial.words(trial.results[0])}")
-    return shown_motion(scene.hand, validator.model(scene.hand), replay, world.model)
+    return shown_motion(hand, validator.model(hand), replay, world.model)
 
 
-def stages(
-    scene: Scene,
-    pose: Pose,
-    *,
-    file_grasp: GraspSet | None = None,
-    prepared: HandObject | None = None,
-    check: Check = lambda: None,
-) -> tuple[Motion, Mapping[str, str]]:
-    """Return the closing motion to a pose, and the source of pregrasp and squeeze: stage -> "file" or "own".
-
-    Args:
-        scene: Hand, object and table, and the one input grasp.
-        pose: Pose of the hand.
-        file_grasp: The one grasp as in its file. Pregrasp and squeeze are those of the file if the pose is that of the
-            file, and the file has them; otherwise they are our own.
-        prepared: Prepared hand and object; None: built here.
-        check: Its exceptions end the work.
-    """
-    is_file_pose = pose.same(Pose(scene.T_world_root[0], scene.q[0]))
-    owners = {
-        name: "file" if is_file_pose and file_grasp is not None and getattr(file_grasp, name) is not None else "own"
-        for name in OTHER_STAGES
-    }
-    own = None
-    if "own" in owners.values():
-        posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None])
-        own = closing(posed, prepared, lambda finished, iteration, loss: check())
-    if own is not None and "file" not in owners.values():
-        return own, owners
-    assert file_grasp is not None  # some stages are of its file
-    return motion_of(file_grasp, scene.hand, own), owners
-
-
-def trial_observer(protocol: Protocol, pushing: str, report: ReportProgress, check: Check) -> Watch:
-    """Return an observer of the steps of one trial, which reports progress, and calls `check` at each step.
+def trial_observer(protocol: Protocol, pushing: str, control: Control) -> Watch:
+    """Return an observer of the steps of one trial, which reports progress, and checks `control` at each step.
 
     Args:
         protocol: That of the trial.
         pushing: Description after the hand has closed.
-        report: Called with the progress.
-        check: Its exceptions end the trial.
+        control: Receives the progress; can end the trial.
     """
     move = protocol.moves * protocol.steps_per_move
     total = 2 * move + protocol.checks * protocol.steps_per_check
@@ -222,10 +191,10 @@ def trial_observer(protocol: Protocol, pushing: str, report: ReportProgress, che
 
     def observe(batch: Batch) -> None:
         nonlocal steps
-        check()
+        control.check()
         steps += 1
         if steps % STEPS_PER_REPORT == 0:
             what = "closing the hand" if steps <= move else "squeezing" if steps <= 2 * move else pushing
-            report(min(steps / total, 1.0), what)
+            control.report(min(steps / total, 1.0), what)
 
     return observe

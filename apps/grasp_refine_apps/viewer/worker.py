@@ -27,6 +27,10 @@ class Control:
         if not self._stopped:
             self._report(share, what)
 
+    def describe(self, what: str) -> None:
+        """Report what the job does now, its share unknown."""
+        self.report(None, what)
+
     def check(self) -> None:
         """Return at once, or wait while the job is paused; jobs call it several times in a tenth of a second.
 

@@ -1,15 +1,17 @@
-"""Headless Chromium, pages in it, and viewers in processes of their own."""
+"""The example, a server, headless Chromium, pages in it, and viewers in processes of their own."""
 
 from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
+from grasp_refine.pipeline.problem import Problem
+from open_viewer import example
 from viewer_process import Viewer, start_viewer_process
 
 if TYPE_CHECKING:
@@ -25,6 +27,21 @@ def browser() -> Iterator[Browser]:
         pytest.skip("there is no chromium: apt-get install chromium")
     with headless() as opened:
         yield opened
+
+
+@pytest.fixture(scope="session")
+def problem() -> Problem:
+    """The embedded example grasps of Allegro on the mug."""
+    return example()
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    """A viser server with nothing on it."""
+    viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+    opened = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield opened
+    opened.stop()
 
 
 @pytest.fixture

@@ -159,7 +159,7 @@ def test_a_row_is_opened_again_after_another_way_of_leaving_it(
 def test_clicks_that_nobody_made_do_nothing(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
     """Whoever reaches the server may send any text as a click."""
     shown = show(opened(save_example_results(tmp_path / "results.npz", 5)))
-    before = shown.panel._table.content
+    before = shown.panel.table.content
     for click in (
         "open 99 1",
         "open -1 1",
@@ -170,18 +170,18 @@ def test_clicks_that_nobody_made_do_nothing(show: Callable[[Collection], Shown],
         "sort",
         "",
     ):
-        shown.panel._clicked(click)
+        shown.panel._click(click)
         assert shown.controller.state.number == 0
-        assert shown.panel._table.content == before
+        assert shown.panel.table.content == before
 
 
 def test_one_click_that_is_told_twice_sorts_once(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
     shown = show(opened(save_example_results(tmp_path / "results.npz", 5)))
     for _ in range(2):
-        shown.panel._clicked("sort quality_after 7.5")
-    assert "▼" in shown.panel._table.content
-    shown.panel._clicked("sort quality_after 8.5")
-    assert "▲" in shown.panel._table.content
+        shown.panel._click("sort quality_after 7.5")
+    assert "▼" in shown.panel.table.content
+    shown.panel._click("sort quality_after 8.5")
+    assert "▲" in shown.panel.table.content
 
 
 def test_the_last_page_goes_when_its_last_grasp_leaves_the_list(
@@ -190,9 +190,9 @@ def test_the_last_page_goes_when_its_last_grasp_leaves_the_list(
     shown = show(opened(save_example_results(tmp_path / "results.npz", 16)))
     shown.panel._list(mark=NO_MARK)
     shown.controller.show(15)
-    assert "16 to 16 of 16" in shown.panel._table.content
+    assert "16 to 16 of 16" in shown.panel.table.content
     shown.controller.mark(15, "bad")
-    content = shown.panel._table.content
+    content = shown.panel.table.content
     assert "16 to 16" not in content and "1 to 15 of 15" in content and "16" in content.partition("1 to 15 of 15")[2]
 
 

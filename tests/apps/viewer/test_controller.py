@@ -20,6 +20,7 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.marks import marks_path
 from grasp_refine_apps.viewer.measuring import unmeasured
 from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.state import DisplayOptions
 from open_viewer import controller, example, settled
 from refusals import assert_names
 from running_processes import PATIENCE_S
@@ -27,11 +28,6 @@ from websocket_page import until
 
 SLIPPING = 1
 """The first example grasp that holds with the usual friction: with little, the object turns in the hand."""
-
-
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return example()
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +250,7 @@ def test_a_trial_says_what_held_and_its_motion_can_be_watched(viewer: Controller
     settled(viewer)
     trial = viewer.state.trial
     assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
-    viewer.watch("+z")
+    viewer.record("+z")
     settled(viewer)
     state = viewer.state
     assert len(state.motion) > 50 and state.motion_frame == 0
@@ -281,10 +277,10 @@ def test_a_trial_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
 
 def test_another_grasp_has_a_history_of_its_own(viewer: Controller) -> None:
     viewer.set_joint(0, 0.1)
-    viewer.set_showing(forces=True)
+    viewer.set_display(DisplayOptions(forces=True))
     viewer.show(2)
     state = viewer.state
-    assert state.number == 2 and not state.can_undo and state.showing.forces
+    assert state.number == 2 and not state.can_undo and state.display.forces
     np.testing.assert_array_equal(state.pose.q, state.collection.scene(2).q[0])
     viewer.show(99)
     assert viewer.state.number == 2
@@ -308,7 +304,7 @@ def test_a_simulation_is_only_looked_at(viewer: Controller) -> None:
     first = viewer.state.pose
     viewer.run_trial("force-closure", 0.15)
     settled(viewer)
-    viewer.watch("+z")
+    viewer.record("+z")
     settled(viewer)
     viewer.show_motion_frame(10_000)
     assert not same(viewer.state.shown, first) and same(viewer.state.standing, first)

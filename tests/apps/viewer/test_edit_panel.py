@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
-from open_viewer import controller, example, shown_panel
+from open_viewer import controller, shown_panel
 from plate_gripper import URDF
 from websocket_page import Page, until
 
@@ -23,10 +23,10 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 
 from grasp_refine_apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, target_words  # noqa: E402
+from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, targets_text  # noqa: E402
 from grasp_refine_apps.viewer.panels.joints import limits, units  # noqa: E402
+from grasp_refine_apps.viewer.pose import Target  # noqa: E402
 from grasp_refine_apps.viewer.shapes import LinkPoses  # noqa: E402
-from grasp_refine_apps.viewer.target import Target  # noqa: E402
 
 TIP = "link_3.0_tip"
 
@@ -40,34 +40,29 @@ class Shown:
     page: Page
 
     def press(self, name: str) -> None:
-        self.page.change(getattr(self.panel, f"_{name}"), True)
+        self.page.change(getattr(self.panel, name), True)
 
     @property
     def sliders(self) -> list[Any]:
-        return [slider.handle for slider in self.panel._joints._sliders]
+        return [slider.handle for slider in self.panel.joints.sliders]
 
     @property
     def q(self) -> np.ndarray:
         return self.controller.state.pose.q
 
 
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return example()
-
-
 @pytest.fixture
 def shown(problem: Problem) -> Iterator[Shown]:
     made = controller(problem)
     with shown_panel(EditPanel, made) as (panel, page):
-        until(lambda: panel._joints._sliders)
+        until(lambda: panel.joints.sliders)
         yield Shown(made, panel, page)
 
 
 def test_there_is_a_slider_for_each_joint_by_finger_within_its_limits(shown: Shown):
     hand = shown.controller.state.collection.hand
     assert [slider.label for slider in shown.sliders] == list(hand.joint_names)
-    assert [part.label for part in shown.panel._joints._parts] == ["Index", "Middle", "Ring", "Thumb"]
+    assert [part.label for part in shown.panel.joints._parts] == ["Index", "Middle", "Ring", "Thumb"]
     degrees = np.degrees([hand.lower, hand.upper])
     np.testing.assert_allclose([slider.min for slider in shown.sliders], degrees[0], atol=0.051)
     np.testing.assert_allclose([slider.max for slider in shown.sliders], degrees[1], atol=0.051)
@@ -82,19 +77,19 @@ def test_a_slider_that_is_dragged_is_one_step_of_undo(shown: Shown):
     until(lambda: abs(shown.q[1] - np.radians(40.0)) < 1e-9)
     assert np.delete(shown.q, 1).tolist() == np.delete(before, 1).tolist()
     assert slider.value == 40.0
-    until(lambda: not shown.panel._undo.disabled)
+    until(lambda: not shown.panel.undo.disabled)
     shown.press("undo")
     until(lambda: shown.q.tolist() == before.tolist())
     # The slider follows when nobody holds it any more.
     until(lambda: abs(slider.value - np.degrees(before[1])) < 0.051)
-    until(lambda: shown.panel._undo.disabled and not shown.panel._redo.disabled)
+    until(lambda: shown.panel.undo.disabled and not shown.panel.redo.disabled)
     shown.press("redo")
     until(lambda: abs(shown.q[1] - np.radians(40.0)) < 1e-9)
 
 
 def test_the_pose_can_be_typed(shown: Shown):
     before = shown.controller.state.pose.T_object_root
-    position, rotation = shown.panel._position.handle, shown.panel._rotation.handle
+    position, rotation = shown.panel.position.handle, shown.panel.rotation.handle
     until(lambda: np.allclose(position.value, 1e3 * before[:3, 3], atol=0.051))
     shown.page.change(position, [10.0, -20.0, 30.0])
     until(lambda: np.allclose(shown.controller.state.pose.T_object_root[:3, 3], [0.01, -0.02, 0.03]))
@@ -107,7 +102,7 @@ def test_the_pose_can_be_typed(shown: Shown):
 
 
 def test_only_one_thing_has_a_gizmo(shown: Shown):
-    hand, thing = (shown.panel._gizmos[what].handle for what in ("hand", "object"))
+    hand, thing = (shown.panel.gizmos[what].handle for what in ("hand", "object"))
     shown.page.change(hand, True)
     until(lambda: shown.controller.state.gizmo == "hand")
     shown.page.change(thing, True)
@@ -118,10 +113,10 @@ def test_only_one_thing_has_a_gizmo(shown: Shown):
 
 
 def test_targets_are_set_listed_and_deleted(shown: Shown):
-    text, delete = shown.panel._targets, shown.panel._delete
+    text, delete = shown.panel.targets, shown.panel.delete
     until(lambda: text.content)
     without = text.content
-    shown.page.change(shown.panel._picking.handle, True)
+    shown.page.change(shown.panel.picking.handle, True)
     until(lambda: text.content != without)
     assert TIP not in text.content
     shown.controller.pick_link(TIP, np.zeros(3))
@@ -158,7 +153,7 @@ def test_how_far_a_target_is_missed(problem: Problem):
     state, poses = made.state, LinkPoses.of(problem.hand)
     T = poses(state.pose.T_object_root, state.pose.q)[TIP]
     there = Target(TIP, np.array([0.0, 0.0, 0.01]), T[:3, 3] + 0.01 * T[:3, 2] + np.array([0.003, 0.0, 0.004]))
-    assert f"| {TIP} | 5.00 |" in target_words(replace(state, targets=(there,)), poses)
+    assert f"| {TIP} | 5.00 |" in targets_text(replace(state, targets=(there,)), poses)
     made.close()
 
 

@@ -27,10 +27,10 @@ from uploaded import gripper_zip
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine_apps.viewer import upload_limit  # noqa: E402
 from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
 from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png  # noqa: E402
 from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES  # noqa: E402
+from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, uploads_under_way  # noqa: E402
 from viser_client import Client  # noqa: E402
 from websocket_page import until  # noqa: E402
 
@@ -87,43 +87,43 @@ def shown(collection: Collection) -> Iterator[Shown]:
         yield Shown(server, controller, panel, one, other)
     controller.close()
     panel.close()
-    assert not panel._uploads.path.exists()
+    assert not panel.uploads.path.exists()
     server.stop()
 
 
 def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
     before = shown.controller.state
-    shown.one.upload(shown.panel._upload, "My Box.stl", BOX, part=300)
+    shown.one.upload(shown.panel.upload, "My Box.stl", BOX, part=300)
     assert shown.told("My Box.stl", "1 grasp", "allegro", "My_Box")
     now = shown.controller.state
     np.testing.assert_allclose(now.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
     np.testing.assert_allclose(now.pose.T_object_root, before.pose.T_object_root, atol=1e-12)
     assert now.job is None
-    assert "My_Box" in shown.panel._open.content
+    assert "My_Box" in shown.panel.opened.content
 
 
 def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):
-    shown.one.upload(shown.panel._upload, "bad.stl", b"solid nothing", key="1")
+    shown.one.upload(shown.panel.upload, "bad.stl", b"solid nothing", key="1")
     assert shown.told("bad.stl", bad=True)
     assert shown.controller.state.scene.object.name == "sphere:0.03"
-    assert [*shown.panel._uploads.path.iterdir()] == [shown.panel._uploads.path / "1"]
-    shown.one.upload(shown.panel._upload, "box.stl", BOX, key="2")
+    assert [*shown.panel.uploads.path.iterdir()] == [shown.panel.uploads.path / "1"]
+    shown.one.upload(shown.panel.upload, "box.stl", BOX, key="2")
     assert shown.told("box.stl")
 
 
 def test_the_unit_is_chosen_in_the_panel(shown: Shown):
     large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
-    shown.one.upload(shown.panel._upload, "box.stl", large, key="1")
+    shown.one.upload(shown.panel.upload, "box.stl", large, key="1")
     assert shown.told("box.stl", "Mesh unit", "millimetres", "40 x 50 x 60 mm", bad=True)
-    shown.one.change(shown.panel._unit, "millimetres")
-    until(lambda: shown.panel._unit.value == "millimetres")
-    shown.one.upload(shown.panel._upload, "box.stl", large, key="2")
+    shown.one.change(shown.panel.unit, "millimetres")
+    until(lambda: shown.panel.unit.value == "millimetres")
+    shown.one.upload(shown.panel.upload, "box.stl", large, key="2")
     assert shown.told("box.stl")
     np.testing.assert_allclose(shown.controller.state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
 
 
 def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
-    shown.one.upload(shown.panel._upload, "gripper.zip", gripper_zip())
+    shown.one.upload(shown.panel.upload, "gripper.zip", gripper_zip())
     assert shown.told("gripper.zip", "gripper on", "sphere:0.03")
     assert shown.controller.state.collection.hand.joint_names == ("left_hinge", "right_hinge")
 
@@ -131,7 +131,7 @@ def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
 def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
     T = exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
     shown.controller.move_root(T)
-    shown.one.change(shown.panel._save, True)
+    shown.one.change(shown.panel.save, True)
     name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_ours.npz"
     (tmp_path / name).write_bytes(content)
@@ -142,21 +142,21 @@ def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: P
 
 
 def test_a_format_that_cannot_hold_it_says_so(shown: Shown):
-    shown.one.change(shown.panel._format, "leap_cache")
-    until(lambda: shown.panel._format.value == "leap_cache")
-    shown.one.change(shown.panel._save, True)
+    shown.one.change(shown.panel.format, "leap_cache")
+    until(lambda: shown.panel.format.value == "leap_cache")
+    shown.one.change(shown.panel.save, True)
     assert shown.told("leap_cache", "'allegro'", bad=True) and not shown.one.downloads()
 
 
 def test_the_animation_needs_something_to_show(shown: Shown):
-    shown.one.change(shown.panel._animation, True)
+    shown.one.change(shown.panel.animation, True)
     assert shown.told(bad=True) and not shown.one.downloads()
 
 
 def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
     shown.controller.start()
     until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None)
-    shown.one.change(shown.panel._animation, True)
+    shown.one.change(shown.panel.animation, True)
     name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_0.html" and b"<html" in content[:1000].lower()
     assert not shown.other.downloads()
@@ -165,14 +165,14 @@ def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
 def test_one_thing_at_a_time(shown: Shown):
     ended = threading.Event()
     assert shown.controller.run_job("load", "something long", lambda control: ended.wait() and None)
-    shown.one.change(shown.panel._save, True)
+    shown.one.change(shown.panel.save, True)
     assert shown.told(bad=True) and not shown.one.downloads()
     ended.set()
 
 
 def test_a_browser_that_left_gets_nothing(shown: Shown):
     """The job ends all the same, and the others see nothing of it."""
-    shown.one.change(shown.panel._save, True)
+    shown.one.change(shown.panel.save, True)
     until(lambda: shown.controller.state.job is not None)
     shown.one.close()
     until(lambda: shown.controller.state.job is None)
@@ -180,7 +180,7 @@ def test_a_browser_that_left_gets_nothing(shown: Shown):
 
 
 def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
-    shown.one.change(shown.panel._picture, True)
+    shown.one.change(shown.panel.picture, True)
     until(lambda: shown.one.of("GetRenderRequestMessage"))
     (asked,) = shown.one.of("GetRenderRequestMessage")
     assert (asked["height"], asked["width"], asked["format"]) == (600, 800, "image/png")
@@ -196,12 +196,12 @@ def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
 
 def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 0.3)
-    shown.one.change(shown.panel._picture, True)
+    shown.one.change(shown.panel.picture, True)
     assert shown.told(bad=True) and not shown.one.downloads()
     # One that leaves meanwhile is not missed.
     monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 60.0)
     told = shown.controller.state.notice
-    shown.one.change(shown.panel._picture, True)
+    shown.one.change(shown.panel.picture, True)
     until(lambda: len(shown.one.of("GetRenderRequestMessage")) == 2)
     shown.one.close()
     until(lambda: len(shown.server.get_clients()) == 1)
@@ -210,8 +210,8 @@ def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch
 
 
 def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
-    states = shown.server.gui._current_file_upload_states
-    shown.one.upload(shown.panel._upload, "big.stl", bytes(2**20), said=MAX_UPLOAD_BYTES + 1)
+    states = uploads_under_way(shown.server)
+    shown.one.upload(shown.panel.upload, "big.stl", bytes(2**20), said=MAX_UPLOAD_BYTES + 1)
     assert shown.told("big.stl", "64 MiB", bad=True)
     # The browser is told that it is over, or it would wait for ever.
     until(lambda: shown.one.of("FileTransferPartAck"))
@@ -221,7 +221,7 @@ def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
 
 
 def test_more_bytes_than_were_announced_are_dropped(shown: Shown):
-    states, button = shown.server.gui._current_file_upload_states, shown.panel._upload
+    states, button = uploads_under_way(shown.server), shown.panel.upload
     shown.one.announce(button, "a.stl", 1000, 100)
     until(lambda: "1" in states)
     shown.one.send_part(button, 0, bytes(900))
@@ -230,11 +230,11 @@ def test_more_bytes_than_were_announced_are_dropped(shown: Shown):
 
 
 def test_many_uploads_at_once_are_refused(shown: Shown):
-    states = shown.server.gui._current_file_upload_states
-    for number in range(upload_limit.MAX_CONCURRENT_UPLOADS + 3):
-        shown.one.announce(shown.panel._upload, "a.stl", 1000, 2, str(number))
+    states = uploads_under_way(shown.server)
+    for number in range(MAX_CONCURRENT_UPLOADS + 3):
+        shown.one.announce(shown.panel.upload, "a.stl", 1000, 2, str(number))
     assert shown.told("a.stl", "4 files", bad=True)
-    assert len(states) == upload_limit.MAX_CONCURRENT_UPLOADS
+    assert len(states) == MAX_CONCURRENT_UPLOADS
     # They go with the browser.
     shown.one.close()
     until(lambda: not states)

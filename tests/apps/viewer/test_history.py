@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer import history
-from grasp_refine_apps.viewer.history import EditSnapshot, History
+from grasp_refine_apps.viewer import editing
+from grasp_refine_apps.viewer.editing import EditSnapshot, History
 from grasp_refine_apps.viewer.pose import Pose
 
 
@@ -41,7 +41,7 @@ def test_a_new_change_forgets_what_was_undone() -> None:
 
 def test_a_movement_is_one_step_and_another_joint_another(monkeypatch: pytest.MonkeyPatch) -> None:
     moments = iter([0.0, 0.1, 0.2, 0.3, 5.0])
-    monkeypatch.setattr(history.time, "monotonic", lambda: next(moments))
+    monkeypatch.setattr(editing.time, "monotonic", lambda: next(moments))
     past = History()
     past.push(at(0.0), "joint 1")
     past.push(at(1.0), "joint 1")
@@ -57,7 +57,7 @@ def test_a_movement_is_one_step_and_another_joint_another(monkeypatch: pytest.Mo
 
 
 def test_only_so_many_steps_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(history, "MAX_STEPS", 3)
+    monkeypatch.setattr(editing, "MAX_STEPS", 3)
     past = History()
     for k in range(10):
         past.push(at(float(k)))

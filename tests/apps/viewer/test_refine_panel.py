@@ -11,7 +11,7 @@ import pytest
 
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.commands.settings import Settings
-from open_viewer import controller, example, shown_panel
+from open_viewer import controller, shown_panel
 from refusals import assert_names
 from websocket_page import Page, until
 
@@ -19,7 +19,7 @@ viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'vi
 
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
 from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves  # noqa: E402
-from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, outcome_words, unused, words  # noqa: E402
+from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, job_text, outcome_text, unused  # noqa: E402
 from grasp_refine_apps.viewer.panels.timeline import millimetres, numbers  # noqa: E402
 from grasp_refine_apps.viewer.trace import Trace  # noqa: E402
 
@@ -46,22 +46,15 @@ class Shown:
     page: Page
 
     def press(self, name: str) -> None:
-        self.page.change(getattr(self.panel, f"_{name}"), True)
+        self.page.change(getattr(self.panel, name), True)
 
     def disabled(self) -> set[str]:
         """Names of the buttons that cannot be pressed."""
-        return {
-            name for name in ("start", "pause", "step", "stop", "reset") if getattr(self.panel, f"_{name}").disabled
-        }
+        return {name for name in ("start", "pause", "step", "stop", "reset") if getattr(self.panel, name).disabled}
 
     @property
     def slider(self) -> Any:
-        return self.panel._timeline._slider.handle
-
-
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return example()
+        return self.panel.timeline.slider
 
 
 @pytest.fixture
@@ -74,17 +67,17 @@ def shown(problem: Problem) -> Iterator[Shown]:
 
 def test_a_refinement_from_start_to_timeline(shown: Shown):
     assert shown.disabled() == {"pause", "stop", "reset"}
-    assert shown.slider.disabled and not shown.panel._plot._handle.visible
+    assert shown.slider.disabled and not shown.panel.plot.handle.visible
     shown.press("start")
     until(lambda: shown.controller.state.outcome is not None)
     count = len(shown.controller.state.trace)
     assert count > 2
     until(lambda: shown.slider.max == count - 1 and shown.slider.value == count - 1)
     assert until(lambda: shown.disabled() == {"pause", "stop"})
-    assert "**Converged**" in shown.panel._text.content
+    assert "**Converged**" in shown.panel.text.content
 
     # The plot is drawn at the latest a moment later, to the last iteration.
-    plot = shown.panel._plot._handle
+    plot = shown.panel.plot.handle
     until(lambda: plot.visible and plot.data[0][-1] == count - 1)
     error = plot.data[1]
     assert error[-1] < 0.01 * error[0]  # mm
@@ -102,11 +95,11 @@ def test_a_refinement_from_start_to_timeline(shown: Shown):
 
 
 def test_step_by_step(shown: Shown):
-    pause = shown.panel._pause.label
+    pause = shown.panel.pause.label
     shown.press("step")
     until(lambda: shown.controller.state.trace is not None and len(shown.controller.state.trace) == 1)
     assert until(lambda: shown.disabled() == set())
-    assert shown.panel._pause.label != pause and "**Paused**" in shown.panel._text.content
+    assert shown.panel.pause.label != pause and "**Paused**" in shown.panel.text.content
     shown.press("step")
     until(lambda: len(shown.controller.state.trace) == 2)
     until(lambda: shown.slider.value == 1)
@@ -114,40 +107,40 @@ def test_step_by_step(shown: Shown):
     until(lambda: shown.controller.state.outcome is not None)
 
 
-def test_a_film_shows_every_iteration_and_ends_by_itself(shown: Shown):
+def test_iterations_are_played_to_the_end_and_a_click_in_the_timeline_ends_it(shown: Shown):
     seen: list[int | None] = []
     shown.press("start")
     until(lambda: shown.controller.state.outcome is not None)
-    count = len(shown.controller.state.trace)
-    play = shown.panel._timeline._play
+    last = len(shown.controller.state.trace) - 1
+    play = shown.panel.timeline.bar.button
     until(lambda: not play.disabled)
     label = play.label
     shown.controller.listen(lambda state: seen.append(state.frame))
     shown.page.change(play, True)
     until(lambda: play.label != label)
     until(lambda: play.label == label)
-    assert seen == list(range(count))
-    # Played again from the start; a click in the timeline ends it where that is.
+    assert (seen[0], seen[-1]) == (0, last) and seen == sorted(seen)
+    # Played again from the start; another pose ends it.
     shown.page.change(play, True)
-    until(lambda: shown.controller.state.frame == 2)
-    shown.controller.scrub(1)
+    until(lambda: seen[-1] == 2)
+    shown.controller.reset()
     until(lambda: play.label == label)
-    assert shown.controller.state.frame == 1
+    assert shown.controller.state.frame is None
 
 
 def test_settings_go_to_the_controller_and_mistakes_to_the_user(shown: Shown):
-    form = shown.panel._form
-    shown.page.change(form._handles["solver"], "descent")
+    form = shown.panel.form
+    shown.page.change(form.handles["solver"], "descent")
     until(lambda: shown.controller.state.settings.solver == "descent")
     # What only levenberg-marquardt has is hidden, and at its default: `config` would refuse it.
     assert shown.controller.state.settings == Settings(solver="descent")
-    shown.page.change(form._handles["margin"], "wide")
+    shown.page.change(form.handles["margin"], "wide")
     notice = until(lambda: shown.controller.state.notice)
     assert_names(notice.text, "Margin", "'wide'")
     assert notice.bad
-    shown.page.change(shown.panel._defaults, True)
+    shown.page.change(shown.panel.defaults, True)
     until(lambda: shown.controller.state.settings == Settings(geometry_only=True))
-    until(lambda: form._handles["solver"].value == "levenberg-marquardt")
+    until(lambda: form.handles["solver"].value == "levenberg-marquardt")
 
 
 @pytest.mark.parametrize("solver", ["levenberg-marquardt", "descent", "adam"])
@@ -197,11 +190,11 @@ def test_lengths_are_told_in_millimetres(metres: float, text: str):
 def test_words_say_what_comes_next(problem: Problem):
     made = controller(problem)
     state = made.state
-    assert "**Start**" in words(state) and " mm" not in numbers(state)
+    assert "**Start**" in job_text(state) and " mm" not in numbers(state)
     moved = replace(state, trace=trace_of(4, len(state.pose.q)))
     assert " mm" not in numbers(moved) and numbers(moved) != numbers(state)
     assert_names(numbers(replace(moved, frame=2)), "**Slide**", "8.10 mm", "0.000 mm")
-    assert "**Start**" in words(moved) and words(moved) != words(state)
+    assert "**Start**" in job_text(moved) and job_text(moved) != job_text(state)
     made.close()
 
 
@@ -209,7 +202,7 @@ def test_the_outcome_is_told_with_advice(shown: Shown):
     shown.controller.set_settings(Settings(solver="descent", iterations=3))
     shown.controller.start()
     outcome = until(lambda: shown.controller.state.outcome)
-    head, *_, advice, table = outcome_words(outcome).split("\n\n")
+    head, *_, advice, table = outcome_text(outcome).split("\n\n")
     assert_names(head, "**Budget**", "3 iterations")
     assert "iterations" in advice
     assert "| quality" in table

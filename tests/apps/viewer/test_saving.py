@@ -22,9 +22,8 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing
 from grasp_refine_apps.viewer import saving
-from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
-from grasp_refine_apps.viewer.target import Target
 from refusals import refused
 
 BASES = {"shadow": "palm", "allegro": "base_link", "leap": "palm_lower"}

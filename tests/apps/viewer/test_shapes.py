@@ -19,8 +19,9 @@ from grasp_refine_apps.viewer.shapes import (
     LINK_COLOR,
     OBJECT_COLOR,
     LinkPoses,
-    LinkShape,
+    Shape,
     collision_shapes,
+    decimate,
     object_shapes,
     visual_shapes,
 )
@@ -56,7 +57,7 @@ def hand(tmp_path: Path) -> Hand:
     return load_hand(tmp_path / "hand.urdf", candidates=16)
 
 
-def by_link(shapes: tuple[LinkShape, ...]) -> dict[str, LinkShape]:
+def by_link(shapes: tuple[Shape, ...]) -> dict[str, Shape]:
     assert len({shape.link for shape in shapes}) == len(shapes)
     return {shape.link: shape for shape in shapes}
 
@@ -115,8 +116,9 @@ def test_arrays_are_what_a_browser_takes(hand: Hand):
 
 def test_an_object_is_its_surface_or_its_pieces():
     mug = load_object("mug", candidates=16)
-    (vertices, faces, color), pieces = object_shapes(mug, "mesh")[0], object_shapes(mug, "pieces")
-    assert color == OBJECT_COLOR and volume(vertices, faces) == pytest.approx(mug.mesh.volume, rel=1e-5)
+    whole, pieces = object_shapes(mug, "mesh")[0], object_shapes(mug, "pieces")
+    assert whole.color == OBJECT_COLOR
+    assert volume(whole.vertices, whole.faces) == pytest.approx(mug.mesh.volume, rel=1e-5)
     assert len(pieces) == len(mug.body.pieces) > 5
     assert len({piece.color for piece in pieces[:8]}) == 8
     for shown, piece in zip(pieces, mug.body.pieces, strict=True):
@@ -170,3 +172,39 @@ def test_smooth_parts_stay_one(shared_assets: Path):
     mesh = trimesh.load_mesh(shared_assets / "objects" / "ycb_011_banana.obj")
     vertices, _ = module._arrays(mesh)
     assert len(vertices) < 1.5 * len(mesh.vertices)
+
+
+def test_a_small_mesh_stays_as_it_is():
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    assert decimate(mesh, len(mesh.faces)) is mesh
+
+
+@pytest.mark.parametrize("most", [200, 2000, 5000])
+def test_a_ball_keeps_its_shape(most: int):
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    small = decimate(mesh, most)
+    assert most / 3 < len(small.faces) <= most
+    # The mean of a patch lies no deeper in the ball than the middle of its longest chord.
+    off = 0.05 - np.linalg.norm(small.vertices, axis=1)
+    assert -1e-9 < off.min() and off.max() < small.edges_unique_length.max() ** 2 / (8 * 0.05)
+    outward = np.einsum("fi,fi->f", small.face_normals, small.triangles_center) > 0
+    assert outward.mean() > 0.98
+    assert small.volume > 0.8 * mesh.volume
+
+
+def test_open_meshes_and_several_bodies_are_fine():
+    sheet = trimesh.creation.icosphere(subdivisions=4)
+    sheet.update_faces(sheet.triangles_center[:, 2] > 0)
+    far = sheet.copy().apply_translation([10.0, 0.0, 0.0])
+    small = decimate(trimesh.util.concatenate([sheet, far]), 300)
+    assert 0 < len(small.faces) <= 300
+    assert (np.minimum(*(np.linalg.norm(small.vertices - [x, 0, 0], axis=1) for x in (0, 10))) < 1 + 1e-9).all()
+    np.testing.assert_allclose(small.bounds, [[-1, -1, 0], [11, 1, 1]], atol=0.2)
+
+
+def test_no_triangle_is_there_twice_and_none_is_a_line():
+    mesh = trimesh.creation.torus(1.0, 0.02, major_sections=300, minor_sections=20)
+    small = decimate(mesh, 1000)
+    corners = np.sort(small.faces, axis=1)
+    assert len(np.unique(corners, axis=0)) == len(corners)
+    assert (np.diff(corners, axis=1) > 0).all()

@@ -17,9 +17,11 @@ from websocket_page import Page, until
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine_apps.viewer import motion_player  # noqa: E402
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.validate_panel import PAUSE, PLAY, ValidatePanel  # noqa: E402
+from grasp_refine_apps.viewer.panels import play_bar  # noqa: E402
+from grasp_refine_apps.viewer.panels.play_bar import PAUSE, PLAY  # noqa: E402
+from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel  # noqa: E402
+from grasp_refine_apps.viewer.shown_motion import ShownMotion  # noqa: E402
 
 
 @dataclass
@@ -31,7 +33,11 @@ class Shown:
     page: Page
 
     def widget(self, name: str) -> Any:
-        return getattr(self.panel, f"_{name}")
+        return getattr(self.panel, name)
+
+    @property
+    def play(self) -> Any:
+        return self.panel.replay.button
 
     def press(self, name: str) -> None:
         self.page.change(self.widget(name), True)
@@ -45,6 +51,10 @@ class Shown:
         """Watch a direction, and wait until it is there."""
         self.page.change(self.widget("watch"), direction)
         until(lambda: self.controller.state.motion is not None and self.widget("slider").visible)
+
+
+def seconds_of(motion: ShownMotion) -> float:
+    return float(motion.time[-1] - motion.time[0])
 
 
 @pytest.fixture(scope="module")
@@ -78,40 +88,40 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown, m
     motion = shown.controller.state.motion
     assert motion is not None and motion.direction == "+z" and motion.reason == "turned"
     # It is watched until the object fell far enough.
-    assert shown.widget("slider").max == pytest.approx(motion.seconds) and 0.8 < motion.seconds < 2.8
+    assert shown.widget("slider").max == pytest.approx(seconds_of(motion)) and 0.8 < seconds_of(motion) < 2.8
     # It plays at once, in real time, and ends by itself.
     until(lambda: shown.controller.state.motion_frame == len(motion) - 1)
-    until(lambda: shown.widget("play").label == PLAY and shown.widget("slider").value == pytest.approx(motion.seconds))
+    until(lambda: shown.play.label == PLAY and shown.widget("slider").value == pytest.approx(seconds_of(motion)))
     line = shown.widget("line").content
-    assert f"+z, {motion.seconds - 0.8:.2f} s" in line
+    assert f"+z, {seconds_of(motion) - 0.8:.2f} s" in line
     seconds = shown.page.told(shown.widget("slider"))
     assert seconds == sorted(seconds) and len(seconds) > 2
 
     # Scrubbing shows that moment.
     shown.page.change(shown.widget("slider"), 0.5)
-    frame = motion.frame_at(0.5)
+    frame = int(np.searchsorted(motion.time - motion.time[0], 0.5 + 1e-9)) - 1
     until(lambda: shown.controller.state.motion_frame == frame)
     np.testing.assert_array_equal(shown.controller.state.shown.q, motion.q[frame])
     np.testing.assert_array_equal(shown.controller.state.T_shown_object, motion.T_object[frame])
     until(lambda: ", 0.10 s" in shown.widget("line").content)
 
     # Play goes on from there; pause holds it; scrubbing does, too. So slowly that it does not end by itself meanwhile.
-    monkeypatch.setattr(motion_player, "time", SimpleNamespace(monotonic=lambda: 0.02 * time.monotonic()))
-    shown.press("play")
-    until(lambda: shown.controller.state.motion_frame > frame and shown.widget("play").label == PAUSE)
-    shown.press("play")
-    until(lambda: shown.widget("play").label == PLAY)
+    monkeypatch.setattr(play_bar, "time", SimpleNamespace(monotonic=lambda: 0.02 * time.monotonic()))
+    shown.page.change(shown.play, True)
+    until(lambda: shown.controller.state.motion_frame > frame and shown.play.label == PAUSE)
+    shown.page.change(shown.play, True)
+    until(lambda: shown.play.label == PLAY)
     held = shown.controller.state.motion_frame
     time.sleep(0.15)
     assert shown.controller.state.motion_frame == held < len(motion) - 1
-    shown.press("play")
+    shown.page.change(shown.play, True)
     until(lambda: shown.controller.state.motion_frame > held)
     shown.page.change(shown.widget("slider"), 0.0)
-    until(lambda: shown.controller.state.motion_frame == 0 and shown.widget("play").label == PLAY)
+    until(lambda: shown.controller.state.motion_frame == 0 and shown.play.label == PLAY)
 
-    shown.press("close")
+    shown.press("end")
     until(lambda: shown.controller.state.motion is None and not shown.widget("slider").visible)
-    assert not any(shown.widget(name).visible for name in ("line", "play", "close"))
+    assert not any(shown.widget(name).visible for name in ("line", "end")) and not shown.play.visible
     assert shown.widget("watch").visible
 
 

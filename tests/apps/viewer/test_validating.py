@@ -1,4 +1,4 @@
-"""Proofs of one grasp: the same as `validate` finds, told in steps, and stopped at once."""
+"""Validation of one grasp: the same as `validate` finds, told in steps, and stopped at once."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import Validator, protocol_of, record_direction, run_trial, stages
+from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, protocol_of, record_direction, run_trial
 from grasp_refine_apps.viewer.worker import Control, Stopped
+from open_viewer import ignored, stopped_at
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S
 
@@ -48,8 +49,9 @@ def scene(group: Group) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def prepared(scene: Scene) -> HandObject:
-    return HandObject.of(scene)
+def grasp(scene: Scene) -> PosedGrasp:
+    """The grasp as in its file, with our own pregrasp and squeeze."""
+    return PosedGrasp(scene, file_pose(scene), prepared=HandObject.of(scene))
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +63,10 @@ def file_pose(scene: Scene) -> Pose:
     return Pose(scene.T_world_root[0], scene.q[0])
 
 
+def posed(grasp: PosedGrasp, pose: Pose) -> PosedGrasp:
+    return replace(grasp, pose=pose)
+
+
 def lifted(scene: Scene, by: float) -> Pose:
     """The pose, moved along z."""
     T = scene.T_world_root[0].copy()
@@ -68,20 +74,11 @@ def lifted(scene: Scene, by: float) -> Pose:
     return Pose(T, scene.q[0])
 
 
-def test_a_trial_says_what_validate_says(
-    validator: Validator, group: Group, scene: Scene, prepared: HandObject
-) -> None:
+def test_a_trial_says_what_validate_says(validator: Validator, group: Group, scene: Scene, grasp: PosedGrasp) -> None:
     protocol = protocol_of("force-closure", 0.15)
-    told: list[tuple[float, str]] = []
-    trial = run_trial(
-        validator,
-        scene,
-        file_pose(scene),
-        protocol,
-        file_grasp=group.grasps,
-        prepared=prepared,
-        report=lambda share, what: told.append((share, what)),
-    )
+    told: list[tuple[float | None, str]] = []
+    control = Control(lambda share, what: told.append((share, what)))
+    trial = run_trial(validator, replace(grasp, file_grasp=group.grasps), protocol, control)
     # What `validate` simulates; linear algebra may round otherwise the second time.
     assert trial.motion is not None
     np.testing.assert_allclose(trial.motion.q, group.motion().q, atol=1e-9)
@@ -106,13 +103,13 @@ def test_a_trial_says_what_validate_says(
     assert_names(parts[3], "6")
 
 
-def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: Scene, prepared: HandObject) -> None:
-    trial = run_trial(validator, scene, file_pose(scene), protocol_of("force-closure", 0.15), prepared=prepared)
+def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: Scene, grasp: PosedGrasp) -> None:
+    trial = run_trial(validator, grasp, protocol_of("force-closure", 0.15), ignored())
     lost = next(result for result in trial.results if not result.held)
-    motion = record_direction(validator, scene, file_pose(scene), trial, lost.direction)
+    motion = record_direction(validator, grasp, trial, lost.direction, ignored())
     assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
     # What was found at a check is what is shown in the frame of that time.
-    frame = motion.frame_at(0.8 + lost.time_s)
+    frame = int(np.searchsorted(motion.time - motion.time[0], 0.8 + lost.time_s + 1e-9)) - 1
     assert motion.since_stage[frame] == pytest.approx(lost.time_s)
     assert motion.displacement_m[frame] == pytest.approx(lost.displacement_m, abs=1e-12)
     assert motion.angle_rad[frame] == pytest.approx(lost.angle_rad, abs=1e-12)
@@ -122,27 +119,27 @@ def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: 
     assert trial.motion is not None
     np.testing.assert_allclose(motion.T_root[0], trial.motion.T_world_root[0, 0], atol=1e-12)
     np.testing.assert_allclose(motion.q[0], trial.motion.q[0, 0], atol=1e-12)
-    held = record_direction(validator, scene, file_pose(scene), replace(trial, motion=None), "+x", prepared=prepared)
+    held = record_direction(validator, grasp, replace(trial, motion=None), "+x", ignored())
     assert held.held and not held.lost.any()
 
 
 def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
-    group: Group, scene: Scene, prepared: HandObject
+    group: Group, scene: Scene, grasp: PosedGrasp
 ) -> None:
-    own = closing(scene, prepared)
+    own = closing(scene, grasp.prepared)
     given = replace(
         group.grasps,
         pregrasp=Stage(pose_from_transform(own.T_world_root[:, 0]), own.q[:, 0] + 0.01),
         squeeze=Stage(pose_from_transform(own.T_world_root[:, 2]), own.q[:, 2] + 0.02),
     )
-    motion, owners = stages(scene, file_pose(scene), file_grasp=given, prepared=prepared)
+    motion, owners = replace(grasp, file_grasp=given).motion()
     assert owners == {"pregrasp": "file", "squeeze": "file"}
     np.testing.assert_array_equal(motion.q[0], [own.q[0, 0] + 0.01, own.q[0, 1], own.q[0, 2] + 0.02])
-    motion, owners = stages(scene, file_pose(scene), file_grasp=replace(given, pregrasp=None), prepared=prepared)
+    motion, owners = replace(grasp, file_grasp=replace(given, pregrasp=None)).motion()
     assert owners == {"pregrasp": "own", "squeeze": "file"}
     np.testing.assert_array_equal(motion.q[0], [own.q[0, 0], own.q[0, 1], own.q[0, 2] + 0.02])
     moved = lifted(scene, 0.001)
-    motion, owners = stages(scene, moved, file_grasp=given, prepared=prepared)
+    motion, owners = replace(grasp, pose=moved, file_grasp=given).motion()
     assert owners == {"pregrasp": "own", "squeeze": "own"}
     np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
 
@@ -157,11 +154,11 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(validator: Validator, shar
         index=(0,),
     )
     (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
-    pose = file_pose(group.scene)
-    trial = run_trial(validator, group.scene, pose, FORCE_CLOSURE, file_grasp=group.grasps)
+    bottle_grasp = PosedGrasp(group.scene, file_pose(group.scene), group.grasps)
+    trial = run_trial(validator, bottle_grasp, FORCE_CLOSURE, ignored())
     assert trial.held and trial.closing == {"pregrasp": "file", "squeeze": "file"}
-    motion = record_direction(validator, group.scene, pose, trial, "-y")
-    assert motion.held and len(motion) == 141 and motion.seconds == pytest.approx(2.8)
+    motion = record_direction(validator, bottle_grasp, trial, "-y", ignored())
+    assert motion.held and len(motion) == 141 and motion.time[-1] - motion.time[0] == pytest.approx(2.8)
     assert group.grasps.pregrasp is not None
     np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
 
@@ -173,23 +170,19 @@ def test_what_was_compiled_is_kept(validator: Validator, scene: Scene) -> None:
     assert validator.model(scene.hand) is world.hand
 
 
-Doing = Callable[[Validator, Scene, HandObject, Control], object]
+Doing = Callable[[Validator, PosedGrasp, Control], object]
 
 
-def proving(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
-    protocol = protocol_of("force-closure", 0.15)
-    return run_trial(
-        validator, scene, file_pose(scene), protocol, prepared=prepared, report=control.report, check=control.check
-    )
+def simulating(validator: Validator, grasp: PosedGrasp, control: Control) -> object:
+    return run_trial(validator, grasp, protocol_of("force-closure", 0.15), control)
 
 
-def watching(validator: Validator, scene: Scene, prepared: HandObject, control: Control) -> object:
-    pose = file_pose(scene)
-    trial = run_trial(validator, scene, pose, FORCE_CLOSURE, prepared=prepared)
-    return record_direction(validator, scene, pose, trial, "+x", report=control.report, check=control.check)
+def recording(validator: Validator, grasp: PosedGrasp, control: Control) -> object:
+    trial = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
+    return record_direction(validator, grasp, trial, "+x", control)
 
 
-def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float) -> float:
+def cpu_seconds_to_stop(validator: Validator, grasp: PosedGrasp, doing: Doing, at: float) -> float:
     """CPU time (s) that goes by until it stops when that share is done."""
     reached, ended = threading.Event(), []
 
@@ -201,7 +194,7 @@ def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject
 
     def work() -> None:
         with pytest.raises(Stopped):
-            doing(validator, scene, prepared, control)
+            doing(validator, grasp, control)
         ended.append(time.process_time())
 
     thread = threading.Thread(target=work)
@@ -214,53 +207,44 @@ def cpu_seconds_to_stop(validator: Validator, scene: Scene, prepared: HandObject
     return ended[0] - asked
 
 
-@pytest.mark.parametrize(("doing", "at"), [(proving, 0.1), (proving, 0.9), (watching, 0.5)])
+@pytest.mark.parametrize(("doing", "at"), [(simulating, 0.1), (simulating, 0.9), (recording, 0.5)])
 def test_stop_takes_effect_at_once(
-    validator: Validator, scene: Scene, prepared: HandObject, doing: Doing, at: float
+    validator: Validator, scene: Scene, grasp: PosedGrasp, doing: Doing, at: float
 ) -> None:
-    before = run_trial(validator, scene, file_pose(scene), FORCE_CLOSURE, prepared=prepared)
+    before = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
     # A few milliseconds each; a whole trial takes seconds.
-    assert min(cpu_seconds_to_stop(validator, scene, prepared, doing, at) for _ in range(3)) < 0.2
+    assert min(cpu_seconds_to_stop(validator, grasp, doing, at) for _ in range(3)) < 0.2
     # Nothing of it is left: the next trial is that from before.
-    after = run_trial(validator, scene, file_pose(scene), FORCE_CLOSURE, prepared=prepared)
+    after = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
     assert [result.reason for result in after.results] == [result.reason for result in before.results]
     moved = [[result.displacement_m for result in trial.results] for trial in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
 
 
-def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, prepared: HandObject) -> None:
-    asked = 0
-
-    def check() -> None:
-        nonlocal asked
-        asked += 1
-        if asked == 2:
-            raise Stopped
-
+def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, grasp: PosedGrasp) -> None:
     with pytest.raises(Stopped):
-        stages(scene, file_pose(scene), prepared=prepared, check=check)
-    assert asked == 2
+        grasp.motion(stopped_at(2).check)
 
 
 def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
-    validator: Validator, scene: Scene, prepared: HandObject
+    validator: Validator, scene: Scene, grasp: PosedGrasp
 ) -> None:
     pose = file_pose(scene)
     inside = Pose(pose.T_object_root.copy(), pose.q)
     towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
     inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
-    trial = run_trial(validator, scene, inside, FORCE_CLOSURE, prepared=prepared)
+    trial = run_trial(validator, posed(grasp, inside), FORCE_CLOSURE, ignored())
     assert trial.before_push == Reason.PENETRATES and not trial.watchable
     depth = f"{1e3 * trial.penetration_m:.1f} mm"
     assert_names(trial.verdict, depth)
     with refused(GraspRefineError, depth):
-        record_direction(validator, scene, inside, trial, "+x")
+        record_direction(validator, posed(grasp, inside), trial, "+x", ignored())
 
 
-def test_a_direction_that_is_none_is_refused(validator: Validator, scene: Scene, prepared: HandObject) -> None:
-    trial = run_trial(validator, scene, lifted(scene, 1.0), FORCE_CLOSURE, prepared=prepared)
+def test_a_direction_that_is_none_is_refused(validator: Validator, scene: Scene, grasp: PosedGrasp) -> None:
+    trial = run_trial(validator, posed(grasp, lifted(scene, 1.0)), FORCE_CLOSURE, ignored())
     with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
-        record_direction(validator, scene, lifted(scene, 1.0), trial, "lift")
+        record_direction(validator, posed(grasp, lifted(scene, 1.0)), trial, "lift", ignored())
 
 
 def test_settings_and_friction_that_cannot_be_are_refused() -> None:

@@ -13,15 +13,10 @@ from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, trans
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
-from grasp_refine_apps.viewer.parts import DEEP_COLOR
 from grasp_refine_apps.viewer.shapes import LinkPoses
+from grasp_refine_apps.viewer.state import DisplayOptions
 from grasp_refine_apps.viewer.view import View
 from open_viewer import controller, example, settled
-
-
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    return example()
 
 
 @pytest.fixture
@@ -55,15 +50,15 @@ def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, vie
     for _ in range(2):
         shown = viewer.state.shown
         T = LinkPoses.of(hand)(shown.T_object_root, shown.q)
-        for link, node in zip(view.parts.hand.links, view.parts.hand.nodes, strict=True):
-            np.testing.assert_allclose(pose(node), T[link], atol=1e-7)
+        for shape, node in zip(view.nodes.hand.shapes, view.nodes.hand.nodes, strict=True):
+            np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
         for joint in range(len(hand.joint_names)):
             viewer.set_joint(joint, shown.q[joint] + 0.1)
         view.draw(viewer.state)
 
 
 def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -> None:
-    camera, points = view.server.initial_camera, view.parts.corners(viewer.state.shown)
+    camera, points = view.server.initial_camera, view.nodes.corners(viewer.state.shown)
     forward = np.array(camera.look_at) - np.array(camera.position)
     distance = np.linalg.norm(forward)
     forward /= distance
@@ -77,56 +72,56 @@ def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -
 
 
 def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View, viewer: Controller) -> None:
-    parts = view.parts
+    nodes = view.nodes
     found = view.contacts
-    assert found is not None and len(found.link) == len(parts._on_link.nodes) == len(parts._on_object.nodes)
-    for node, point in zip(parts._on_link.nodes, found.point_link, strict=True):
+    assert found is not None and len(found.link) == len(nodes.points_link.nodes) == len(nodes.points_object.nodes)
+    for node, point in zip(nodes.points_link.nodes, found.point_link, strict=True):
         np.testing.assert_allclose(node.position, point, atol=1e-7)
     deep = {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
     red = {
-        link
-        for link, node, own in zip(parts.hand.links, parts.hand.nodes, parts.hand._colors, strict=True)
-        if tuple(node.color) != own
+        shape.link
+        for shape, node in zip(nodes.hand.shapes, nodes.hand.nodes, strict=True)
+        if tuple(node.color) != shape.color
     }
-    assert deep and red == deep and len(DEEP_COLOR) == 3
-    viewer.set_showing(contacts=False)
+    assert deep and red == deep
+    viewer.set_display(DisplayOptions(contacts=False))
     view.draw(viewer.state)
-    assert not view.parts._on_link.nodes
+    assert not view.nodes.points_link.nodes
 
 
 def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Controller) -> None:
-    assert not view.parts.ghost._visible
+    assert not view.nodes.ghost.nodes[0].visible
     viewer.start()
     settled(viewer)
     view.draw(viewer.state)
-    tip = view.parts.hand.links.index("link_3.0_tip")
-    ghost = pose(view.parts.ghost.nodes[tip])
-    end = pose(view.parts.hand.nodes[tip])
+    tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
+    ghost = pose(view.nodes.ghost.nodes[tip])
+    end = pose(view.nodes.hand.nodes[tip])
     viewer.scrub(0)
     view.draw(viewer.state)
-    first = pose(view.parts.hand.nodes[tip])
+    first = pose(view.nodes.hand.nodes[tip])
     assert np.linalg.norm(end[:3, 3] - first[:3, 3]) > 2e-3
     np.testing.assert_allclose(first, ghost, atol=1e-7)
-    assert not view.parts.ghost._visible
+    assert not view.nodes.ghost.nodes[0].visible
     viewer.scrub(5)
     view.draw(viewer.state)
-    assert view.parts.ghost._visible
-    np.testing.assert_array_equal(pose(view.parts.ghost.nodes[tip]), ghost)
+    assert view.nodes.ghost.nodes[0].visible
+    np.testing.assert_array_equal(pose(view.nodes.ghost.nodes[tip]), ghost)
 
 
 def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Controller) -> None:
     obj = viewer.state.scene.object
-    assert len(view.parts.object.nodes) == 1 and view.parts._cones is None
-    prepared = view.parts.prepared
-    viewer.set_showing(object="pieces", hand="collision", forces=True, frames=True, transparent=False)
+    assert len(view.nodes.object.nodes) == 1 and view.nodes.cones is None
+    prepared = view.nodes.prepared
+    viewer.set_display(DisplayOptions(object="pieces", hand="collision", forces=True, frames=True, transparent=False))
     view.draw(viewer.state)
-    parts = view.parts
-    assert len(parts.object.nodes) == len(obj.body.pieces) > 1
-    assert parts.object.nodes[0].opacity is None and parts.prepared is prepared
-    assert parts._cones is not None and parts._forces._node is not None and all(node.visible for node in parts._axes)
-    viewer.set_showing(object="wireframe", forces=False)
+    nodes = view.nodes
+    assert len(nodes.object.nodes) == len(obj.body.pieces) > 1
+    assert nodes.object.nodes[0].opacity is None and nodes.prepared is prepared
+    assert nodes.cones is not None and nodes.forces.node is not None and all(node.visible for node in nodes.axes)
+    viewer.set_display(DisplayOptions(object="wireframe", forces=False))
     view.draw(viewer.state)
-    assert view.parts.object.nodes[0].wireframe and view.parts._cones is None
+    assert view.nodes.object.nodes[0].wireframe and view.nodes.cones is None
 
 
 def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
@@ -134,78 +129,78 @@ def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer
     viewer.move_object(T)
     viewer.set_side_by_side(True)
     view.draw(viewer.state)
-    parts = view.parts
-    np.testing.assert_allclose(pose(parts._root), T, atol=1e-7)
-    assert parts._beside_frame.visible and not parts.ghost._visible
-    apart = pose(parts._beside_frame)[:3, 3] - T[:3, 3]
+    nodes = view.nodes
+    np.testing.assert_allclose(pose(nodes.root), T, atol=1e-7)
+    assert nodes.input_frame.visible and not nodes.ghost.nodes[0].visible
+    apart = pose(nodes.input_frame)[:3, 3] - T[:3, 3]
     assert np.linalg.norm(apart) > 0.1
     viewer.set_side_by_side(False)
     view.draw(viewer.state)
-    assert not parts._beside_frame.visible and parts.ghost._visible
+    assert not nodes.input_frame.visible and nodes.ghost.nodes[0].visible
 
 
 def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: View, viewer: Controller) -> None:
     viewer.move_object(transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, 0.0, 0.01])))
     viewer.set_picking(True)
     view.draw(viewer.state)
-    state, parts = viewer.state, view.parts
-    tip = parts.hand.links.index("link_3.0_tip")
+    state, nodes = viewer.state, view.nodes
+    tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
     T = state.T_world_object @ LinkPoses.of(state.scene.hand)(state.shown.T_object_root, state.shown.q)["link_3.0_tip"]
-    middle = transform_points(T, parts.shapes[tip].vertices.astype(float).mean(axis=0))
+    middle = transform_points(T, nodes.shapes[tip].vertices.astype(float).mean(axis=0))
     eye = np.array([0.5, 0.4, 0.6])
-    parts.interaction._clicked_link(tip, eye, (middle - eye) / np.linalg.norm(middle - eye))
+    nodes.interaction._clicked_link(tip, eye, (middle - eye) / np.linalg.norm(middle - eye))
     view.draw(viewer.state)
-    assert viewer.state.picked is not None and len(parts._picked.nodes) == 1
+    assert viewer.state.picked is not None and len(nodes.picked.nodes) == 1
     centre = transform_points(state.T_world_object, np.array([0.0, 0.0, 0.05]))
-    parts.interaction._clicked_object(eye, (centre - eye) / np.linalg.norm(centre - eye))
+    nodes.interaction._clicked_object(eye, (centre - eye) / np.linalg.norm(centre - eye))
     view.draw(viewer.state)
     (target,) = viewer.state.targets
-    assert target.link == "link_3.0_tip" and len(parts._targets.nodes) == 1
+    assert target.link == "link_3.0_tip" and len(nodes.targets.nodes) == 1
     # On the mug's wall: 4 cm from its axis, to within the pieces.
     assert np.linalg.norm(target.point_object[:2]) == pytest.approx(0.04, abs=2.5e-3)
     before = target.point_object
     away = transform_points(state.T_world_object, before + np.array([0.0, 0.0, 0.01]))
     event = SimpleNamespace(client=SimpleNamespace(camera=SimpleNamespace(position=eye)), end_position=away)
-    parts.interaction._drag_target(0, event)
+    nodes.interaction._drag_target(0, event)
     moved = viewer.state.targets[0].point_object
     assert 5e-3 < np.linalg.norm(moved - before) < 3e-2
     assert np.linalg.norm(moved[:2]) == pytest.approx(0.04, abs=2.5e-3)
     # A ray that meets nothing does nothing.
-    parts.interaction._clicked_object(eye, np.array([0.0, 0.0, 1.0]))
+    nodes.interaction._clicked_object(eye, np.array([0.0, 0.0, 1.0]))
     assert len(viewer.state.targets) == 1
 
 
 def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
     viewer.set_gizmo("hand")
     view.draw(viewer.state)
-    node = view.parts.interaction._gizmos["hand"]
+    node = view.nodes.interaction.gizmos["hand"]
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     node.position = np.array(node.position) + np.array([0.01, 0.0, 0.0])
-    done(view.parts.interaction._drag_hand(SimpleNamespace(client=object(), target=node)))
+    done(view.nodes.interaction._drag_hand(SimpleNamespace(client=object(), target=node)))
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     viewer.set_gizmo("object")
     view.draw(viewer.state)
-    assert list(view.parts.interaction._gizmos) == ["object"]
+    assert list(view.nodes.interaction.gizmos) == ["object"]
     # What Python sets is no drag.
-    done(view.parts.interaction._drag_object(SimpleNamespace(client=None, target=node)))
+    done(view.nodes.interaction._drag_object(SimpleNamespace(client=None, target=node)))
     np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
 
 
 def test_another_object_takes_the_place_of_the_first(view: View, viewer: Controller) -> None:
-    before = view.parts
+    before = view.nodes
     other = controller(example(object="bottle", hand="allegro"))
     viewer.change_collection(other.state.collection)
     other.close()
     view.draw(viewer.state)
-    assert view.parts is not before and view.parts.prepared.object is viewer.state.scene.object
-    assert len(view.parts.object.nodes) == 1
+    assert view.nodes is not before and view.nodes.prepared.object is viewer.state.scene.object
+    assert len(view.nodes.object.nodes) == 1
 
 
 def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) -> None:
     shown = viewer.state.pose
     bad = replace(viewer.state, pose=replace(shown, q=np.full_like(shown.q, np.nan)))
     view.draw(bad)
-    assert np.isfinite(pose(view.parts.hand.nodes[0])).all()
+    assert np.isfinite(pose(view.nodes.hand.nodes[0])).all()
 
 
 def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Controller) -> None:
@@ -213,14 +208,14 @@ def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Co
     viewer.show(1)
     viewer.run_trial("force-closure", 0.15)
     settled(viewer)
-    viewer.watch("+z")
+    viewer.record("+z")
     settled(viewer)
     viewer.show_motion_frame(10_000)
     view.draw(viewer.state)
-    parts = view.parts
-    np.testing.assert_allclose(pose(parts._object_frame), viewer.state.T_shown_object, atol=1e-6)
-    assert parts._push._node is not None and not parts.ghost._visible
+    nodes = view.nodes
+    np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
+    assert nodes.push.node is not None and not nodes.ghost.nodes[0].visible
     viewer.end_motion()
     view.draw(viewer.state)
-    np.testing.assert_allclose(pose(parts._object_frame), np.eye(4), atol=1e-12)
-    assert parts._push._node is None
+    np.testing.assert_allclose(pose(nodes.object_frame), np.eye(4), atol=1e-12)
+    assert nodes.push.node is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -18,8 +17,10 @@ from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, fir
 from grasp_refine_apps.viewer.marks import MARKS, Mark
 from grasp_refine_apps.viewer.measuring import unmeasured
 from grasp_refine_apps.viewer.metrics_html import metrics_html
+from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.table import page_of, pages, table_html
+from grasp_refine_apps.viewer.viser_private import click_script
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
 MEASURE = "Measure all"
@@ -44,32 +45,30 @@ class BrowsePanel:
         self._random = np.random.default_rng()
 
         gui = server.gui
-        self._metrics = gui.add_html("")
-        self._steps = gui.add_button_group(
+        self.metrics = gui.add_html("")
+        self.steps = gui.add_button_group(
             "Open", (PREVIOUS, NEXT, RANDOM, WORST), hint="Open another grasp of the list below"
         )
-        self._marks = gui.add_button_group(
+        self.marks = gui.add_button_group(
             "Mark", (GOOD, BAD, NO), hint="Your mark of this grasp; kept in a .marks.csv file beside the grasps"
         )
-        self._beside = gui.add_checkbox(
+        self.beside: Any = gui.add_checkbox(
             "Before and after", False, hint="Draw the input grasp beside the one that is shown"
         )
         # Clicks on the table, which is HTML, arrive as values of this widget, which is hidden.
-        self._clicks = gui.add_text("click", "", visible=False)
-        self._table = gui.add_html("")
-        self._measure = gui.add_button(
-            MEASURE, hint="Compute quality and penetration of the grasps whose file has none"
-        )
+        self.clicks = gui.add_text("click", "", visible=False)
+        self.table = gui.add_html("")
+        self.measure = gui.add_button(MEASURE, hint="Compute quality and penetration of the grasps whose file has none")
         with gui.add_folder("Sort and filter", expand_by_default=False):
-            self._key = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
-            self._descending = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
-            self._filters = {
+            self.key: Any = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
+            self.descending: Any = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
+            self.filters: dict[str, Any] = {
                 "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
                 "status": gui.add_dropdown("Status", (ALL,), hint="Status of the refinement"),
                 "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="Verdict of MuJoCo"),
                 "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="Your mark of the grasps"),
             }
-            self._download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
+            self.download = gui.add_button("Download marks", hint="All marks as a table of comma-separated values")
         self._connect()
 
     def draw(self, state: State) -> None:
@@ -77,7 +76,7 @@ class BrowsePanel:
         with self._lock:
             other = self._collection is None or self._collection.problem is not state.collection.problem
             changed = self._collection is not state.collection
-            if not changed and self._number == state.number and self._beside.value == state.side_by_side:
+            if not changed and self._number == state.number and self.beside.value == state.side_by_side:
                 return
             self._collection = state.collection
             if other:
@@ -90,31 +89,23 @@ class BrowsePanel:
             # A grasp that is marked may leave the list.
             self._page = min(self._page, pages(self._listed) - 1)
             self._number = state.number
-            _set(self._beside, state.side_by_side)
+            self.beside.value = state.side_by_side
             self._draw_table()
 
     def _connect(self) -> None:
-        """Connect the widgets to commands; values that the program sets come without a client."""
-
-        def on(widget: viser.GuiInputHandle, act: Callable[[viser.GuiEvent], None]) -> None:
-            widget.on_update(lambda event: None if event.client is None else act(event))
-
-        on(self._clicks, lambda event: self._clicked(event.target.value))
-        on(self._key, lambda event: self._sort(self._keys().get(event.target.value, NUMBER)))
-        on(self._descending, lambda event: self._list(descending=event.target.value))
-        on(self._beside, lambda event: self._controller.set_side_by_side(event.target.value))
-        for name, widget in self._filters.items():
-            on(widget, partial(self._filtered, name))
-        self._steps.on_click(lambda event: self._go(event.target.value))
-        self._marks.on_click(lambda event: self._mark(event.target.value))
-        self._measure.on_click(lambda event: self._controller.measure())
-        self._download.on_click(self._send_marks)
+        """Connect the widgets to commands."""
+        on_change(self.clicks, self._click)
+        on_change(self.key, lambda label: self._sort(self._keys().get(label, NUMBER)))
+        on_change(self.descending, lambda descending: self._list(descending=descending))
+        on_change(self.beside, self._controller.set_side_by_side)
+        for name, widget in self.filters.items():
+            on_change(widget, partial(self._filter, name))
+        self.steps.on_click(lambda event: self._go(event.target.value))
+        self.marks.on_click(lambda event: self._mark(event.target.value))
+        on_click(self.measure, self._controller.measure)
+        self.download.on_click(self._send_marks)
 
     # list
-
-    def _filtered(self, name: str, event: viser.GuiEvent) -> None:
-        """Apply another value of a filter."""
-        self._filter(name, event.target.value)
 
     def _list(self, **changes: Any) -> None:
         """List other grasps, or in another order."""
@@ -146,7 +137,7 @@ class BrowsePanel:
 
     # commands
 
-    def _clicked(self, click: str) -> None:
+    def _click(self, click: str) -> None:
         """Handle a click on the table; clients can send arbitrary text."""
         what, _, rest = click.partition(" ")
         value = rest.split(" ")[0]
@@ -176,7 +167,7 @@ class BrowsePanel:
         else:
             found = step(listed, number, 1 if where == NEXT else -1)
         if found is None:
-            self._controller.say(f"the worst grasp is not known yet: press {MEASURE} first", bad=True)
+            self._controller.notify(f"the worst grasp is not known yet: press {MEASURE} first", bad=True)
         else:
             self._controller.show(found)
 
@@ -195,27 +186,23 @@ class BrowsePanel:
             if marks.by_row:
                 event.client.send_file_download(name, marks.text.encode())
         if not any(marks.by_row for marks in collection.marks):
-            self._controller.say("no grasp is marked yet", bad=True)
+            self._controller.notify("no grasp is marked yet", bad=True)
 
     # widgets
 
     def _draw_table(self) -> None:
         """Update the table and the line above it."""
         collection, number = self._collection, self._number
-        if collection is None:
-            return
-        html = table_html(collection, self._listing, self._listed, self._page, number, self._clicks._impl.uuid)
-        if self._table.content != html:
-            self._table.content = html
-        html = metrics_html(collection, number)
-        if self._metrics.content != html:
-            self._metrics.content = html
+        if collection is not None:
+            script = click_script(self.clicks)
+            self.table.content = table_html(collection, self._listing, self._listed, self._page, number, script)
+            self.metrics.content = metrics_html(collection, number)
 
     def _draw_choices(self, collection: Collection) -> None:
         """Update the choices of the filters."""
         keys = self._keys()
-        if self._key.options != tuple(keys):
-            self._key.options = tuple(keys)
+        if self.key.options != tuple(keys):
+            self.key.options = tuple(keys)
         chosen = next((label for label, key in keys.items() if key == self._listing.key), IN_FILE)
         status = collection.columns.get(STATUS.key)
         choices = {
@@ -223,25 +210,12 @@ class BrowsePanel:
             "status": (ALL,) if status is None else (ALL, *np.unique(status.values[status.known]).tolist()),
         }
         for name, options in choices.items():
-            if self._filters[name].options != options:
-                self._filters[name].options = options
+            if self.filters[name].options != options:
+                self.filters[name].options = options
         shown = {name: len(options) > 2 for name, options in choices.items()}
         shown |= {"held": HELD.key in collection.columns, "mark": True}
-        for name, widget in self._filters.items():
-            _show(widget, visible=shown[name])
-            _set(widget, getattr(self._listing, name) or ALL)
-        _set(self._key, chosen)
-        _set(self._descending, self._listing.descending)
-        _show(self._measure, visible=bool(unmeasured(collection).any()))
-
-
-def _set(widget: Any, value: object) -> None:
-    """Give a widget a value, if it has another one."""
-    if widget.value != value:
-        widget.value = value
-
-
-def _show(widget: viser.GuiInputHandle | viser.GuiButtonHandle, *, visible: bool) -> None:
-    """Show or hide a widget, if it is not so yet."""
-    if widget.visible != visible:
-        widget.visible = visible
+        for name, widget in self.filters.items():
+            widget.visible, widget.value = shown[name], getattr(self._listing, name) or ALL
+        self.key.value = chosen
+        self.descending.value = self._listing.descending
+        self.measure.visible = bool(unmeasured(collection).any())

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, get_args, get_type_hints
 
 import viser
 
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.parts import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
-from grasp_refine_apps.viewer.state import Showing, State
-
-LABELS = {
-    "hand": ("Hand", "Its visual meshes, or the convex pieces that collide."),
-    "object": ("Object", "Its surface, its convex pieces in colours, or its edges."),
-    "transparent": ("See through", "Make the object transparent, to show contacts behind it."),
-    "ghost": ("Input hand", "A pale copy of the hand before refinement."),
-    "contacts": ("Contacts", "Points where links and object are nearest or deepest, and lines between them."),
-    "forces": ("Forces", "The contact forces that balance best, and friction cones."),
-    "frames": ("Frames", "Axes of the base link and of the object: x red, y green, z blue."),
-    "table": ("Table", "The table, where there is one."),
-}
-"""Field of `Showing` -> label and hint."""
+from grasp_refine_apps.viewer.form import Form
+from grasp_refine_apps.viewer.grasp_nodes import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
+from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 
 class DisplayPanel:
@@ -29,31 +17,19 @@ class DisplayPanel:
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets."""
-        self._widgets: dict[str, Any] = {}
-        gui, hints = server.gui, get_type_hints(Showing)
-        for field in fields(Showing):
-            label, hint = LABELS[field.name]
-            if hints[field.name] is bool:
-                widget: Any = gui.add_checkbox(label, field.default is True, hint=hint)
-            else:
-                widget = gui.add_dropdown(label, get_args(hints[field.name]), hint=hint)
-
-            @widget.on_update
-            def _(event: Any, name: str = field.name) -> None:
-                if event.client is not None:
-                    controller.set_showing(**{name: self._widgets[name].value})
-
-            self._widgets[field.name] = widget
-        gui.add_html(_legend())
+        state = controller.state
+        names = tuple(field.name for field in fields(DisplayOptions))
+        # Scenes keep their table, or have none, as long as the viewer runs.
+        left_out = () if state.scene.table is not None else ("table",)
+        shown = [name for name in names if name not in left_out]
+        self.form = Form(
+            server.gui, state.display, controller.set_display, controller.notify, first=shown, left_out=left_out
+        )
+        server.gui.add_html(_legend())
 
     def draw(self, state: State) -> None:
         """Show a state."""
-        for name, widget in self._widgets.items():
-            value = getattr(state.showing, name)
-            value = value and state.scene.table is not None if name == "table" else value
-            if widget.value != value:
-                widget.value = value
-        self._widgets["table"].disabled = state.scene.table is None
+        self.form.show(state.display)
 
 
 def _legend() -> str:

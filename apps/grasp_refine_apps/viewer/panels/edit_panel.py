@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -11,11 +10,9 @@ import viser
 from grasp_refine.core.se3 import exp_so3, log_so3, transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.panels.held import Held
 from grasp_refine_apps.viewer.panels.joints import Joints
-from grasp_refine_apps.viewer.panels.paced import Paced
-from grasp_refine_apps.viewer.panels.rows import in_a_row
 from grasp_refine_apps.viewer.panels.timeline import millimetres
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, RateLimit, in_a_row, on_click
 from grasp_refine_apps.viewer.shapes import LinkPoses
 from grasp_refine_apps.viewer.state import Gizmo, State
 
@@ -30,74 +27,67 @@ class EditPanel:
         """Make the widgets inside the tab or folder that is open."""
         self._controller = controller
         gui = server.gui
-        self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Undo the last change")
-        self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Redo the last undone change")
-        self._reset = gui.add_button(
+        self.undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Undo the last change")
+        self.redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Redo the last undone change")
+        self.reset = gui.add_button(
             "Reset", icon=viser.Icon.ROTATE, hint="Reset hand, object and targets to the input grasp"
         )
-        in_a_row(gui, (self._undo, self._redo, self._reset))
-
-        def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
-            button.on_click(lambda event: act())
-
-        for button, act in (
-            (self._undo, controller.undo),
-            (self._redo, controller.redo),
-            (self._reset, controller.reset),
-        ):
-            on_click(button, act)
+        in_a_row(gui, (self.undo, self.redo, self.reset))
         gizmos: tuple[Gizmo, ...] = ("hand", "object")
         with gui.add_folder("Move with the mouse"):
-            self._gizmos = {
-                what: Held(
-                    gui.add_checkbox(f"{what.capitalize()}", False, hint=f"Arrows and rings that move the {what}"),
-                    partial(self._show_gizmo, what),
+            self.gizmos = {
+                body: LiveInput(
+                    gui.add_checkbox(f"{body.capitalize()}", False, hint=f"Arrows and rings that move the {body}"),
+                    partial(self._show_gizmo, body),
                 )
-                for what in gizmos
+                for body in gizmos
             }
         with gui.add_folder("Targets"):
-            self._picking = Held(
+            self.picking = LiveInput(
                 gui.add_checkbox("Set by clicks", False, hint="Click a link of the hand, then the object"),
                 controller.set_picking,
             )
-            self._targets = gui.add_markdown("")
-            self._delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Delete one target")
-            self._delete.on_click(lambda event: self._deleted(event.target.value))
-            self._auto = gui.add_button("Auto", icon=viser.Icon.WAND, hint="No targets: links touch where they can")
-            self._auto.on_click(lambda event: controller.clear_targets())
-            self._nearest = gui.add_button(
+            self.targets = gui.add_markdown("")
+            self.delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Delete one target")
+            self.delete.on_click(lambda event: self._delete(event.target.value))
+            self.auto = gui.add_button("Auto", icon=viser.Icon.WAND, hint="No targets: links touch where they can")
+            self.nearest = gui.add_button(
                 "Nearest points", icon=viser.Icon.TARGET, hint="Where links are nearest now, to be dragged from there"
             )
-            in_a_row(gui, (self._auto, self._nearest))
-            self._nearest.on_click(lambda event: controller.target_nearest_points())
+            in_a_row(gui, (self.auto, self.nearest))
         with gui.add_folder("Hand pose", expand_by_default=False):
-            self._position = Held(
+            self.position = LiveInput(
                 gui.add_vector3("Position, mm", (0.0, 0.0, 0.0), step=0.1, hint="Of the base link, object frame"),
                 self._move,
             )
-            self._rotation = Held(
+            self.rotation = LiveInput(
                 gui.add_vector3("Rotation, °", (0.0, 0.0, 0.0), step=0.1, hint="Axis times angle, object frame"),
                 self._turn,
             )
-        self._joints = Joints(gui, controller)
-        self._numbers = Paced(UPDATE_PERIOD_S, self._draw_numbers)
+        on_click(self.undo, controller.undo)
+        on_click(self.redo, controller.redo)
+        on_click(self.reset, controller.reset)
+        on_click(self.auto, controller.clear_targets)
+        on_click(self.nearest, controller.target_nearest_points)
+        self.joints = Joints(gui, controller)
+        self._numbers = RateLimit(UPDATE_PERIOD_S, self._draw_numbers)
         self._poses: tuple[Hand, LinkPoses] | None = None
 
     def draw(self, state: State) -> None:
         """Show a state."""
-        self._undo.disabled, self._redo.disabled = not state.can_undo, not state.can_redo
-        for what, held in self._gizmos.items():
-            held.show(state.gizmo == what)
-        self._picking.show(state.picking)
-        self._auto.disabled = not state.targets
+        self.undo.disabled, self.redo.disabled = not state.can_undo, not state.can_redo
+        for body, checkbox in self.gizmos.items():
+            checkbox.show(state.gizmo == body)
+        self.picking.show(state.picking)
+        self.auto.disabled = not state.targets
         self._numbers(state)
 
     def close(self) -> None:
         """Stop drawing."""
         self._numbers.close()
-        self._joints.close()
-        for held in (*self._gizmos.values(), self._picking, self._position, self._rotation):
-            held.close()
+        self.joints.close()
+        for live in (*self.gizmos.values(), self.picking, self.position, self.rotation):
+            live.close()
 
     def _draw_numbers(self, state: State) -> None:
         """Update the numbers that follow every iteration of a refinement, at a limited rate."""
@@ -105,37 +95,41 @@ class EditPanel:
         if self._poses is None or self._poses[0] is not hand:
             self._poses = hand, LinkPoses.of(hand)
         T = shown.T_object_root
-        self._targets.content = target_words(state, self._poses[1])
+        self.targets.content = targets_text(state, self._poses[1])
         links = tuple(target.link for target in state.targets)
-        if links and links != self._delete.options:
-            self._delete.options = links
-        self._delete.visible = bool(links)
-        self._position.show(tuple(float(x) for x in np.round(1e3 * T[:3, 3], 1) + 0.0))
-        turned: np.ndarray = np.degrees(log_so3(T[:3, :3]))
-        self._rotation.show(tuple(float(x) for x in np.round(turned, 1) + 0.0))
-        self._joints.draw(hand, shown.q)
+        if links:
+            self.delete.options = links
+        self.delete.visible = bool(links)
+        turned: np.ndarray = log_so3(T[:3, :3])
+        # Adding zero turns -0.0 to 0.0.
+        self.position.show(tuple((np.round(1e3 * T[:3, 3], 1) + 0.0).tolist()))
+        self.rotation.show(tuple((np.round(np.degrees(turned), 1) + 0.0).tolist()))
+        self.joints.draw(hand, shown.q)
 
-    def _show_gizmo(self, what: Gizmo, shown: bool) -> None:
+    def _show_gizmo(self, body: Gizmo, shown: bool) -> None:
         """Show or hide the arrows and rings that move the hand or the object."""
-        self._controller.set_gizmo(what if shown else "none")
+        self._controller.set_gizmo(body if shown else "none")
 
-    def _deleted(self, link: str) -> None:
+    def _delete(self, link: str) -> None:
+        """Delete the target of a link."""
         links = [target.link for target in self._controller.state.targets]
         if link in links:
             self._controller.delete_target(links.index(link))
 
     def _move(self, position: tuple[float, float, float]) -> None:
+        """Move the hand to a position in mm."""
         T = self._controller.state.standing.T_object_root.copy()
         T[:3, 3] = 1e-3 * np.array(position)
         self._controller.move_root(T)
 
     def _turn(self, rotation: tuple[float, float, float]) -> None:
+        """Turn the hand to a rotation vector in degrees."""
         T = self._controller.state.standing.T_object_root.copy()
         T[:3, :3] = exp_so3(np.radians(np.array(rotation)))
         self._controller.move_root(T)
 
 
-def target_words(state: State, poses: LinkPoses) -> str:
+def targets_text(state: State, poses: LinkPoses) -> str:
     """Text in Markdown on the effect of the next click, and on the targets with their misses."""
     lines = []
     if state.picked is not None:

@@ -19,8 +19,8 @@ from grasp_refine_apps.viewer.film import film_of
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, open_upload
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
 from grasp_refine_apps.viewer.state import JobKind, State
-from grasp_refine_apps.viewer.upload_limit import MAX_CONCURRENT_UPLOADS, limit_uploads
 from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
+from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
 from grasp_refine_apps.viewer.worker import Control
 
 UNSPECIFIED_UNIT = "ask me"
@@ -44,43 +44,43 @@ class ExportPanel:
             uploads: Storage of uploads; None: a new folder, deleted by `close`.
         """
         self._server, self._controller = server, controller
-        self._uploads = uploads or Uploads()
+        self.uploads = uploads or Uploads()
         self._collection: Collection | None = None
         gui = server.gui
-        self._open = gui.add_html("")
+        self.opened = gui.add_html("")
         with gui.add_folder("Open"):
-            self._upload = gui.add_upload_button(
+            self.upload = gui.add_upload_button(
                 "Upload mesh, hand or grasps",
                 icon=viser.Icon.UPLOAD,
                 mime_type=",".join(UPLOAD_SUFFIXES),
                 hint=f"A mesh, a URDF or a zip of a hand with its meshes, or a grasp file; up to "
                 f"{MAX_UPLOAD_BYTES // 2**20} MiB",
             )
-            self._unit = gui.add_dropdown(
+            self.unit = gui.add_dropdown(
                 "Mesh unit", (UNSPECIFIED_UNIT, *NAMES.values()), hint="Unit of the numbers in an uploaded mesh"
             )
-            self._holes = gui.add_dropdown(
+            self.holes = gui.add_dropdown(
                 "Mesh holes", tuple(HOLE_LABELS.values()), hint="What to do with an uploaded mesh that is not closed"
             )
         with gui.add_folder("Export"):
-            self._format = gui.add_dropdown(
+            self.format = gui.add_dropdown(
                 "Format", tuple(known.name for known in FORMATS), hint="\n".join(known.what for known in FORMATS)
             )
-            self._save = gui.add_button(
+            self.save = gui.add_button(
                 "Save grasp", icon=viser.Icon.DOWNLOAD, hint="Download the hand as it is shown, in this format"
             )
-            self._picture = gui.add_button(
+            self.picture = gui.add_button(
                 "Screenshot (PNG)", icon=viser.Icon.CAMERA, hint="Download what you see of the scene"
             )
-            self._animation = gui.add_button(
+            self.animation = gui.add_button(
                 "Animation (HTML)",
                 icon=viser.Icon.MOVIE,
                 hint="Download the last refinement, or the simulation that is shown, as a page that plays anywhere",
             )
-        self._upload.on_upload(self._uploaded)
-        self._save.on_click(self._save_grasp)
-        self._picture.on_click(self._send_picture)
-        self._animation.on_click(self._animate)
+        self.upload.on_upload(self._uploaded)
+        self.save.on_click(self._save_grasp)
+        self.picture.on_click(self._send_picture)
+        self.animation.on_click(self._animate)
         limit_uploads(server, MAX_UPLOAD_BYTES, self._refused)
 
     def draw(self, state: State) -> None:
@@ -89,40 +89,36 @@ class ExportPanel:
             other = self._collection is None or self._collection.problem is not state.collection.problem
             self._collection = state.collection
             if other:
-                self._open.content = open_html(state.collection)
+                self.opened.content = open_html(state.collection)
 
     def close(self) -> None:
         """Delete what was uploaded."""
-        self._uploads.close()
+        self.uploads.close()
 
     # uploads
 
     def _refused(self, name: str, size: int) -> None:
         text = f"{shown_name(name)}: {MAX_CONCURRENT_UPLOADS} files are being uploaded already; wait for them"
-        self._controller.say(too_large(name, size) if size > MAX_UPLOAD_BYTES else text, bad=True)
+        self._controller.notify(too_large(name, size) if size > MAX_UPLOAD_BYTES else text, bad=True)
 
     def _uploaded(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         """Check and open what a browser sent."""
         file = event.target.value
         units, holes = {words: key for key, words in NAMES.items()}, {words: key for key, words in HOLE_LABELS.items()}
-        options = MeshOptions(units.get(self._unit.value), holes.get(self._holes.value, "refuse"))
+        options = MeshOptions(units.get(self.unit.value), holes.get(self.holes.value, "refuse"))
         now, shown = self._controller.state, shown_name(file.name)
         pose = now.standing
 
         def work(control: Control) -> None:
-            control.report(None, f"checking {shown}")
-            upload = self._uploads.receive(file.name, file.content)
+            control.describe(f"checking {shown}")
+            upload = self.uploads.receive(file.name, file.content)
             control.check()
-
-            def report(line: str) -> None:
-                control.report(None, line)
-
-            report(f"opening {shown}")
-            problem = open_upload(upload, now.scene, pose, options=options, report=report, check=control.check)
+            control.describe(f"opening {shown}")
+            problem = open_upload(upload, now.scene, pose, control, options)
             found = Collection.of(problem)
             control.check()
             self._controller.change_collection(found)
-            self._controller.say(f"{shown} is open: {_sentence(found)}")
+            self._controller.notify(f"{shown} is open: {_sentence(found)}")
 
         self._run("load", f"opening {shown}", work)
 
@@ -130,7 +126,7 @@ class ExportPanel:
 
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
-        now, to, client = self._controller.state, self._format.value, event.client
+        now, to, client = self._controller.state, self.format.value, event.client
         if client is None:
             return
         pose = now.standing
@@ -143,7 +139,7 @@ class ExportPanel:
             control.check()
             self._send(client, saved)
             if saved.notes:
-                self._controller.say(f"{saved.name}: {'; '.join(saved.notes)}")
+                self._controller.notify(f"{saved.name}: {'; '.join(saved.notes)}")
 
         self._run("export", f"saving as {to}", work)
 
@@ -156,7 +152,7 @@ class ExportPanel:
             image = client.get_render(*_size(client.camera), transport_format="png", timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError) as error:
             if client.client_id in self._server.get_clients():
-                self._controller.say(f"there is no picture: the browser drew none ({error}); try again", bad=True)
+                self._controller.notify(f"there is no picture: the browser drew none ({error}); try again", bad=True)
             return
         self._send(client, Saved(f"{_stem(now)}.png", png(image)))
 
@@ -177,7 +173,7 @@ class ExportPanel:
 
     def _run(self, kind: JobKind, what: str, work: Callable[[Control], None]) -> None:
         if not self._controller.run_job(kind, what, work):
-            self._controller.say(BUSY_MESSAGE, bad=True)
+            self._controller.notify(BUSY_MESSAGE, bad=True)
 
     def _send(self, client: viser.ClientHandle, saved: Saved) -> None:
         """Send a file to a browser, if it is still connected."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from grasp_refine.hands.hand import Hand
 from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.panels.held import Held
+from grasp_refine_apps.viewer.panels.widgets import LiveInput
 
 SLIDER_STEP = 0.1
 """Step of the sliders, in degrees or mm."""
@@ -26,7 +26,7 @@ class Joints:
         self._folder = gui.add_folder("Joints, degrees or mm")
         self._hand: Hand | None = None
         self._parts: list[viser.GuiFolderHandle] = []
-        self._sliders: list[Held] = []
+        self.sliders: list[LiveInput] = []
 
     def draw(self, hand: Hand, q: Float[np.ndarray, " n"]) -> None:
         """Show the joint values of a hand, radians or metres."""
@@ -34,10 +34,10 @@ class Joints:
             self.close()
             for part in self._parts:
                 part.remove()
-            self._hand, self._parts, self._sliders = hand, [], []
+            self._hand, self._parts, self.sliders = hand, [], []
             with self._folder:
                 self._build(hand)
-        for i, (slider, value, scale) in enumerate(zip(self._sliders, q, units(hand), strict=True)):
+        for i, (slider, value, scale) in enumerate(zip(self.sliders, q, units(hand), strict=True)):
             handle = slider.handle
             shown = value * scale
             if not np.isfinite(hand.upper[i]) and hand.joints_by_name[hand.joint_names[i]].kind != "prismatic":
@@ -46,12 +46,12 @@ class Joints:
 
     def close(self) -> None:
         """Stop showing values."""
-        for slider in self._sliders:
+        for slider in self.sliders:
             slider.close()
 
     def _build(self, hand: Hand) -> None:
         fingers = link_groups(hand, tuple(hand.joints_by_name[name].child for name in hand.joint_names))
-        sliders: dict[int, Held] = {}
+        sliders: dict[int, LiveInput] = {}
         scales = units(hand)
         for finger in dict.fromkeys(fingers):
             title = finger.capitalize() if finger.isalpha() else finger
@@ -60,9 +60,9 @@ class Joints:
                 for i, name in enumerate(hand.joint_names):
                     if fingers[i] == finger:
                         sliders[i] = self._slider(hand, i, name, scales[i])
-        self._sliders = [sliders[i] for i in range(len(sliders))]
+        self.sliders = [sliders[i] for i in range(len(sliders))]
 
-    def _slider(self, hand: Hand, i: int, name: str, scale: float) -> Held:
+    def _slider(self, hand: Hand, i: int, name: str, scale: float) -> LiveInput:
         kind = hand.joints_by_name[name].kind
         lower, upper = (float(round(limit, 1)) for limit in limits(hand, i, scale))
         handle = self._gui.add_slider(
@@ -74,7 +74,7 @@ class Joints:
             disabled=bool(hand.lower[i] == hand.upper[i]),
             hint=f"{'mm' if kind == 'prismatic' else 'degrees'}, from {lower:g} to {upper:g}",
         )
-        return Held(handle, partial(self._set, i, scale))
+        return LiveInput(handle, partial(self._set, i, scale))
 
     def _set(self, i: int, scale: float, value: float) -> None:
         self._controller.set_joint(i, value / scale)

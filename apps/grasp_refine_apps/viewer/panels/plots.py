@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine_apps.viewer.panels.paced import Paced
+from grasp_refine_apps.viewer.panels.widgets import RateLimit
 from grasp_refine_apps.viewer.trace import Trace
 
 UPDATE_PERIOD_S = 0.2
@@ -31,7 +31,7 @@ class Plot:
         none = np.array([0.0])
         curve: dict[str, Any] = {"width": 2, "points": {"show": False}}
         series: tuple[Any, ...] = tuple({"label": name, "stroke": color, **curve} for name, color in _SERIES)
-        self._handle = gui.add_uplot(
+        self.handle = gui.add_uplot(
             (none,) * 5,
             ({"label": "iteration"}, *series, _SHOWN),
             title="Distance from the goal, mm",
@@ -43,7 +43,7 @@ class Plot:
             visible=False,
         )
         self._drawn: tuple[Trace | None, int | None] = (None, None)
-        self.show = Paced(UPDATE_PERIOD_S, self._draw)
+        self.show = RateLimit(UPDATE_PERIOD_S, self._draw)
         """Plots a trace (or none), with a line at an iteration (None: the last)."""
 
     def close(self) -> None:
@@ -55,8 +55,8 @@ class Plot:
             return
         self._drawn = trace, frame
         if trace is not None and len(trace) > 1:
-            self._handle.data = tuple(curves(trace, frame))
-        self._handle.visible = trace is not None and len(trace) > 1
+            self.handle.data = tuple(curves(trace, frame))
+        self.handle.visible = trace is not None and len(trace) > 1
 
 
 def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,12 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.verdict import HOLDS, should_hold
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.entries import plain
-from grasp_refine_apps.viewer.forms import Form
+from grasp_refine_apps.viewer.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot
-from grasp_refine_apps.viewer.panels.rows import in_a_row
 from grasp_refine_apps.viewer.panels.timeline import Timeline, millimetres
-from grasp_refine_apps.viewer.refining import targets_of
+from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
+from grasp_refine_apps.viewer.pose import targets_of
 from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.target import Target
 
 FIRST_SETTINGS = (
     "solver",
@@ -44,49 +41,41 @@ class RefinePanel:
 
     def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
         """Make the widgets inside the tab or folder that is open."""
-        self._controller = controller
-        gui, state = server.gui, controller.state
-        self._start = gui.add_button(
+        gui, settings = server.gui, controller.state.settings
+        self.start = gui.add_button(
             "Start", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Refine the grasp that is shown"
         )
-        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Pause the refinement, or resume it")
-        self._step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
-        self._stop = gui.add_button(
+        self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Pause the refinement, or resume it")
+        self.step = gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="Do one iteration, then wait")
+        self.stop = gui.add_button(
             "Stop", icon=viser.Icon.PLAYER_STOP, hint="Stop the running job; the hand stays there"
         )
-        self._reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Reset to the input grasp")
-        in_a_row(gui, (self._start, self._pause, self._step))
-        in_a_row(gui, (self._stop, self._reset))
-        self._text = gui.add_markdown("")
-        self._bar: Any = gui.add_progress_bar(0.0)
-        self._plot = Plot(gui)
+        self.reset = gui.add_button("Reset", icon=viser.Icon.ROTATE, hint="Reset to the input grasp")
+        in_a_row(gui, (self.start, self.pause, self.step))
+        in_a_row(gui, (self.stop, self.reset))
+        self.text = gui.add_markdown("")
+        self.bar: Any = gui.add_progress_bar(0.0)
+        self.plot = Plot(gui)
         with gui.add_folder("Timeline"):
-            self._timeline = Timeline(gui, controller)
+            self.timeline = Timeline(gui, controller)
         with gui.add_folder("Settings, from the next start on"):
-            self._form = Form(
+            self.form = Form(
                 gui,
-                state.settings,
+                settings,
                 controller.set_settings,
-                lambda words: controller.say(words, bad=True),
+                lambda words: controller.notify(words, bad=True),
                 check=lambda settings: settings.config(),
                 unused=unused,
                 first=FIRST_SETTINGS,
                 left_out=HIDDEN_SETTINGS,
             )
-            self._defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
-
-        def on_click(button: viser.GuiButtonHandle, act: Callable[[], None]) -> None:
-            button.on_click(lambda event: act())
-
-        for button, act in (
-            (self._start, controller.start),
-            (self._pause, controller.pause),
-            (self._step, controller.step_once),
-            (self._stop, controller.stop),
-            (self._reset, controller.reset),
-            (self._defaults, lambda: controller.set_settings(state.settings)),
-        ):
-            on_click(button, act)
+            self.defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
+        on_click(self.start, controller.start)
+        on_click(self.pause, controller.pause)
+        on_click(self.step, controller.step_once)
+        on_click(self.stop, controller.stop)
+        on_click(self.reset, controller.reset)
+        on_click(self.defaults, lambda: controller.set_settings(settings))
 
     def draw(self, state: State) -> None:
         """Show a state."""
@@ -94,23 +83,23 @@ class RefinePanel:
         refined = job if job is not None and job.kind == "refine" else None
         refining, paused = refined is not None, refined is not None and refined.paused
         busy = job is not None and job.kind not in ("refine", "measure")
-        self._start.disabled = busy or (refining and not paused)
-        self._pause.disabled = not refining
-        self._pause.label = "Resume" if paused else "Pause"
-        self._step.disabled = busy
-        self._stop.disabled = not (refining or busy)
-        self._reset.disabled = not (refining or busy) and _nothing_to_reset(state)
-        self._text.content = words(state)
-        self._bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
-        self._bar.animated = refined is not None and not paused and refined.share is None
-        self._plot.show(state.trace, state.frame)
-        self._timeline.draw(state)
-        self._form.show(state.settings)
+        self.start.disabled = busy or (refining and not paused)
+        self.pause.disabled = not refining
+        self.pause.label = "Resume" if paused else "Pause"
+        self.step.disabled = busy
+        self.stop.disabled = not (refining or busy)
+        self.reset.disabled = not (refining or busy) and _nothing_to_reset(state)
+        self.text.content = job_text(state)
+        self.bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
+        self.bar.animated = refined is not None and not paused and refined.share is None
+        self.plot.show(state.trace, state.frame)
+        self.timeline.draw(state)
+        self.form.show(state.settings)
 
     def close(self) -> None:
         """Stop playing and plotting."""
-        self._timeline.close()
-        self._plot.close()
+        self.timeline.close()
+        self.plot.close()
 
 
 def unused(settings: Any) -> set[str]:
@@ -131,7 +120,7 @@ def unused(settings: Any) -> set[str]:
     return names
 
 
-def words(state: State) -> str:
+def job_text(state: State) -> str:
     """Text in Markdown on the running job, or on the outcome."""
     job = state.job
     if job is not None and job.kind == "refine":
@@ -139,13 +128,13 @@ def words(state: State) -> str:
     if job is not None and job.kind != "measure":
         return f"Busy: {job.what}"
     if state.outcome is not None:
-        return outcome_words(state.outcome)
+        return outcome_text(state.outcome)
     if state.trace is not None:
         return "Stopped, or moved since. **Start** refines from the present pose."
     return "**Start** moves the hand until its links touch the object as they should and it holds."
 
 
-def outcome_words(outcome: Outcome) -> str:
+def outcome_text(outcome: Outcome) -> str:
     """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
     rows = (
@@ -170,10 +159,5 @@ def _nothing_to_reset(state: State) -> bool:
         state.trace is None
         and np.array_equal(state.T_world_object, np.eye(4))
         and state.pose.same(state.initial)
-        and _target_values(state.targets) == _target_values(targets_of(state.scene))
+        and [target.values for target in state.targets] == [target.values for target in targets_of(state.scene)]
     )
-
-
-def _target_values(targets: tuple[Target, ...]) -> list[tuple[str, list[float], list[float]]]:
-    """Targets as values that can be compared."""
-    return [(target.link, target.point_link.tolist(), target.point_object.tolist()) for target in targets]

@@ -13,16 +13,8 @@ from websocket_page import Page, until
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine_apps.viewer.panels import held as module  # noqa: E402
-from grasp_refine_apps.viewer.panels.held import Held  # noqa: E402
-from grasp_refine_apps.viewer.panels.paced import Paced  # noqa: E402
-
-
-@pytest.fixture
-def server() -> Iterator[Any]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server
-    server.stop()
+from grasp_refine_apps.viewer.panels import widgets  # noqa: E402
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, RateLimit  # noqa: E402
 
 
 @pytest.fixture
@@ -34,7 +26,7 @@ def page(server: Any) -> Iterator[Page]:
 
 def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: Page):
     sent: list[float] = []
-    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     slider.show(3.0)
     until(lambda: slider.handle.value == 3.0)
     assert sent == []
@@ -44,9 +36,9 @@ def test_what_a_user_does_is_sent_and_what_states_do_is_not(server: Any, page: P
 
 
 def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "HOLD_S", 600.0)  # longer than a busy machine takes for eight changes
+    monkeypatch.setattr(widgets, "HOLD_S", 600.0)  # longer than a busy machine takes for eight changes
     sent: list[float] = []
-    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     for value in range(1, 9):
         page.change(slider.handle, value)
         slider.show(value - 1.0)  # what was drawn of the state before
@@ -57,8 +49,8 @@ def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypa
 
 def test_soon_after_the_newest_state_counts_again(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
     """Here somebody undid the movement."""
-    monkeypatch.setattr(module, "HOLD_S", 0.5)
-    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
+    monkeypatch.setattr(widgets, "HOLD_S", 0.5)
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
     page.change(slider.handle, 8)
     until(lambda: slider.handle.value == 8.0)
     slider.show(0.0)
@@ -67,8 +59,8 @@ def test_soon_after_the_newest_state_counts_again(server: Any, page: Page, monke
 
 
 def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "HOLD_S", 0.1)
-    slider = Held(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
+    monkeypatch.setattr(widgets, "HOLD_S", 0.1)
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: None)
     page.change(slider.handle, 5)
     until(lambda: slider.handle.value == 5.0)
     slider.show(1.0)
@@ -79,7 +71,7 @@ def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monke
 
 def test_what_comes_fast_is_drawn_now_and_then_and_the_last_always():
     drawn: list[int] = []
-    paced = Paced(0.1, drawn.append)
+    paced = RateLimit(0.1, drawn.append)
     began = time.monotonic()
     for number in range(50):
         paced(number)
@@ -92,7 +84,7 @@ def test_what_comes_fast_is_drawn_now_and_then_and_the_last_always():
 def test_what_is_closed_draws_nothing():
     drawn: list[int] = []
     before = set(threading.enumerate())
-    paced = Paced(60.0, drawn.append)
+    paced = RateLimit(60.0, drawn.append)
     paced(1)
     paced(2)
     (timer,) = set(threading.enumerate()) - before

@@ -1,4 +1,4 @@
-"""Parts of the 3D scene, which make their nodes once and then only move them."""
+"""Nodes of the 3D scene, which are made once and then only moved; viser sends only what changes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import viser
 from jaxtyping import Float
 
 from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine_apps.viewer.colors import Color
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.shapes import Color, LinkPoses, LinkShape, Shape
+from grasp_refine_apps.viewer.shapes import LinkPoses, Shape
 
 Clicked = Callable[[np.ndarray, np.ndarray], None]
 """Callback with origin (3,) and direction (3,) of the ray through a click, world frame."""
@@ -36,7 +37,7 @@ class Meshes:
         self,
         scene: viser.SceneApi,
         name: str,
-        shapes: Sequence[Shape | LinkShape],
+        shapes: Sequence[Shape],
         *,
         opacity: float | None = None,
         wireframe: bool = False,
@@ -60,14 +61,11 @@ class Meshes:
             )
             for k, shape in enumerate(shapes)
         ]
-        self._visible = True
 
     def show(self, visible: bool) -> None:
         """Show or hide all nodes."""
-        if visible != self._visible:
-            self._visible = visible
-            for node in self.nodes:
-                node.visible = visible
+        for node in self.nodes:
+            node.visible = visible
 
     def on_click(self, clicked: Sequence[Clicked] | None) -> None:
         """Call the k-th of `clicked` when the k-th node is clicked; None: nothing, and no outline on hovering."""
@@ -86,32 +84,27 @@ class HandMeshes(Meshes):
     """Meshes of a hand, whose links are placed by its kinematics."""
 
     def __init__(
-        self, scene: viser.SceneApi, name: str, shapes: Sequence[LinkShape], poses: LinkPoses, **style: Any
+        self, scene: viser.SceneApi, name: str, shapes: Sequence[Shape], poses: LinkPoses, **style: Any
     ) -> None:
         """Make a node for each link; `style` as for `Meshes`."""
         super().__init__(scene, name, shapes, **style)
-        self.link_shapes = tuple(shapes)
-        self.links = tuple(shape.link for shape in shapes)
-        self._colors = tuple(shape.color for shape in shapes)
         self.poses = poses
         self._at: Pose | None = None
 
     def tint(self, links: Collection[str], color: Color) -> None:
         """Tint some links with a colour, and show the others in their own."""
-        for link, node, original in zip(self.links, self.nodes, self._colors, strict=True):
-            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(original, color, strict=True))
-            wanted = original if link not in links else (red, green, blue)
-            if tuple(node.color) != wanted:
-                node.color = wanted
+        for shape, node in zip(self.shapes, self.nodes, strict=True):
+            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(shape.color, color, strict=True))
+            node.color = (red, green, blue) if shape.link in links else shape.color
 
     def move(self, pose: Pose) -> None:
         """Put the hand at a pose in the frame of its parent."""
-        if pose is self._at or not np.isfinite(pose.T_object_root).all() or not np.isfinite(pose.q).all():
+        if pose is self._at or not pose.finite:
             return
         self._at = pose
         T = self.poses(pose.T_object_root, pose.q)
-        for link, node in zip(self.links, self.nodes, strict=True):
-            place(node, T[link])
+        for shape, node in zip(self.shapes, self.nodes, strict=True):
+            place(node, T[shape.link])
 
 
 class Lines:
@@ -127,7 +120,7 @@ class Lines:
         if self._node is not None and not len(points):
             self._node.remove()
             self._node = None
-        elif len(points):
+        if len(points):
             colors = np.repeat(np.asarray(colors, dtype=np.uint8)[:, None], 2, axis=1)
             if self._node is None:
                 self._node = self._scene.add_line_segments(
@@ -165,31 +158,28 @@ class PointMarkers:
                     )
                 )
             else:
-                self.nodes[k].position = point
-                if tuple(self.nodes[k].color) != color:
-                    self.nodes[k].color = color
+                self.nodes[k].position, self.nodes[k].color = point, color
         return range(before, len(points))
 
 
 class Arrows:
-    """Arrows, as many as there are at a time."""
+    """Arrows of one colour, as many as there are at a time."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, size: float) -> None:
+    def __init__(self, scene: viser.SceneApi, name: str, size: float, color: Color) -> None:
         """Start without arrows; `size` is their approximate length in metres and sets their thickness."""
-        self._scene, self._name, self._size = scene, name, size
-        self._node: Any = None
+        self._add = partial(
+            scene.add_arrows,
+            name,
+            colors=color,
+            shaft_radius=0.03 * size,
+            head_radius=0.075 * size,
+            head_length=0.2 * size,
+        )
+        self.node: Any = None
+        """The arrows; None: there are none."""
 
-    def draw(self, points: Float[np.ndarray, "N 2 3"], color: Color) -> None:
+    def draw(self, points: Float[np.ndarray, "N 2 3"]) -> None:
         """Draw N arrows from and to points."""
-        if self._node is not None:
-            self._node.remove()
-            self._node = None
-        if len(points):
-            self._node = self._scene.add_arrows(
-                self._name,
-                points,
-                color,
-                shaft_radius=0.03 * self._size,
-                head_radius=0.075 * self._size,
-                head_length=0.2 * self._size,
-            )
+        if self.node is not None:
+            self.node.remove()
+        self.node = self._add(points) if len(points) else None

@@ -1,0 +1,243 @@
+"""Scene nodes of one hand with one object and one set of display options, moved with the state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import tangents, transform, transform_points
+from grasp_refine.forces.wrench import PLANNING_FRICTION
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
+from grasp_refine_apps.viewer.colors import distance_colors
+from grasp_refine_apps.viewer.contacts import Contacts, Forces, contacts_of
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, segments
+from grasp_refine_apps.viewer.interaction import Interaction
+from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.scene_nodes import Arrows, HandMeshes, Lines, Meshes, PointMarkers, place
+from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.state import State
+
+GRASP_NODE = "/grasp"
+"""Parent node of everything in the object's frame."""
+
+OPACITY, GHOST_OPACITY = 0.55, 0.16
+"""Opacities of the object and of the input hand."""
+
+GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
+    (110, 130, 170),
+    (170, 60, 200),
+    (30, 90, 200),
+    (220, 20, 40),
+    (250, 130, 20),
+)
+
+TABLE_COLOR = (200, 190, 175)
+"""Colour of the table."""
+
+TABLE_THICKNESS_M = 0.004
+"""Thickness of a drawn table in metres."""
+
+BESIDE_WIDTHS = 1.3
+"""Distance of the input grasp drawn beside, in widths of hand and object."""
+
+NO_POINTS = np.zeros((0, 3))
+"""Empty array of points, or of colours."""
+
+
+class GraspNodes:
+    """Scene nodes of one hand with one object and one set of display options."""
+
+    def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: GraspNodes | None) -> None:
+        """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
+        hand, obj, display = state.scene.hand, state.scene.object, state.display
+        # Not shared with the controller: queries of two threads would mix their warm starts.
+        self.prepared: HandObject = HandObject(hand, obj) if before is None else before.prepared
+        self.contacts: Contacts | None = None
+        self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
+        """Right direction of the initial view (3,), world frame."""
+        self._scene, self._display, self._poses = scene, display, LinkPoses.of(hand)
+        unread: list[str] = []
+        self.shapes = visual_shapes(hand, unread.append) if display.hand == "visual" else collision_shapes(hand)
+        if unread and before is None:
+            controller.notify("; ".join(unread))
+        self.root = scene.add_frame(GRASP_NODE, show_axes=False)
+        self.hand = HandMeshes(scene, f"{GRASP_NODE}/hand", self.shapes, self._poses)
+        ghost_style = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False, "side": "front"}
+        self.ghost = HandMeshes(scene, f"{GRASP_NODE}/ghost", self.shapes, self._poses, **ghost_style)
+        self.object_frame = scene.add_frame(f"{GRASP_NODE}/object", show_axes=False)
+        self.object_shapes = object_shapes(obj, "pieces" if display.object == "pieces" else "mesh")
+        wireframe = display.object == "wireframe"
+        opacity = OPACITY if display.transparent and not wireframe else None
+        self._object_style: dict[str, Any] = {"opacity": opacity, "wireframe": wireframe}
+        self.object = Meshes(scene, f"{GRASP_NODE}/object/mesh", self.object_shapes, **self._object_style)
+        self.input_frame = scene.add_frame("/beside", show_axes=False, visible=False)
+        self._input: tuple[HandMeshes, Meshes] | None = None
+        self._label: Any = None
+        self._input_width: tuple[Pose, float] | None = None
+        low, high = self.prepared.box
+        size = float(np.linalg.norm(high - low))
+        radius = float(np.clip(0.012 * size, 8e-4, 3e-3))
+        length = self._length = float(np.clip(0.5 * size, 0.02, 0.1))
+        self._lines = Lines(scene, f"{GRASP_NODE}/contacts/lines", 3.0)
+        self.points_link = PointMarkers(scene, f"{GRASP_NODE}/contacts/link", radius, (0, 0, 0))
+        self.points_object = PointMarkers(scene, f"{GRASP_NODE}/contacts/object", radius, (0, 0, 0))
+        self.targets = PointMarkers(scene, f"{GRASP_NODE}/targets/object", 1.8 * radius, TARGET_COLOR, 0.75)
+        self._targets_link = PointMarkers(scene, f"{GRASP_NODE}/targets/link", 1.3 * radius, TARGET_COLOR)
+        self._target_lines = Lines(scene, f"{GRASP_NODE}/targets/lines", 2.0)
+        self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
+        self.forces = Arrows(scene, f"{GRASP_NODE}/forces", length, FORCE_COLOR)
+        self.push = Arrows(scene, f"{GRASP_NODE}/push", length, DEEP_COLOR)
+        self.cones: Any = None
+        self.axes = [
+            scene.add_frame(f"{GRASP_NODE}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
+            for name in ("frame_of_hand", "frame_of_object")
+        ]
+        if display.table and state.scene.table is not None:
+            self._add_table(state.scene.table, 6 * size)
+        self.interaction = Interaction(scene, controller, self.hand, self.object, self.targets, length)
+
+    def draw(self, state: State) -> None:
+        """Update all nodes to a state."""
+        shown = state.shown
+        place(self.root, state.T_world_object)
+        self.hand.move(shown)
+        place(self.object_frame, state.T_shown_object)
+        differs = not state.initial.same(shown)
+        self.ghost.show(self._display.input_hand and differs and state.motion is None and not state.side_by_side)
+        self.ghost.move(state.initial)
+        if state.motion is not None:
+            self._draw_simulated_contacts(state.motion, state.motion_frame)
+        elif shown.finite:
+            self._draw_contacts(state)
+        self._draw_push(state)
+        for node, T in zip(self.axes, (shown.T_object_root, state.T_shown_object), strict=True):
+            node.visible = self._display.frames
+            place(node, T)
+        self._draw_input(state)
+        self.interaction.draw(state)
+
+    def corners(self, pose: Pose) -> Float[np.ndarray, "N 3"]:
+        """Points (N, 3) on hand and object, object frame, enough to give their extent."""
+        T = self._poses(pose.T_object_root, pose.q)
+        points = [shape.vertices for shape in self.object_shapes]
+        points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in self.shapes]
+        every = max(sum(map(len, points)) // 4000, 1)
+        return np.concatenate(points)[::every].astype(float)
+
+    def _draw_contacts(self, state: State) -> None:
+        """Draw witness points, lines between them, targets, and forces."""
+        shown, on = state.shown, self._display.contacts
+        found = self.contacts = contacts_of(
+            self.prepared, shown.T_object_root, shown.q, touching=_touching(state), targets=state.targets
+        )
+        self.hand.tint([link for link, deep in zip(found.link, found.deep, strict=True) if on and deep], DEEP_COLOR)
+        colors = distance_colors(found.distance) if on else NO_POINTS
+        on_link, on_object = (found.point_link, found.point_object) if on else (NO_POINTS, NO_POINTS)
+        self._lines.draw(segments(on_link, on_object), colors)
+        self.points_link.draw(on_link, colors)
+        self.points_object.draw(on_object, colors)
+        self.interaction.listen_to_targets(self.targets.draw(found.target_object))
+        self._targets_link.draw(found.target_link[np.isfinite(found.target_link).all(axis=1)])
+        lines = segments(found.target_link, found.target_object)
+        self._target_lines.draw(lines, np.full((len(lines), 3), TARGET_COLOR))
+        picked = NO_POINTS
+        if state.picked is not None:
+            link, point = state.picked
+            picked = transform_points(self._poses(shown.T_object_root, shown.q)[link], point)[None]
+        self.picked.draw(picked)
+        refining = state.job is not None and state.job.kind == "refine"
+        self._draw_forces(found.forces if self._display.forces and not refining else None)
+
+    def _draw_simulated_contacts(self, motion: ShownMotion, frame: int) -> None:
+        """Draw the points where the object touches in a simulation, and no targets or forces."""
+        points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
+        self.hand.tint((), DEEP_COLOR)
+        for markers in (self.points_link, self.targets, self._targets_link, self.picked):
+            markers.draw(NO_POINTS)
+        for lines in (self._lines, self._target_lines):
+            lines.draw(np.zeros((0, 2, 3)), NO_POINTS)
+        self.points_object.draw(points, distance_colors(np.zeros(len(points))))
+        self._draw_forces(None)
+
+    def _draw_push(self, state: State) -> None:
+        """Draw the push of a simulation, from the middle of the object outwards."""
+        motion, arrows = state.motion, np.zeros((0, 2, 3))
+        if motion is not None and motion.pushed[state.motion_frame]:
+            direction = motion.force / np.linalg.norm(motion.force)
+            points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
+            middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
+            reach = ((points - middle) @ direction).max() + 0.4 * self._length
+            arrows = np.stack([middle, middle + reach * direction])[None]
+        self.push.draw(arrows)
+
+    def _draw_forces(self, forces: Forces | None) -> None:
+        """Draw contact forces as arrows into the object, and friction cones; None: nothing."""
+        if self.cones is not None:
+            self.cones.remove()
+            self.cones = None
+        if forces is None:
+            self.forces.draw(np.zeros((0, 2, 3)))
+            return
+        body = self.prepared.object.body
+        self.forces.draw(force_arrows(forces.point, forces.force, body))
+        vertices, faces = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
+        if len(faces):
+            self.cones = self._scene.add_mesh_simple(
+                f"{GRASP_NODE}/cones", vertices, faces, color=FORCE_COLOR, opacity=0.2, side="double",
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+
+    def _draw_input(self, state: State) -> None:
+        """Draw the input grasp beside, with its own object."""
+        if state.side_by_side and self._input is None:
+            hand = HandMeshes(self._scene, "/beside/hand", self.shapes, self._poses)
+            self._input = hand, Meshes(self._scene, "/beside/object", self.object_shapes, **self._object_style)
+            above = self.corners(state.initial).max(axis=0) * np.array([0.0, 0.0, 1.0]) + 0.1 * self._length
+            self._scene.add_label("/beside/label", "input", position=above)
+            self._label = self._scene.add_label(f"{GRASP_NODE}/label", "now", position=above)
+        if self._input is None:
+            return
+        self.input_frame.visible = self._label.visible = state.side_by_side
+        if state.side_by_side:
+            self._input[0].move(state.initial)
+            place(self.input_frame, transform(np.eye(3), self.input_offset(state)) @ state.T_world_object)
+
+    def input_offset(self, state: State) -> Float[np.ndarray, " 3"]:
+        """Offset of the input grasp that is drawn beside (3,), world frame."""
+        if self._input_width is None or self._input_width[0] is not state.initial:
+            self._input_width = state.initial, float(np.ptp(self.corners(state.initial), axis=0).max())
+        return -BESIDE_WIDTHS * self._input_width[1] * self.right
+
+    def _add_table(self, table: Plane, width: float) -> None:
+        """Add the table below the object, `width` in metres."""
+        normal = np.asarray(table.normal, dtype=float)
+        middle = np.mean(self.prepared.box, axis=0)
+        below = middle + (table.offset - 0.5 * TABLE_THICKNESS_M - normal @ middle) * normal
+        dimensions = (width, width, TABLE_THICKNESS_M)
+        node = self._scene.add_box(
+            f"{GRASP_NODE}/table", dimensions=dimensions, color=TABLE_COLOR, opacity=0.8, cast_shadow=False
+        )
+        place(node, transform(np.column_stack([tangents(normal), normal]), below))
+
+    def remove(self) -> None:
+        """Remove all nodes."""
+        self.root.remove()
+        self.input_frame.remove()
+        self.interaction.remove()
+
+
+def _touching(state: State) -> np.ndarray | None:
+    """True for links (L,) that should touch in the shown pose, by the refinement that led to it; None: none did."""
+    trace = state.trace
+    if trace is None:
+        return None
+    if state.frame is not None:
+        return trace.touching[state.frame]
+    known = state.outcome is not None or state.job is not None
+    return trace.touching[-1] if known and state.pose.same(trace.pose(len(trace) - 1)) else None

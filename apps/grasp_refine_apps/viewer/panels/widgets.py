@@ -1,0 +1,158 @@
+"""Widgets that users and states change at the same time, drawing at a limited rate, and buttons in a row."""
+
+from __future__ import annotations
+
+from asyncio import TimerHandle
+from collections.abc import Callable, Sequence
+from threading import Lock, Timer
+from time import monotonic
+from typing import Any
+
+import viser
+
+from grasp_refine_apps.viewer.viser_private import event_loop, is_removed, widget_id
+
+HOLD_S = 0.5
+"""Seconds after a user's last movement during which states do not move the widget: they may be older."""
+
+
+def on_click(button: viser.GuiButtonHandle, act: Callable[[], object]) -> None:
+    """Call `act` when a button is clicked."""
+
+    def clicked(event: viser.GuiEvent[Any]) -> None:
+        act()
+
+    button.on_click(clicked)
+
+
+def on_change(widget: Any, act: Callable[[Any], object]) -> None:
+    """Call `act` with the value of a widget that a user changed; values that the program sets come without a client."""
+
+    def changed(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            act(event.target.value)
+
+    widget.on_update(changed)
+
+
+class LiveInput:
+    """Slider or other input that shows values and sends a user's changes; late states do not move it back.
+
+    The widget is moved in viser's own thread, where movements of users arrive, too: none is lost between reading and
+    setting the widget.
+    """
+
+    def __init__(self, handle: Any, send: Callable[[Any], None]) -> None:
+        """Listen to a widget.
+
+        Args:
+            handle: The widget.
+            send: Called with its value when a user moved it; must return at once.
+        """
+        self.handle, self._send = handle, send
+        self._loop = event_loop(handle)
+        self._sending = Lock()
+        self._known = self._shown = handle.value
+        self._until = float("-inf")
+        self._timer: TimerHandle | None = None
+        self._closed = False
+        on_change(handle, lambda value: self._moved())
+
+    def show(self, value: Any) -> None:
+        """Show a value soon or, if a user is moving the widget, soon after that; the newest counts."""
+        self._shown = value
+        if self.handle.value != value:
+            self._loop.call_soon_threadsafe(self._settle)
+
+    def close(self) -> None:
+        """Stop showing values: the widget will be removed."""
+        self._closed = True
+
+    def _settle(self) -> None:
+        """Move the widget, or wait until no user does; in viser's thread."""
+        if self._closed or is_removed(self.handle):
+            return
+        if self.handle.value != self._known:
+            # A user moved it just now; `_moved` was not called yet.
+            self._touched()
+        wait = self._until - monotonic()
+        if wait <= 0:
+            self.handle.value = self._shown
+            self._known = self.handle.value
+        elif self._timer is None:
+            self._timer = self._loop.call_later(wait, self._late)
+
+    def _late(self) -> None:
+        self._timer = None
+        self._settle()
+
+    def _moved(self) -> None:
+        """Send a user's change; viser calls this in any of its threads, and not always in order."""
+        with self._sending:
+            self._touched()
+            # What the widget shows now, not what it showed when it was moved.
+            self._send(self._known)
+
+    def _touched(self) -> None:
+        self._known, self._until = self.handle.value, monotonic() + HOLD_S
+
+
+class RateLimit:
+    """Rate limit of a drawing function, at most one call in a period: the newest arguments are never left out."""
+
+    def __init__(self, period: float, draw: Callable[..., None]) -> None:
+        """Limit `draw`, which is called with the arguments of this, never twice at once; `period` is in seconds."""
+        self._period, self._draw = period, draw
+        self._lock = Lock()
+        self._wanted: tuple[Any, ...] = ()
+        self._last = float("-inf")
+        self._timer: Timer | None = None
+        self._closed = False
+
+    def __call__(self, *wanted: Any) -> None:
+        """Draw these arguments, unless newer ones come first."""
+        with self._lock:
+            self._wanted = wanted
+            if self._timer is not None or self._closed:
+                return
+            wait = self._last + self._period - monotonic()
+            if wait <= 0:
+                self._now()
+                return
+            self._timer = Timer(wait, self._late)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def close(self) -> None:
+        """Stop drawing."""
+        with self._lock:
+            self._closed = True
+            if self._timer is not None:
+                self._timer.cancel()
+
+    def _late(self) -> None:
+        with self._lock:
+            self._timer = None
+            if not self._closed:
+                self._now()
+
+    def _now(self) -> None:
+        self._last = monotonic()
+        self._draw(*self._wanted)
+
+
+def in_a_row(gui: viser.GuiApi, buttons: Sequence[viser.GuiButtonHandle]) -> None:
+    """Put buttons that follow each other on one line, equally wide.
+
+    viser 1.1 has no such layout, but gives each button the id of its handle, which a style sheet can name. Should
+    that ever change, buttons are below each other again.
+    """
+    width = f"calc((100% - 1.25rem) / {len(buttons)})"
+    rules = []
+    for i, button in enumerate(buttons):
+        left, right = ("0.625rem" if i == end else "0" for end in (0, len(buttons) - 1))
+        rules.append(
+            f'div:has(> button[id="{widget_id(button)}"]) {{ display: inline-block; width: {width}; '
+            f"margin-inline: {left} {right} !important; padding-left: {'0' if i == 0 else '0.3em'} }}"
+        )
+    gui.add_html(f"<style>{' '.join(rules)}</style>")

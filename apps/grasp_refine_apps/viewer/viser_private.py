@@ -1,0 +1,121 @@
+"""Private parts of viser 1.1 that the viewer uses, each with the reason; nothing else of the viewer touches any.
+
+The upper bound of the version in pyproject.toml is there for them. In the page, viser keeps `window.__viserMutable`
+and `window.__viserSceneTree` for its own tests.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import viser
+import websockets.asyncio.server
+from viser import _messages
+
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
+"""Names of this machine."""
+
+MAX_CONCURRENT_UPLOADS = 4
+"""Maximum concurrent uploads of all browsers together."""
+
+NODE_TEXT = """const node = window.__viserSceneTree && window.__viserSceneTree.getState()["NAME"];
+    const text = node && node.message.props.text;"""
+"""Script that sets `text` to the text of the label NAME: exported pages have no other way to read the scene."""
+
+
+def widget_id(handle: Any) -> str:
+    """Return the id that a widget has in messages and, for buttons, in the page: needed to style or address it."""
+    return str(handle._impl.uuid)
+
+
+def is_removed(handle: Any) -> bool:
+    """Return whether a widget was removed: setting its value then raises."""
+    return bool(handle._impl.removed)
+
+
+def event_loop(handle: Any) -> asyncio.AbstractEventLoop:
+    """Return the loop of viser's thread, where changes by users arrive: what is set there comes in their order."""
+    loop: asyncio.AbstractEventLoop = handle._impl.gui_api._event_loop
+    return loop
+
+
+def click_script(handle: Any) -> str:
+    """Return a script that sends the attribute data-do of what is clicked as the value of a text widget.
+
+    viser has no events of HTML. A number makes each value new, since equal ones are not sent on.
+    """
+    return (
+        "const c=event.target.closest('[data-do]');"
+        "if(c&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
+        f"{json.dumps(widget_id(handle))},updates:{{value:c.dataset.do+' '+performance.now()}}}})"
+    )
+
+
+@contextmanager
+def own_pages_only(host: str) -> Iterator[None]:
+    """Restrict a server started in this context to pages from this machine, if it listens on a local host.
+
+    Otherwise any page that is open in the same browser could connect to it; viser passes no origins on.
+    """
+    if host not in LOCAL_HOSTS:
+        yield
+        return
+    module: Any = websockets.asyncio.server
+    serve = module.serve
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL_HOSTS)
+    # Programs other than browsers send no origin.
+    module.serve = partial(serve, origins=[None, re.compile(rf"https?://({names})(:\d+)?")])
+    try:
+        yield
+    finally:
+        module.serve = serve
+
+
+def forbid_sharing(server: viser.ViserServer) -> None:
+    """Disable share links, with which any page that reaches the server could open a tunnel to the outside."""
+    server._websock_server.unregister_handler(_messages.ShareUrlRequest)
+
+
+def limit_uploads(server: viser.ViserServer, max_bytes: int, refuse: Callable[[str, int], None]) -> None:
+    """Refuse uploads of more than `max_bytes`, and too many at once; their bytes are dropped as they arrive.
+
+    viser keeps whatever a browser sends in memory, and has no limit: its own record of uploads under way is used, after
+    its own handlers, which ignore the parts of uploads that are not in it.
+
+    Args:
+        server: The server.
+        max_bytes: Maximum bytes of one upload.
+        refuse: Called with name and size of each refused upload, in the server's event loop; must return at once.
+    """
+    under_way = uploads_under_way(server)
+
+    def on_start(_: int, message: _messages.FileTransferStartUpload) -> None:
+        size = message.size_bytes
+        if not 0 <= size <= max_bytes or len(under_way) > MAX_CONCURRENT_UPLOADS:
+            if under_way.pop(message.transfer_uuid, None) is not None:
+                # The browser waits for the last byte to be received, and lets nothing else be uploaded until then.
+                server._websock_server.queue_message(
+                    _messages.FileTransferPartAck(message.source_component_uuid, message.transfer_uuid, size, size)
+                )
+                refuse(message.filename, size)
+
+    def on_part(_: int, message: _messages.FileTransferPart) -> None:
+        state = under_way.get(message.transfer_uuid)
+        if state is not None and state["transferred_bytes"] > state["total_bytes"]:
+            # More than declared at the beginning.
+            under_way.pop(message.transfer_uuid, None)
+
+    server._websock_server.register_handler(_messages.FileTransferStartUpload, on_start)
+    server._websock_server.register_handler(_messages.FileTransferPart, on_part)
+
+
+def uploads_under_way(server: viser.ViserServer) -> dict[str, Any]:
+    """Return viser's record of the uploads that are under way, by their ids."""
+    record: dict[str, Any] = server.gui._current_file_upload_states
+    return record
