@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from grasp_refine.geometry.nearest_triangle import distance_to_triangles
 
 from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.nearest_triangle import distance_to_triangles
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
