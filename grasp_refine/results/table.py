@@ -18,7 +18,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
-from grasp_refine.validation.measures import COMPARED, MEASURE, Measure
+from grasp_refine.validation.measures import COMPARED, MEASURE, QUALITY, Measure
 
 MAX_LISTED_GRASPS = 40
 """Largest number of grasps that are all listed by default; of more, only the worst are."""
@@ -208,7 +208,7 @@ def _numbers_in_brackets(outcome: Outcome, which: np.ndarray) -> str:
 def _summary_lines(outcome: Outcome) -> list[Text]:
     """Return lines on improved measures, and on the cost."""
     # The quality has a line of its own.
-    measures = [measure for measure in COMPARED if measure.better == "lower"]
+    measures = [measure for measure in COMPARED if measure is not QUALITY]
     changes = [_improvement(measure, outcome[measure.key][outcome.usable]) for measure in measures]
     lines = [Text(change) for change in changes if change]
     starts = [] if (outcome["starts"] <= 1).all() else [(outcome["starts"], "starts", "{:.0f}".format)]
