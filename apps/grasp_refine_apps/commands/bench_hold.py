@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import torch
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Problem
 from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
-from grasp_refine.validation.validate import model_of
-from grasp_refine_apps.bench.hold.methods import methods
-from grasp_refine_apps.bench.hold.page import page
-from grasp_refine_apps.bench.hold.presets import PRESETS, Preset
-from grasp_refine_apps.bench.hold.runner import Group
-from grasp_refine_apps.bench.hold.study import Outcome, Study, run_study
-from grasp_refine_apps.bench.hold.table import bench_tables
-from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
+from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy, Preset
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -88,58 +76,16 @@ class BenchHold:
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps without targets")
         preset = PRESETS[options.preset] if options.preset is not None else Preset()
-        count = options.count if options.count is not None else preset.count
-        settings = tuple(dict.fromkeys(options.settings))
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
-
-        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            def say(line: str) -> None:
-                console.print(escape(line), style="dim", soft_wrap=True)
-
-            problem = load_problem(self.inputs, seed=options.seed, on_message=say)
-            model = model_of(problem.hand)
-            stages = "file" in problem.closing().values()
-            notes = [*problem.notes, *model.notes]
-            if not stages:
-                notes.append("the grasps have no pregrasps and squeezes: the grasps as given get ours")
-            for note in notes:
-                say(f"note: {note}")
-            study = Study(
-                methods(options.starts or preset.starts, stages=stages),
-                settings,
-                width=options.width,
-                seed=options.seed,
-                threads=options.threads,
-            )
-            return run_study(study, model, _groups(problem, count, stages=stages), progress)
-
-        return run_old_benchmark(
-            "bench hold",
-            replace(self, options=replace(options, json=None, html=None, overwrite=False)),
-            options,
-            run,
-            lambda outcome: [part for table in bench_tables(outcome.rows, settings) for part in (table, "")],
-            lambda document, outcome: page(document, settings),
+        study = HoldStudy(
+            self.inputs,
+            options.starts or preset.starts,
+            options.count if options.count is not None else preset.count,
+            tuple(dict.fromkeys(options.settings)),
+            width=options.width,
+            seed=options.seed,
+            threads=options.threads,
         )
-
-
-def _groups(problem: Problem, count: int | None, *, stages: bool) -> list[Group]:
-    """First grasps on each object at each scale, without their targets."""
-    groups = []
-    for group in problem.groups:
-        scene, rows = group.scene, np.arange(len(group.rows))[:count]
-        groups.append(
-            Group(
-                group.object,
-                replace(
-                    scene,
-                    T_world_root=scene.T_world_root[rows],
-                    q=scene.q[rows],
-                    target_link=None,
-                    target_object=None,
-                ),
-                group.motion().select(rows) if stages else None,
-            )
-        )
-    return groups
+        invoked = replace(self, options=replace(options, json=None, html=None, overwrite=False))
+        return run_benchmark("bench hold", invoked, options, study)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from grasp_refine.core.json_files import dumps
-from grasp_refine.validation.geometry import Movement
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.bench.hold.chart import success_chart
-from grasp_refine_apps.bench.hold.measures import Measures
-from grasp_refine_apps.bench.hold.methods import AS_CAME, GEOMETRY_ONLY, OWN_STAGES, Method
-from grasp_refine_apps.bench.hold.page import page
-from grasp_refine_apps.bench.hold.rows import auc, rows
-from grasp_refine_apps.bench.hold.runner import GroupResult
-from grasp_refine_apps.bench.hold.table import bench_tables
+from grasp_refine_apps.bench.hold.measure import GroupResult, Method
+from grasp_refine_apps.bench.hold.study import HoldStudy, auc, rows
 
 SETTINGS = ("force-closure", "strict")
 NAN = np.nan
+AS_CAME, OWN_STAGES, GEOMETRY_ONLY = Method("as-came"), Method("own-stages"), Method("geometry-only", 1)
 H, M, T = Reason.HELD, Reason.MOVED, Reason.TURNED
 
 
@@ -30,17 +25,15 @@ def part(
 ) -> GroupResult:
     n = len(easy)
     ramp = np.arange(n, dtype=float)
-    return GroupResult(
-        method=method,
-        object=name,
-        measures=Measures(1e-3 * ramp, 1e-4 * ramp, 1e-5 * ramp, 1e-2 * ramp, quality + 0.01 * ramp),
-        moved=Movement(0.01 + 0 * ramp, 0.1 + 0 * ramp, 0.2 + 0 * ramp),
-        cpu_s=cpu_s * (1.0 + ramp),
-        wall_s=2.0 * cpu_s * (1.0 + ramp),
-        stages_cpu_s=np.full(n, NAN if method is AS_CAME else 0.03),
-        starts=np.full(n, NAN if method.starts is None else float(method.starts)),
-        reason={"force-closure": np.array(easy), "strict": np.array(hard)},
-    )
+    values = {
+        "penetration_m": 1e-3 * ramp, "self_penetration_m": 1e-4 * ramp, "contact_gap_m": 1e-5 * ramp,
+        "wrench_residual": 1e-2 * ramp, "quality": quality + 0.01 * ramp, "cpu_ms": 1e3 * cpu_s * (1.0 + ramp),
+        "wall_ms": 2e3 * cpu_s * (1.0 + ramp), "stages_cpu_ms": np.full(n, NAN if method == AS_CAME else 30.0),
+        "starts": np.full(n, NAN if method.starts is None else float(method.starts)),
+    }  # fmt: skip
+    moved = {"moved_palm_m": 0.01, "moved_palm_rad": 0.1, "moved_joints_rad": 0.2}
+    values |= {name: np.full(n, NAN if method.starts is None else value) for name, value in moved.items()}
+    return GroupResult(method, name, values, {"force-closure": np.array(easy), "strict": np.array(hard)})
 
 
 @pytest.fixture
@@ -98,7 +91,7 @@ def test_measures_are_pooled(parts: list[GroupResult]):
 
 def test_what_cannot_be_measured_counts_as_the_worst():
     bad = part(AS_CAME, "cup", [H, H], [H, H])
-    bad.measures.penetration_m[:], bad.measures.wrench_residual[:] = NAN, NAN
+    bad.values["penetration_m"][:] = bad.values["wrench_residual"][:] = NAN
     (row,) = rows([bad], SETTINGS)
     assert row["penetration_mean_m"] == row["wrench_residual_median"] == np.inf
     assert json.loads(dumps(row))["penetration_mean_m"] is None
@@ -119,39 +112,21 @@ def test_auc_is_that_of_all_pairs():
     assert auc(score, success) == pytest.approx(((pairs > 0) + 0.5 * (pairs == 0)).mean())
 
 
-def printed(found: list[dict[str, Any]]) -> str:
-    console = Console(width=200, record=True, file=None, quiet=False, force_terminal=False)
-    with console.capture() as capture:
-        for table in bench_tables(found, SETTINGS):
-            console.print(table)
-    return capture.get()
-
-
 def test_tables_fit_into_a_terminal(parts: list[GroupResult]):
     longest = [
         part(one.method, f"core_{one.object}_523cddb320608c09a37f3fc191551700", [H] * 2, [H] * 2, 1.0) for one in parts
     ]
-    text = printed(rows(longest, SETTINGS))
+    console = Console(width=200)
+    with console.capture() as capture:
+        for shown in HoldStudy(ProblemSpec()).report(rows(longest, SETTINGS), ()).printed():
+            console.print(shown)
+    text = capture.get()
     assert max(map(len, map(str.rstrip, text.splitlines()))) <= 80
-    assert "100/100" in text and "6 starts" in text
+    assert text.count("100.0") > 8 and "6 starts" in text
 
 
-def test_the_page_is_whole_and_repeats_itself(parts: list[GroupResult]):
-    for module in ("matplotlib", "jinja2"):
-        pytest.importorskip(module, reason="the report needs it")
-    found = rows(parts, SETTINGS)
-    chart = success_chart(found, SETTINGS)
-    assert all(name in chart for name in (*SETTINGS, "cup", "can", GEOMETRY_ONLY.label, "6 starts"))
-    document = {
-        "preset": None,
-        "seed": 0,
-        "rows": found,
-        "invocation": "refine-grasp bench hold",
-        "cpu_s": 1.0,
-        "machine": {"cpus": 2, "cpu": "a <cpu>", "system": "here"},
-        "engine": "native",
-        "versions": {"python": "3"},
-    }
-    text = page(document, SETTINGS)
-    assert text == page(document, SETTINGS)
-    assert "<svg" in text and "a &lt;cpu&gt;" in text and "1 moved, 1 turned" in text and "cup, 6 starts" in text
+def test_a_chart_has_a_level_for_what_is_not_refined(parts: list[GroupResult]):
+    pytest.importorskip("matplotlib")
+    chart, *_ = HoldStudy(ProblemSpec()).report(rows(parts, SETTINGS), ()).parts
+    svg = chart.svg()
+    assert all(name in svg for name in (*SETTINGS, "cup", "can", "strict, input grasps"))

@@ -1,0 +1,197 @@
+"""Every method on the same grasps of one object: refinement with its cost, measures, and simulation of the results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from grasp_refine.forces.squeeze import CONTACTS
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.metrics import metrics
+from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.protocol import SETTINGS, SettingName
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.world import World, build_world
+from grasp_refine_apps.bench.study import Progress
+from grasp_refine_apps.bench.timing import one_thread
+
+WARM_UP_ITERATIONS = 2
+"""Iterations, and number of grasps, of the run before the first measurement."""
+
+MethodName = Literal["as-came", "own-stages", "geometry-only", "forces"]
+"""Names of the methods in rows."""
+
+LABELS = {"as-came": "input grasps", "own-stages": "own stages", "geometry-only": "geometry only"}
+"""Name of a method -> its label for people; of refinement with forces, the number of starts."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method applied to grasps; all but "as-came" end with a pregrasp and a squeeze of our own."""
+
+    name: MethodName
+    """Name in rows."""
+    starts: int | None = None
+    """Number of starts of a grasp that may not hold; None: it is not moved."""
+
+    @property
+    def label(self) -> str:
+        """Label for people."""
+        return LABELS.get(self.name, f"{self.starts} start{'s' * (self.starts != 1)}")
+
+    def config(self, seed: int, width: int) -> Config | None:
+        """Settings of the refinement; None where there is none."""
+        if self.starts is None:
+            return None
+        weights = Weights() if self.name == "forces" else replace(Weights(), wrench=0.0)
+        return Config(weights=weights, starts=self.starts, seed=seed, width=width)
+
+
+def methods(starts: tuple[int, ...], *, stages: bool) -> tuple[Method, ...]:
+    """Return all methods to compare: the references, and refinement from each of the numbers of starts.
+
+    Args:
+        starts: Numbers of starts.
+        stages: Whether the input grasps have pregrasps or squeezes, to be compared with ours.
+    """
+    own = (Method("own-stages"),) if stages else ()
+    references = (Method("as-came"), *own, Method("geometry-only", 1))
+    return (*references, *(Method("forces", count) for count in dict.fromkeys(starts)))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """N grasps on one object at one scale."""
+
+    object: str
+    """Name of the object."""
+    scene: Scene
+    """Hand, object and the grasps, without targets."""
+    came: Motion | None
+    """Given motion of the hand as it closes; None: not specified, so that it is computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroupResult:
+    """Results of N grasps by one method."""
+
+    method: Method
+    object: str
+    values: Mapping[str, np.ndarray]
+    """Number -> its value for each grasp (N,), NaN where there is none: cpu_ms and wall_ms of refinement,
+    stages_cpu_ms of finding pregrasp and squeeze, starts, moved_palm_m, moved_palm_rad and moved_joints_rad,
+    contact_gap_m of the worst link that touches, and fields of `Metrics`."""
+    reason: Mapping[str, np.ndarray]
+    """Setting -> a `Reason` for each (N,), of the first push that failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTask:
+    """All methods on the grasps of one group."""
+
+    group: Group
+    model: HandModel
+    """The hand for simulation."""
+    methods: tuple[Method, ...]
+    settings: tuple[SettingName, ...]
+    """Names of the simulation settings."""
+    width: int
+    """Largest number of grasps that are refined at once."""
+    seed: int
+    threads: int | None
+    """CPU threads of the simulation; None: all cores."""
+
+    def run(self, progress: Progress) -> list[GroupResult]:
+        """Apply each method, in this process."""
+        with one_thread():
+            scene = self.group.scene
+            worlds: dict[str, World] = {
+                name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
+            }
+            # Caches built once for a hand and an object are not timed.
+            prepared = HandObject.of(scene)
+            self._warm_up(prepared)
+            return [
+                self._result(method, prepared, worlds, partial(_within, progress, number, len(self.methods)))
+                for number, method in enumerate(self.methods)
+            ]
+
+    def _warm_up(self, prepared: HandObject) -> None:
+        scene = self.group.scene
+        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP_ITERATIONS], q=scene.q[:WARM_UP_ITERATIONS])
+        for config in (method.config(self.seed, self.width) for method in self.methods):
+            if config is not None:
+                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
+                refine(few, short, prepared=prepared)
+        closing(few, prepared)
+
+    def _result(
+        self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Progress
+    ) -> GroupResult:
+        before = scene = self.group.scene
+        count, touching = len(scene.q), None
+        cost = dict(zip(("cpu_ms", "wall_ms", "stages_cpu_ms", "starts"), np.full((4, count), np.nan), strict=True))
+        moved = dict(zip(("palm_m", "palm_rad", "joints_rad"), np.full((3, count), np.nan), strict=True))
+        config = method.config(self.seed, self.width)
+        if config is not None:
+            found = refine(scene, config, prepared=prepared)
+            scene, touching = replace(scene, T_world_root=found.T_world_root, q=found.q), found.touching
+            cost |= {"cpu_ms": 1e3 * found.cpu_s, "wall_ms": 1e3 * found.wall_s, "starts": found.starts.astype(float)}
+            moved = vars(movement(before.T_world_root, before.q, scene.T_world_root, scene.q))
+        if method.name == "as-came" and self.group.came is not None:
+            motion = self.group.came
+        else:
+            cpu = time.process_time()
+            motion = closing(scene, prepared)
+            cost["stages_cpu_ms"] = np.full(count, 1e3 * (time.process_time() - cpu) / max(count, 1))
+        reason = {}
+        for number, (name, world) in enumerate(worlds.items()):
+            within = partial(_within, progress, number, len(worlds))
+            trials = simulate(
+                world, motion, threads=self.threads, first_failure=True, progress=_share_of(within, count)
+            )
+            reason[name] = trials.reason[np.arange(count), trials.worst]
+        values = vars(metrics(scene.hand, scene.object, scene.T_world_root, scene.q))
+        gap = {"contact_gap_m": contact_gap(scene, touching)}
+        return GroupResult(
+            method,
+            self.group.object,
+            {**cost, **values, **gap, **{f"moved_{name}": its for name, its in moved.items()}},
+            reason,
+        )
+
+
+def contact_gap(scene: Scene, touching: np.ndarray | None = None) -> np.ndarray:
+    """Return the largest distance (N,) in metres to the object's surface, in or out, of the links that touch.
+
+    NaN without any, and where a query failed.
+
+    Args:
+        scene: The grasps.
+        touching: Links (N, L) that touch; None: those that are near, as for forces.
+    """
+    nothing = np.full((len(scene.q), len(scene.links), 3), np.nan)
+    found = measure(scene.hand, scene.object, scene.links, scene.T_world_root, scene.q, nothing, nothing)
+    touching = CONTACTS.choose(scene.hand, scene.links, found.witness) if touching is None else touching
+    gap = np.where(touching, np.abs(found.distance), -np.inf).max(axis=1)
+    return np.where(np.isfinite(gap) & np.isfinite(found.distance).all(axis=1), gap, np.nan)
+
+
+def _within(progress: Progress, number: int, count: int, share: float) -> None:
+    """Report a share of part `number` of `count`."""
+    progress((number + share) / count)
+
+
+def _share_of(progress: Progress, count: int) -> Callable[[float], None]:
+    return lambda done: progress(done / count)
