@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.hand import list_hands, needs_urdf
 from grasp_refine.pipeline.example import EXAMPLE_HAND
-from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import AUTO, SAMPLE
 from grasp_refine.refinement.config import Config
-from grasp_refine_apps.bench.grasp.page import page
-from grasp_refine_apps.bench.grasp.presets import PRESETS, Preset
-from grasp_refine_apps.bench.grasp.sets import PLACES, GraspSet, Group
-from grasp_refine_apps.bench.grasp.study import COUNT, Outcome, Study, run_study
-from grasp_refine_apps.bench.grasp.table import bench_tables
-from grasp_refine_apps.bench.grasp.tasks import Disturbance, Kind
-from grasp_refine_apps.bench.grasp.variants import DerivativeName, SolverName, Variant
-from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
+from grasp_refine_apps.bench.grasp.presets import PLACES, PRESETS, DerivativeName, Kind, Preset, SolverName, Variant
+from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy
+from grasp_refine_apps.bench.grasp.tasks import Disturbance
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -121,25 +113,11 @@ class BenchGrasp:
         Raises:
             GraspRefineError: options that do not go together, or grasps that cannot be used.
         """
-        study = self.study()
         torch.set_num_threads(self.options.threads)
+        invoked = replace(self, options=replace(self.options, json=None, html=None, overwrite=False))
+        return run_benchmark("bench grasp", invoked, self.options, self.study())
 
-        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            def say(line: str) -> None:
-                console.print(escape(line), style="dim", soft_wrap=True)
-
-            return run_study(study, [self._load(*named, say) for named in self._sources()], say, progress)
-
-        return run_old_benchmark(
-            "bench grasp",
-            replace(self, options=replace(self.options, json=None, html=None, overwrite=False)),
-            self.options,
-            run,
-            lambda outcome: [part for table in bench_tables(outcome.rows) for part in (table, "")],
-            lambda document, outcome: page(document),
-        )
-
-    def study(self) -> Study:
+    def study(self) -> GraspStudy:
         """Return the study that the options define.
 
         Raises:
@@ -156,7 +134,8 @@ class BenchGrasp:
             raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
         if options.batches is not None:
             variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
-        return Study(
+        return GraspStudy(
+            self._sources(),
             variants=tuple(dict.fromkeys(variants)),
             kinds=preset.kinds if options.tasks is None else tuple(dict.fromkeys(options.tasks)),
             count=preset.count if options.count is None else options.count,
@@ -186,7 +165,7 @@ class BenchGrasp:
             )
         )
 
-    def _sources(self) -> list[tuple[str, list[Inputs]]]:
+    def _sources(self) -> tuple[tuple[str, tuple[Inputs, ...]], ...]:
         """Return the names of the sets, each with its inputs."""
         inputs, options = self.inputs, self.options
         hand = inputs.hand or EXAMPLE_HAND
@@ -195,14 +174,14 @@ class BenchGrasp:
             if options.sets is not None:
                 raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
             if not plain:
-                return [(inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", [inputs])]
+                return ((inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", (inputs,)),)
             hands = [hand]
             if options.preset is not None and PRESETS[options.preset].every_hand:
                 hands = [name for name in list_hands() if not needs_urdf(name)]
-            return [
-                (f"{name} examples", [replace(inputs, hand=name, grasps=path) for path in _examples(name)])
+            return tuple(
+                (f"{name} examples", tuple(replace(inputs, hand=name, grasps=path) for path in _examples(name)))
                 for name in hands
-            ]
+            )
         if not plain:
             raise GraspRefineError(
                 "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "
@@ -218,25 +197,9 @@ class BenchGrasp:
             elif not path.is_file():
                 raise GraspRefineError(f"--assets {folder}: has no set {name}, that is grasps/normalised/{name}.npz")
             objects = folder / "objects" if place.object is None else None
-            found.append(
-                (
-                    name,
-                    [replace(inputs, hand=str(folder / place.hand), object=place.object, objects=objects, grasps=path)],
-                )
-            )
-        return found
-
-    def _load(self, name: str, parts: list[Inputs], say: Callable[[str], None]) -> GraspSet:
-        """Load a set that consists of several inputs."""
-        problems = [load_problem(part, seed=self.options.seed, on_message=say) for part in parts]
-        return GraspSet(
-            name,
-            tuple(
-                Group(group.object, group.scale, group.scene, group.index)
-                for problem in problems
-                for group in problem.groups
-            ),
-        )
+            one = replace(inputs, hand=str(folder / place.hand), object=place.object, objects=objects, grasps=path)
+            found.append((name, (one,)))
+        return tuple(found)
 
 
 def _examples(hand: str) -> list[Path]:

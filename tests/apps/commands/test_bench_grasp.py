@@ -13,7 +13,7 @@ import torch
 
 from command_line import refused
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine_apps.bench.grasp.sets import PLACES
+from grasp_refine_apps.bench.grasp.presets import PLACES
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 

@@ -27,11 +27,10 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.gate.ratios import Group
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
+from grasp_refine_apps.bench.grasp.presets import Variant
 from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
-from grasp_refine_apps.bench.grasp.sets import GraspSet
-from grasp_refine_apps.bench.grasp.sets import Group as Grasps
-from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
-from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.grasp.tasks import Disturbance, GraspSet, Tasks, given_targets
+from grasp_refine_apps.bench.grasp.tasks import Group as Grasps
 from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import fresh_coal

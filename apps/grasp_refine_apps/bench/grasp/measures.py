@@ -40,10 +40,7 @@ def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Mea
         invalid if target is None else target for target in (scene.target_link, scene.target_object)
     )
     geometry = measure(hand, scene.object, links, T_world_root, q, target_link, target_object)
-    witness = geometry.witness
-    T_link = geometry.T_world_link
-    R, origin = T_link[..., :3, :3], T_link[..., :3, 3]
-    point_link = ((witness.point_a - origin)[..., None, :] @ R)[..., 0, :]
+    T_link, witness = geometry.T_world_link, geometry.witness
     misses = witness.point_a - transform_points(T_link, target_link), witness.point_b - target_object
     return Measures(
         contact_error=geometry.distance**2 + sum((miss**2).sum(axis=-1) for miss in misses),
@@ -51,6 +48,6 @@ def measure_grasps(scene: Scene, T_world_root: np.ndarray, q: np.ndarray) -> Mea
         penetration=geometry.penetration,
         self_penetration=self_penetration(hand, touching_pairs(hand), q),
         limits_violated=geometry.limits_violated,
-        point_link=point_link,
+        point_link=((witness.point_a - T_link[..., :3, 3])[..., None, :] @ T_link[..., :3, :3])[..., 0, :],
         point_object=witness.point_b,
     )

@@ -1,14 +1,104 @@
-"""Named experiments, as lists of variants."""
+"""Variants to compare, solvers with derivatives, budgets and batch sizes; named experiments; and sets of assets."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
+from typing import Any, Literal
 
-from grasp_refine_apps.bench.grasp.tasks import Kind
-from grasp_refine_apps.bench.grasp.variants import SolverName, Variant
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.witness.analytical import Analytical
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.derivative import Derivative
+from grasp_refine.witness.direction import Direction
+from grasp_refine.witness.distance import Distance
+from grasp_refine.witness.rigid import Rigid
+
+Kind = Literal["targets", "nothing"]
+"""Tasks with targets, or without."""
+
+SolverName = Literal["levenberg-marquardt", "descent", "adam"]
+DerivativeName = Literal["contact-kinematics", "distance", "direction", "analytical", "rigid"]
+
+SOLVERS: Mapping[str, type[LevenbergMarquardt | Descent | Adam]] = MappingProxyType(
+    {"levenberg-marquardt": LevenbergMarquardt, "descent": Descent, "adam": Adam}
+)
+DERIVATIVES: Mapping[str, Callable[[int], Derivative]] = MappingProxyType(
+    {
+        "contact-kinematics": lambda seed: ContactKinematics(seed=seed),
+        "distance": lambda seed: Distance(seed=seed),
+        "direction": lambda seed: Direction(seed=seed),
+        "analytical": lambda seed: Analytical(),
+        "rigid": lambda seed: Rigid(),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A solver with its settings; one row of a table for each set and kind of task."""
+
+    solver: SolverName = "levenberg-marquardt"
+    """Solver of the refinement."""
+    derivative: DerivativeName = "contact-kinematics"
+    """Derivative method of the witness points; Levenberg-Marquardt supports contact kinematics only."""
+    budget: int | None = None
+    """Largest number of iterations; None: default of the solver."""
+    batch: int = 64
+    """Grasps that are refined at once; with 1, each is a separate call."""
+    contacts: int | None = None
+    """Number of given fingertips with targets; None: all."""
+    pieces: int | None = None
+    """Convex pieces into which the object, a convex one, is cut; None: not cut."""
+    processes: int | None = None
+    """Processes that share the tasks and run at the same time; None: this one."""
+
+    @property
+    def iterations(self) -> int:
+        """Largest number of iterations of a grasp."""
+        return SOLVERS[self.solver].iterations if self.budget is None else self.budget
+
+    @property
+    def what(self) -> str:
+        """Label of the settings beside the solver, for a progress bar."""
+        parts = (f"{value} {name}" for name in ("contacts", "pieces", "processes") if (value := getattr(self, name)))
+        return ", ".join([f"batch {self.batch}", *parts])
+
+    @property
+    def least_squares(self) -> bool:
+        """Whether the solver is Levenberg-Marquardt."""
+        return self.solver == "levenberg-marquardt"
+
+    def config(self, seed: int, tolerance: float) -> Config:
+        """Make the settings of the refinement."""
+        return Config(
+            solver=SOLVERS[self.solver](iterations=self.iterations),
+            derivative=DERIVATIVES[self.derivative](seed),
+            # Solvers are compared by geometry; `bench hold` measures whether grasps hold.
+            weights=Weights(wrench=0.0),
+            tolerance=tolerance,
+            width=self.batch,
+            seed=seed,
+        )
+
+    def columns(self) -> dict[str, Any]:
+        """Settings as entries of a row."""
+        return {
+            "solver": self.solver,
+            "derivative": self.derivative,
+            "budget": self.iterations,
+            "batch": self.batch,
+            "contacts": self.contacts,
+            "pieces": self.pieces,
+            "processes": self.processes or 1,
+        }
+
 
 FIRST_ORDER: tuple[SolverName, ...] = ("descent", "adam")
 
@@ -86,3 +176,28 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     }
 )
 """Name -> experiment."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Paths of the parts of a set in a folder of assets, beside grasps/normalised/NAME.npz and objects/."""
+
+    hand: str
+    """Path of the URDF."""
+    object: str | None = None
+    """Path of the object, if it is not in objects/."""
+    sampled: int | None = None
+    """Number of sampled grasps; None: those of the file."""
+
+
+PLACES: Mapping[str, Place] = MappingProxyType(
+    {
+        "bodex_shadow": Place("hands/shadow/shadow_right.urdf"),
+        "dexgraspnet_shadow": Place("hands/shadow/shadow_right.urdf"),
+        "frogger_allegro": Place("hands/allegro/allegro_right.urdf"),
+        "leap_cube": Place("hands/leap/leap_right.urdf", "box:0.075,0.075,0.075"),
+        "sampled_barrett": Place("hands/barrett/barrett.urdf", "rounded_box", 16),
+        "sampled_robotiq": Place("hands/robotiq3f/robotiq3f.urdf", "rounded_box", 16),
+    }
+)
+"""Name of a set -> its paths."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, calls
-from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.grasp.presets import Variant
+from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, calls
 from grasp_refine_apps.bench.timing import cpu_share, split_stages
 
 PARTS = split_stages("kinematics", "broad phase", "narrow phase", "derivative")
@@ -23,29 +23,27 @@ SHALLOW_DEPTH_M, SELF_DEPTH_M = 5e-5, 1e-5
 DEEP_START_M, STUCK_DEPTH_M = 0.01, 5e-4
 """Depth (metres) from which a start counts as deep, and depth above which such a grasp did not escape."""
 
-Row = dict[str, Any]
 
-
-def rows(done: Sequence[JobResult]) -> list[Row]:
+def rows(done: Sequence[SetResult]) -> list[Row]:
     """Return all rows of a run: for each job the pooled one, then one for each object."""
     return [row for one in done for row in _of_job(one)]
 
 
-def _of_job(done: JobResult) -> list[Row]:
+def _of_job(done: SetResult) -> list[Row]:
     by_object: dict[str, list[GroupResult]] = {}
     for part in done.parts:
         by_object.setdefault(part.tasks.object, []).append(part)
     groups = {"all": list(done.parts)} | (by_object if len(by_object) > 1 else {})
-    job = done.job
+    task = done.task
     return [
         {
-            "set": job.set,
-            "hand": job.hand,
+            "set": task.set,
+            "hand": task.hand,
             "object": name,
-            "task": job.kind,
-            **job.variant.columns(),
+            "task": task.kind,
+            **task.variant.columns(),
             **_sizes(parts),
-            **_statistics(parts, job.kind == "targets", job.variant),
+            **_statistics(parts, task.kind == "targets", task.variant),
             "grasps_per_s": _rate(done) if name == "all" else None,
             "cpu_share": cpu_share([part.watch for part in parts], PARTS),
         }
@@ -65,7 +63,7 @@ def _sizes(parts: Sequence[GroupResult]) -> Row:
     }
 
 
-def _rate(done: JobResult) -> float | None:
+def _rate(done: SetResult) -> float | None:
     """Grasps per second of wall time, over all processes."""
     if done.span is None:
         return None

@@ -1,10 +1,10 @@
-"""Tasks of the grasp benchmark: true grasps that were disturbed and must be recovered, or real grasps as given."""
+"""Sets of grasps, and tasks made of them: true grasps that were disturbed and must be recovered, or real grasps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import radians
-from typing import Any, Literal
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -18,16 +18,42 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
-from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
+from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, slice_body
-from grasp_refine_apps.bench.grasp.variants import Variant
-
-Kind = Literal["targets", "nothing"]
 
 TIP_DISTANCE_M = 0.02
 """Largest distance (metres) of every fingertip to the object in grasps that are tried as true ones."""
 CONTACT_TOLERANCE_M, SOLVED_LOSS_M2 = 1e-5, 1e-12
 """Largest gap and penetration (metres) of a true grasp, and its largest loss (m^2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """N real grasps on one object at one scale."""
+
+    object: str
+    """Name of the object."""
+    scale: float
+    """Factor that takes the object's mesh to metres."""
+    scene: Scene
+    """Hand, object and the grasps."""
+    index: np.ndarray
+    """Numbers of the grasps (N,) among those of their object, for `run --index`."""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSet:
+    """The grasps of a file."""
+
+    name: str
+    """Name in rows."""
+    groups: tuple[Group, ...]
+    """The grasps by object and scale."""
+
+    @property
+    def hand(self) -> str:
+        """Name of the hand."""
+        return self.groups[0].scene.hand.name
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,20 +10,20 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import Movement
-from grasp_refine_apps.bench.grasp.chart import line_names, size_chart, time_chart
-from grasp_refine_apps.bench.grasp.labels import pooled, varied
+from grasp_refine_apps.bench.chart import Chart
 from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.page import page
+from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.rows import contact_errors, rows
-from grasp_refine_apps.bench.grasp.runner import GroupResult, JobResult, SetJob
-from grasp_refine_apps.bench.grasp.table import bench_tables
-from grasp_refine_apps.bench.grasp.tasks import Kind, Tasks
-from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, SetTask
+from grasp_refine_apps.bench.grasp.study import GraspStudy
+from grasp_refine_apps.bench.grasp.tasks import Tasks
+from grasp_refine_apps.bench.report import Note, Table
 
 NAN = np.nan
 # Of a scene, rows count joints and pieces only.
@@ -69,13 +69,13 @@ def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[f
     )
 
 
-def done(kind: Kind, parts: list[GroupResult], variant: Variant | None = None) -> JobResult:
-    job = SetJob(variant or Variant(), "set", "hand", kind, tuple(p.tasks for p in parts), 0, 1e-10, 1)
-    return JobResult(job, tuple(parts))
+def done(kind: Kind, parts: list[GroupResult], variant: Variant | None = None) -> SetResult:
+    task = SetTask(variant or Variant(), "set", "hand", kind, tuple(p.tasks for p in parts), 0, 1e-10, 1)
+    return SetResult(task, tuple(parts))
 
 
 @pytest.fixture
-def nothing() -> JobResult:
+def nothing() -> SetResult:
     """Five real grasps on two objects; three start deep, of which one is freed."""
     cup = part("nothing", "cup", measures([0.02, 0.012, 0.001]), measures([0.02, 4e-4, 0.0]), [1e-3, 2e-3, 9e-3])
     can = part("nothing", "can", measures([0.01, 0.0]), measures([6e-4, 5e-5], own=2e-5), [1e-3, 2e-3])
@@ -93,7 +93,7 @@ def test_a_grasp_counts_when_all_its_contacts_do():
     assert set(contact_errors(error, aimed=False).values()) == {None}
 
 
-def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: JobResult):
+def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: SetResult):
     pooled, cup, can = rows([nothing])
     assert [row["object"] for row in (pooled, cup, can)] == ["all", "cup", "can"]
     assert [(row["deep_starts"], row["deep_stuck"]) for row in (pooled, cup, can)] == [(3, 2), (2, 1), (1, 1)]
@@ -101,7 +101,7 @@ def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: JobResul
     assert can["deep_stuck_grasps"][0]["penetration_after_m"] == 6e-4
 
 
-def test_depths_are_those_of_all_grasps(nothing: JobResult):
+def test_depths_are_those_of_all_grasps(nothing: SetResult):
     row = rows([nothing])[0]
     assert row["grasps"] == 5
     assert row["penetration_before_mean_m"] == pytest.approx((0.02 + 0.012 + 0.001 + 0.01) / 5)
@@ -121,7 +121,7 @@ def test_what_cannot_be_measured_counts_as_the_worst():
     assert row["deep_stuck"] == 1
 
 
-def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: JobResult):
+def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: SetResult):
     pooled, cup, _ = rows([nothing])
     assert pooled["cpu_ms_per_grasp"] == pytest.approx(3.0)
     # One call for each object.
@@ -135,14 +135,15 @@ def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(
     assert rows([nothing])[0]["batch_mean"] == pytest.approx((3 * 3 + 2 * 2) / 5)
 
 
-def targets(variant: Variant, error: float, cpu_s: float) -> JobResult:
+def targets(variant: Variant, error: float, cpu_s: float) -> SetResult:
     after = measures([0.0, 0.0], [[error, NAN], [error, error / 4]])
     return done("targets", [part("targets", "cup", measures([0.02, 0.0]), after, [cpu_s, cpu_s])], variant)
 
 
 @pytest.fixture
-def document(nothing: JobResult) -> dict[str, Any]:
-    found = [
+def found(nothing: SetResult) -> list[dict[str, Any]]:
+    """Rows of two solvers at two budgets each, with targets, and of the real grasps."""
+    made = [
         targets(Variant(solver, budget=budget), error, cpu)
         for solver, budget, error, cpu in (
             ("levenberg-marquardt", 10, 1e-4, 1e-3),
@@ -151,52 +152,50 @@ def document(nothing: JobResult) -> dict[str, Any]:
             ("adam", 200, 4e-7, 0.2),
         )
     ]
-    return {
-        "schema": 1, "command": "bench grasp", "invocation": "refine-grasp bench grasp", "preset": None, "seed": 0,
-        "versions": {"numpy": "2"}, "machine": {"cpus": 2, "cpu": "<fast>", "system": "Linux"}, "engine": "native",
-        "cpu_s": 3.0, "rows": rows([nothing, *found]),
-    }  # fmt: skip
+    return rows([nothing, *made])
 
 
-def test_rows_are_flat_but_for_shares_and_the_names_of_grasps(document: dict[str, Any]):
-    plain = json.loads(dumps(document["rows"]))
+def charts(rows: list[dict[str, Any]]) -> list[Chart]:
+    return [part for part in GraspStudy((), ()).report(rows, ()).parts if isinstance(part, Chart)]
+
+
+def test_rows_are_flat_but_for_shares_and_the_names_of_grasps(found: list[dict[str, Any]]):
+    plain = json.loads(dumps(found))
     assert len({tuple(row) for row in plain}) == 1
     for row in plain:
         deep = {key for key, value in row.items() if isinstance(value, (dict, list))}
         assert {"cpu_share"} <= deep <= {"cpu_share", "deep_stuck_grasps"}
 
 
-def test_tables_fit_a_narrow_terminal(document: dict[str, Any], capsys: pytest.CaptureFixture[str]):
-    from rich.console import Console
-
-    for row in document["rows"]:
+def test_tables_fit_a_narrow_terminal(found: list[dict[str, Any]]):
+    for row in found:
         row |= {"cpu_ms_per_grasp": 1234.5, "wall_ms_per_grasp": 1234.5, "batch": 256, "iterations_mean": 2000.0}
         if row["task"] == "nothing":
             row |= {"deep_stuck": 123, "deep_starts": 1234, "penetration_before_mean_m": 0.0123}
-    for table in bench_tables(document["rows"]):
-        Console(width=200).print(table)
-    out = capsys.readouterr().out
+    console = Console(width=200)
+    with console.capture() as capture:
+        for part in GraspStudy((), ()).report(found, ()).printed():
+            console.print(part)
+    out = capture.get()
     assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80
     assert "5 grasps" in out and "123/1234" in out and "budget" in out
 
 
-def test_the_page_draws_a_line_for_each_solver(document: dict[str, Any]):
-    html = page(document)
-    assert html == page(document)
-    assert html.count('class="chart"') == 1 and ">LM<" in html and ">adam<" in html
-    assert "cup 10, 20.0 mm → 20.00 mm" in html and "&lt;fast&gt;" in html
-    assert "http" not in html.split("<style>")[0]
-    for row in document["rows"]:
-        row |= {"contact_error_median_m": None, "acc_1e6": None}
-    assert time_chart([row for row in document["rows"] if row["task"] == "targets"]) == ""
+def test_the_report_draws_a_line_for_each_solver_and_names_deep_starts(found: list[dict[str, Any]]):
+    (chart,) = charts(found)
+    assert list(dict.fromkeys(map(chart.line, chart.rows))) == ["LM", "adam"]
+    assert chart.y[1].least == 0.25 and {row["missed"] for row in chart.rows} == {0.0, 1.0}
+    stuck = [part for part in GraspStudy((), ()).report(found, ()).parts if isinstance(part, Note)][-1]
+    assert "cup 10, 20.0 mm → 20.00 mm" in stuck.text
 
 
 def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
     made = [targets(Variant(batch=batch), 1e-9, 1e-3) for batch in (1, 64)] + [targets(Variant("adam"), 1e-9, 1.0)]
-    assert line_names([row for one in made for row in rows([one])]) == ["LM, batch 1", "LM, batch 64", "adam"]
+    chart = charts([row for one in made for row in rows([one])])[0]
+    assert list(map(chart.line, chart.rows)) == ["LM, batch 1", "LM, batch 64", "adam"]
 
 
-def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: JobResult):
+def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: SetResult):
     for one, seconds in zip(nothing.parts, (1.0, 3.0), strict=True):
         one.watch.spent["kinematics"].cpu_s, one.watch.spent["forces"].cpu_s = seconds, 1.0
     all_objects, cup, _ = rows([replace(nothing, span=(10.0, 12.5))])
@@ -209,38 +208,23 @@ def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: JobResult):
 
 
 @pytest.mark.parametrize(
-    ("name", "variants", "words"),
+    ("name", "variants"),
     [
-        ("contacts", [Variant(contacts=count) for count in (1, 2)], ["set (3 joints)"]),
-        ("pieces", [Variant(pieces=count) for count in (1, 64)], ["set (3 joints)", "pieces"]),
-        ("processes", [Variant(processes=count) for count in (1, 2)], ["processes"]),
-        ("batch", [Variant(batch=size) for size in (1, 256)], ["batch", "256"]),
+        ("contacts", [Variant(contacts=count) for count in (1, 2)]),
+        ("pieces", [Variant(pieces=count) for count in (1, 64)]),
+        ("processes", [Variant(processes=count) for count in (1, 2)]),
+        ("batch", [Variant(batch=size) for size in (1, 256)]),
     ],
 )
-def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Variant], words: list[str]):
+def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Variant]):
     made = [replace(targets(variant, 1e-9, 1e-3 * (k + 1)), span=(0.0, 1.0)) for k, variant in enumerate(variants)]
-    found = pooled([row for one in made for row in rows([one])], "targets")
-    if name == "pieces":
-        for row, variant in zip(found, variants, strict=True):
-            row["pieces_mean"] = variant.pieces
-    if name == "contacts":
-        for row, variant in zip(found, variants, strict=True):
-            row["contacts_mean"] = variant.contacts
-    assert varied(found) == [name]
-    chart = size_chart(found, name)
-    assert all(word in chart for word in words) and chart.count('class="chart"') == 1
+    found = [row for one in made for row in rows([one])]
+    chart = charts(found)[-1]
+    assert name in chart.title and chart.line(chart.rows[0]) == "set (3 joints)"
+    assert (chart.y[1].key == "grasps_per_s") == (name == "processes")
     # A hand with more joints has a picture of its own.
     other = [{**row, "set": "other", "joints": 9} for row in found]
-    assert size_chart([*found, *other], name).count('class="chart"') == (2 if name == "contacts" else 1)
-    (table,) = bench_tables(found)
-    assert name in [str(column.header) for column in table.columns]
-
-
-def test_the_page_shows_where_the_time_goes(document: dict[str, Any]):
-    assert '<span class="bar">' not in page(document)
-    shares = {"kinematics": 0.1, "broadphase": 0.2, "narrowphase": 0.3, "derivative": 0.15, "solver": 0.25}
-    for row in document["rows"]:
-        row["cpu_share"] = shares
-    html = page(document)
-    assert '<i class="narrowphase" style="width:30.00%" title="narrowphase 30 %">' in html
-    assert html.count('<span class="bar">') == len(document["rows"])
+    assert ("Cost by joints" in [one.title for one in charts([*found, *other])]) == (name == "contacts")
+    parts = GraspStudy((), ()).report(found, ()).parts
+    table = next(part for part in parts if isinstance(part, Table) and part.only == "terminal")
+    assert name in [column.head for column in table.columns]

@@ -7,10 +7,10 @@ import numpy as np
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.grasp.runner import calls, jobs
-from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
-from grasp_refine_apps.bench.grasp.tasks import Tasks
-from grasp_refine_apps.bench.grasp.variants import DERIVATIVES, SOLVERS, Variant
+from grasp_refine_apps.bench.grasp.presets import DERIVATIVES, SOLVERS, Variant
+from grasp_refine_apps.bench.grasp.runner import calls
+from grasp_refine_apps.bench.grasp.study import GraspStudy
+from grasp_refine_apps.bench.grasp.tasks import GraspSet, Group, Tasks
 
 
 def test_first_order_solvers_are_called_batch_by_batch():
@@ -25,14 +25,12 @@ def test_single_tasks_come_evenly_from_all_objects():
     groups = tuple(Group(name, 1.0, scene, np.arange(6)) for name in "abc")
     tasks = tuple(Tasks("nothing", group.object, 1.0, scene, group.index) for group in groups)
     sets = [(GraspSet("balls", groups), "nothing", tasks)]
-    options = {"seed": 3, "tolerance": 1e-9, "threads": 1}
-    one, few, rest = jobs((Variant(batch=1), Variant(batch=2)), sets, singles=4, **options)[:2] + jobs(
-        (Variant(batch=1),), sets, singles=2, **options
-    )
+    one, few = GraspStudy((), (Variant(batch=1), Variant(batch=2)), singles=4).set_tasks(sets)
+    (rest,) = GraspStudy((), (Variant(batch=1),), singles=2).set_tasks(sets)
     assert [len(its) for its in one.tasks] == [2, 1, 1]
     assert [len(its) for its in few.tasks] == [6, 6, 6]
     assert [its.object for its in rest.tasks] == ["a", "b"] and [len(its) for its in rest.tasks] == [1, 1]
-    assert few.work == 18 / 4 * one.work and one.label == "balls, levenberg-marquardt, batch 1"
+    assert few.job.work == 18 / 4 * one.job.work and one.job.label == "balls, levenberg-marquardt, batch 1"
 
 
 def test_a_variant_says_all_that_is_refined_with():

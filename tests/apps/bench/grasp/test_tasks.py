@@ -16,16 +16,17 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.grasp.sets import GraspSet, Group
+from grasp_refine_apps.bench.grasp.presets import Variant
 from grasp_refine_apps.bench.grasp.tasks import (
     TIP_DISTANCE_M,
     Disturbance,
+    GraspSet,
+    Group,
     Tasks,
     given_nothing,
     given_targets,
     true_grasps,
 )
-from grasp_refine_apps.bench.grasp.variants import Variant
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,8 @@ def test_all_begin_when_the_last_one_is_ready():
     ("bad", "error", "named"),
     [
         (fails, ValueError, "no luck"),
-        (dies, RuntimeError, "code 7"),
-        (dies_early, RuntimeError, "code 7"),
+        (dies, RuntimeError, "terminated"),
+        (dies_early, RuntimeError, "terminated"),
     ],
 )
 def test_one_that_fails_ends_all(bad: object, error: type[Exception], named: str):
