@@ -11,11 +11,13 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from grasp_refine.core.errors import MeshError
+from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.processes.local import ONE_THREAD
 from grasp_refine_apps.processes.task import Heartbeat
 
@@ -158,22 +160,20 @@ class Slow(Unknown):
         return time.sleep, (3600.0,)
 
 
-@dataclass(frozen=True)
-class FakeJob:
+def fake_job(label: str, work: float = 1.0) -> Job:
     """A job of a benchmark that gives its name, or fails."""
+    return Job(label, partial(_job, label), work)
 
-    label: str
-    work: float = 1.0
 
-    def do(self, progress: Callable[[float], None]) -> str:
-        progress(0.5)
-        if self.label == "stop":
-            raise KeyboardInterrupt
-        if self.label == "bad":
-            raise ValueError("no luck")
-        if self.label == "crash":
-            os.kill(os.getpid(), signal.SIGSEGV)
-        return self.label
+def _job(label: str, progress: Callable[[float], None]) -> str:
+    progress(0.5)
+    if label == "stop":
+        raise KeyboardInterrupt
+    if label == "bad":
+        raise ValueError("no luck")
+    if label == "crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return label
 
 
 ACTIONS = {

@@ -5,30 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from grasp_refine_apps.processes.dispatch import dispatch
 from grasp_refine_apps.processes.local import LocalPool
 from grasp_refine_apps.processes.task import Failed, Heartbeat
 
+Progress = Callable[[float], None]
+"""Called with the share of a job that is done."""
 
-@runtime_checkable
-class Job(Protocol):
+
+@dataclass(frozen=True)
+class Job:
     """A piece of work for one process."""
 
-    @property
-    def work(self) -> float:
-        """Approximate duration, in arbitrary units."""
-        ...
-
-    @property
-    def label(self) -> str:
-        """Label of the job, for a progress bar."""
-        ...
-
-    def do(self, progress: Callable[[float], None]) -> Any:
-        """Run the job in this process; `progress` is called with the share that is done."""
-        ...
+    label: str
+    """Label for a progress bar."""
+    run: Callable[[Progress], Any]
+    """Does the work and returns its result; picklable, where there are several processes."""
+    work: float = 1.0
+    """Approximate duration, in arbitrary units."""
 
 
 def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> tuple[list[Any], list[str]]:
@@ -64,7 +60,7 @@ def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -
             progress((before + share * job.work) / total, job.label)
 
         try:
-            yield index, job.do(within)
+            yield index, job.run(within)
         except Exception as error:
             yield index, Failed.of(error)
         finished += job.work
@@ -96,4 +92,4 @@ def _run_parallel(
 
 def _do(task: _Task, heartbeat: Heartbeat) -> Any:
     """Run a job without progress."""
-    return task.job.do(lambda share: None)
+    return task.job.run(lambda share: None)

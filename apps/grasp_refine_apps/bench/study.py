@@ -3,30 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Report
-
-Progress = Callable[[float], None]
-"""Called with the share of a job that is done."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """A piece of work for one process."""
-
-    label: str
-    """Label for a progress bar."""
-    run: Callable[[Progress], Any]
-    """Does the work and returns its result; picklable, where there are several processes."""
-    work: float = 1.0
-    """Approximate duration, in arbitrary units."""
-
-    def do(self, progress: Progress) -> Any:
-        """Run the job in this process."""
-        return self.run(progress)
 
 
 @runtime_checkable

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from grasp_refine_apps.bench.jobs import run_jobs
-from worker_tasks import FakeJob
+from worker_tasks import fake_job
 
 
 def test_a_failed_job_does_not_end_the_others():
     told: list[tuple[float, str]] = []
-    results, problems = run_jobs([FakeJob("a"), FakeJob("bad"), FakeJob("b", 2.0)], 1, lambda *what: told.append(what))
+    results, problems = run_jobs(
+        [fake_job("a"), fake_job("bad"), fake_job("b", 2.0)], 1, lambda *what: told.append(what)
+    )
     assert results == ["a", "b"]
     (problem,) = problems
     assert problem.startswith("bad: Traceback") and problem.endswith("ValueError: no luck")
@@ -16,14 +18,14 @@ def test_a_failed_job_does_not_end_the_others():
 
 
 def test_an_interruption_keeps_what_is_done():
-    results, problems = run_jobs([FakeJob("a"), FakeJob("stop"), FakeJob("b")], 1, lambda *_: None)
+    results, problems = run_jobs([fake_job("a"), fake_job("stop"), fake_job("b")], 1, lambda *_: None)
     assert (results, problems) == (["a"], ["interrupted: 1 of 3 jobs were done"])
 
 
 def test_processes_give_results_in_order_and_a_crash_ends_its_job_only():
     """All jobs of a pool once ended with one whose process crashed."""
     told: list[float] = []
-    jobs = [FakeJob("a"), FakeJob("bad"), FakeJob("crash"), FakeJob("b", 5.0), FakeJob("c", 2.0)]
+    jobs = [fake_job("a"), fake_job("bad"), fake_job("crash"), fake_job("b", 5.0), fake_job("c", 2.0)]
     results, problems = run_jobs(jobs, 2, lambda share, label: told.append(share))
     assert results == ["a", "b", "c"]
     bad, crash = sorted(problems)

@@ -18,7 +18,7 @@ from grasp_refine_apps.bench.align.runner import JobResult, jobs
 from grasp_refine_apps.bench.align.saved import AlignmentTask
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
-from grasp_refine_apps.bench.jobs import run_jobs
+from grasp_refine_apps.bench.jobs import Job, run_jobs
 
 MAX_SEARCHED = 40
 """Approximate number of missed tasks of a method that are searched for a typical one."""
@@ -102,7 +102,7 @@ def run_study(study: Study, say: Callable[[str], None], progress: Callable[[floa
         device=study.device,
         threads=study.threads,
     )
-    done, problems = run_jobs(todo, study.workers, progress)
+    done, problems = run_jobs([Job(one.label, one.do, one.work) for one in todo], study.workers, progress)
     return Outcome(rows(done, study.targets, study.dtype), typical_failures(done), problems, recorded)
 
 

@@ -18,7 +18,7 @@ from grasp_refine_apps.bench.grasp.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.tasks import Tasks
 from grasp_refine_apps.bench.grasp.together import run_together
-from grasp_refine_apps.bench.study import Job, Progress
+from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.timing import one_thread
 
 WARM_UP_ITERATIONS = 2

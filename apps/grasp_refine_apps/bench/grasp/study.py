@@ -19,8 +19,8 @@ from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.rows import PARTS, rows
 from grasp_refine_apps.bench.grasp.runner import SetResult, SetTask
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, GraspSet, Group, Tasks, given_nothing, given_targets
+from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
-from grasp_refine_apps.bench.study import Job
 
 COUNT = 64
 """Default number of tasks with targets of each object and scale."""

@@ -23,7 +23,7 @@ from grasp_refine.validation.motion import Motion, closing
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.bench.study import Progress
+from grasp_refine_apps.bench.jobs import Progress
 from grasp_refine_apps.bench.timing import one_thread
 
 WARM_UP_ITERATIONS = 2

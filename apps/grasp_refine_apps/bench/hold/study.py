@@ -17,8 +17,8 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.hold.measure import Group, GroupResult, GroupTask, methods
+from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Report, Table
-from grasp_refine_apps.bench.study import Job
 
 STARTS = (1, 6)
 """Default numbers of starts."""

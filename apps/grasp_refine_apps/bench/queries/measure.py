@@ -20,10 +20,10 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs, nearby
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
 from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case
-from grasp_refine_apps.bench.study import Job, Progress
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]

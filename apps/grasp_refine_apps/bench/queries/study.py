@@ -18,12 +18,12 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.queries.bodies import nearby
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import PEERS
 from grasp_refine_apps.bench.queries.presets import Preset
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
-from grasp_refine_apps.bench.study import Job, Progress
 from grasp_refine_apps.bench.timing import one_thread
 
 PALM_DEVIATIONS = (0.005, 0.05)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from grasp_refine_apps.bench.jobs import run_jobs
+from grasp_refine_apps.bench.jobs import Job, run_jobs
 from grasp_refine_apps.bench.stability.counts import wrong
 from grasp_refine_apps.bench.stability.derivative import derivative_cells
 from grasp_refine_apps.bench.stability.forward import forward_cells
@@ -67,5 +67,5 @@ def run_study(tasks: Sequence[Task], workers: int, progress: Callable[[float, st
         workers: Processes.
         progress: Called with the share of the work that is done, and its label.
     """
-    done, problems = run_jobs([TaskJob(task) for task in tasks], workers, progress)
+    done, problems = run_jobs([Job(one.label, one.do, one.work) for one in map(TaskJob, tasks)], workers, progress)
     return Outcome([cell.row() for its in done for cell in its], problems)
