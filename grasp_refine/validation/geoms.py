@@ -1,4 +1,4 @@
-"""Geometry and inertia of MuJoCo bodies: convex pieces as geoms, masses as they were compiled."""
+"""Convex pieces as geometry of MuJoCo bodies."""
 
 from __future__ import annotations
 
@@ -36,16 +36,3 @@ def add_piece(
     corners = piece.mesh().vertices if piece.radius > 0 else piece.vertices
     spec.add_mesh(name=name, uservert=np.asarray(corners).ravel(), inertia=inertia)
     return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
-
-
-def set_compiled_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Make mass and inertia of all bodies explicit, as they were compiled, so that they no longer follow from geoms."""
-    for body in spec.bodies[1:]:
-        compiled = model.body(body.name)
-        body.mass, body.ipos, body.iquat = compiled.mass[0], compiled.ipos, compiled.iquat
-        body.inertia, body.explicitinertial = compiled.inertia, True
-        # These take precedence over the moments, where they are given.
-        body.fullinertia = [np.nan, *[0.0] * 5]
-        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-    spec.compiler.settotalmass = -1.0

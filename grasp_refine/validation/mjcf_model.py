@@ -13,7 +13,6 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.validation.alignment import align
-from grasp_refine.validation.geoms import set_compiled_inertias
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import complaint, unlogged
 from grasp_refine.validation.servos import check_servos, joints_of, moved_joints, servo_settings
@@ -256,17 +255,18 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
 
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
-    """Delete geometry that cannot touch anything, after writing its mass into its body."""
-    set_compiled_inertias(spec, _compiled(spec, path))
-    named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
-    seen = [geom for geom in spec.geoms if geom.contype == geom.conaffinity == 0 and geom.name not in {*named} - {""}]
-    _delete(spec, seen)
-    used = {geom.meshname for geom in spec.geoms}
-    _delete(spec, [mesh for mesh in spec.meshes if _mesh_name(mesh) not in used])
-
-
-def _mesh_name(mesh: mujoco.MjsMesh) -> str:
-    return mesh.name or Path(mesh.file).stem
+    """Delete what is only seen, after writing its mass into its body."""
+    model = _compiled(spec, path)
+    for body in spec.bodies[1:]:
+        compiled = model.body(body.name)
+        body.mass, body.ipos, body.iquat = compiled.mass[0], compiled.ipos, compiled.iquat
+        body.inertia, body.explicitinertial = compiled.inertia, True
+        # These take precedence over the moments, where they are given.
+        body.fullinertia = [np.nan, *[0.0] * 5]
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    spec.compiler.settotalmass = -1.0
+    spec.discard_visual()
 
 
 def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:

@@ -14,7 +14,6 @@ import numpy as np
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.geoms import set_compiled_inertias
 from grasp_refine.validation.messages import complaint, unlogged
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
@@ -62,7 +61,7 @@ def export_xml(
         raise GraspRefineError(f"replay {replay.name}: has {replay.ctrl.shape[1]} controls, the model {model.nu}")
     spec = spec.copy()
     spec.modelname = replay.name
-    set_compiled_inertias(spec, model)
+    spec.compiler.saveinertial = True
     spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.4, 0.6
     spec.worldbody.add_light(pos=[0.5, -0.5, 1.0], dir=[-0.4, 0.4, -0.8], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     pushed = bool(np.any(replay.force)) and Stage.PUSH in replay.stage
@@ -129,7 +128,7 @@ def _add_keyframes(spec: mujoco.MjSpec, replay: Replay, count: int, *, pushed: b
 
 
 def _embed_files(root: ET.Element, model: mujoco.MjModel) -> None:
-    """Replace meshes from files by their vertices and faces; textures, which have no effect on motion, are left out."""
+    """Replace meshes from files by their vertices and faces."""
     for node in root.findall("asset/mesh[@file]"):
         mesh, turn = model.mesh(node.attrib["name"]), np.zeros(9)
         number = mesh.id
@@ -142,13 +141,6 @@ def _embed_files(root: ET.Element, model: mujoco.MjModel) -> None:
         node.attrib = {key: node.attrib[key] for key in ("name", "inertia") if key in node.attrib}
         node.set("vertex", " ".join(map(str, points.ravel())))
         node.set("face", " ".join(map(str, faces.ravel())))
-    for assets in root.findall("asset"):
-        for texture in assets.findall("texture"):
-            assets.remove(texture)
-    for material in root.iter("material"):
-        material.attrib.pop("texture", None)
-        for layer in material.findall("layer"):
-            material.remove(layer)
 
 
 def _check_same_physics(model: mujoco.MjModel, text: str) -> None:
