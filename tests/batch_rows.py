@@ -19,7 +19,7 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.result_files import save_results
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.batch.rows import COLUMNS, Rows
 from grasp_refine_apps.batch.shard import Shard
 
@@ -41,7 +41,7 @@ def refined(name: str, rows: slice = slice(None)) -> Outcome:
     result = refine(scene, config)
     after = replace(scene, T_world_root=result.T_world_root, q=result.q)
     row = np.arange(len(grasps)) + (rows.start or 0)
-    return compare(scene, result, closing(after), margin=0.0, name=name, scale=1.0, row=row, index=row)
+    return compare(scene, result, closing_motion(after), margin=0.0, name=name, scale=1.0, row=row, index=row)
 
 
 def save_refined(path: Path, outcome: Outcome, **batch: Any) -> None:

@@ -20,7 +20,7 @@ SOURCES = MappingProxyType(
         "GraspSet": "load_grasps({})",
         "HandModel": "model_of(hand)",
         "World": "build_world(model_of(hand), obj, protocol)",
-        "Motion": "closing(scene)",
+        "Motion": "closing_motion(scene)",
         "Witness": "query(pairs, T_world_a, T_world_b)",
     }
 )

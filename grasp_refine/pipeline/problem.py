@@ -14,7 +14,7 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.scene.scene import Scene, links_of
-from grasp_refine.validation.motion import Motion, closing, motion_of
+from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 
 StageSource = Literal["auto", "file", "own"]
 """Source of pregrasps and squeezes."""
@@ -50,9 +50,9 @@ class Group:
             GraspFileError: the source is "file", and the file lacks some.
         """
         if source == "own":
-            return closing(self.scene)
+            return closing_motion(self.scene)
         complete = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
-        return motion_of(self.grasps, self.scene.hand, None if complete else closing(self.scene))
+        return motion_of(self.grasps, self.scene.hand, None if complete else closing_motion(self.scene))
 
 
 @dataclass(frozen=True, eq=False)

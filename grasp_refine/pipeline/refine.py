@@ -17,7 +17,7 @@ from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 
@@ -90,7 +90,7 @@ def refine_group(
         prepared: Geometry of their hand and object; None: built here.
         progress: As for `refine`.
         on_iteration: As the `on_iteration` of `refine`.
-        on_opening: As the `progress` of `closing`.
+        on_opening: As the `progress` of `closing_motion`.
 
     Raises:
         GraspRefineError: a link that should touch does not exist.
@@ -101,7 +101,7 @@ def refine_group(
     return compare(
         scene,
         refinement,
-        closing(after, prepared, on_opening),
+        closing_motion(after, prepared, on_opening),
         margin=config.margin,
         name=group.object,
         scale=group.scale,

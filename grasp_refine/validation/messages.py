@@ -23,7 +23,7 @@ def unlogged() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def complaint(error: ValueError) -> str:
+def one_line(error: ValueError) -> str:
     """Return the message of an error of MuJoCo in one line."""
     text = str(error).strip()
     while text.startswith(("XML Error: ", "Error: ")):

@@ -14,7 +14,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.validation.alignment import align
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.servos import check_servos, joints_of, moved_joints, servo_settings
 from grasp_refine.validation.urdf_model import add_actuators
 
@@ -89,7 +89,7 @@ def _read(path: Path) -> mujoco.MjSpec:
         with unlogged():
             spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise HandError(f"{path}: {complaint(error)}; {FILE_ADVICE}") from None
+        raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
     # MuJoCo reads URDF files too, but such a hand is made from its URDF.
     outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
     if outermost and outermost[1] == b"robot":
@@ -126,7 +126,7 @@ def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         with unlogged():
             return spec.compile()
     except ValueError as error:
-        raise HandError(f"{path}: MuJoCo cannot compile it: {complaint(error)}; {FILE_ADVICE}") from None
+        raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 
 
 def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:

@@ -44,7 +44,7 @@ class Motion:
         return take(self, rows)
 
 
-def closing(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
+def closing_motion(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
     """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
     Args:

@@ -74,7 +74,7 @@ class Protocol:
         """Whether the object is lifted off a table instead of being pushed."""
         return not self.directions
 
-    def slippery(self, friction: float | None) -> Protocol:
+    def with_friction(self, friction: float | None) -> Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""
         if friction is None:
             return self

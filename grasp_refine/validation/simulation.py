@@ -16,7 +16,7 @@ from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transfo
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocol import AXES, Protocol
-from grasp_refine.validation.stepping import Conditions, Rows, Watch
+from grasp_refine.validation.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World
 
@@ -94,8 +94,8 @@ def simulate(
             if progress is not None:
                 progress(start + share * count)
 
-        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, tell=report)
-        parts.append(push(world, closed, threads=threads, tell=report, first_failure=first_failure))
+        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, progress=report)
+        parts.append(push(world, closed, threads=threads, progress=report, first_failure=first_failure))
     return Trials.join(parts)
 
 
@@ -105,8 +105,8 @@ def close(
     conditions: Conditions,
     *,
     threads: int | None = None,
-    tell: Callable[[float], None] = lambda share: None,
-    watch: Watch | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    on_step: StepCallback | None = None,
 ) -> Closed:
     """Close the hands of N grasps, from the pregrasp over the grasp to the squeeze.
 
@@ -115,15 +115,15 @@ def close(
         motion: Motion that closes the hand.
         conditions: Poses of the object, and friction.
         threads: CPU threads; by default as many as there are.
-        tell: Called with the finished share of the whole trial.
-        watch: Called at the start, if any grasp can start, and after every simulation step.
+        progress: Called with the finished share of the whole trial.
+        on_step: Called at the start, if any grasp can start, and after every simulation step.
     """
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
     finite &= np.isfinite(conditions.T_world_object).all(axis=(1, 2)) & np.isfinite(conditions.friction)
     start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
     course = _Course.of(world, motion, finite)
-    rows = Rows(world, np.where(finite, conditions.friction, protocol.friction), finite, _threads(threads), watch)
+    rows = Rows(world, np.where(finite, conditions.friction, protocol.friction), finite, _threads(threads), on_step)
     batch = rows.batch
     batch.qpos[:, world.root_at : world.root_at + 7] = course.root(0, 0.0)
     batch.qpos[:, world.joints_at] = course.joints[:, 0]
@@ -132,8 +132,8 @@ def close(
     deep = finite & (start_touch.depth > protocol.deepest)
     in_table = finite & (start_touch.depth_table > protocol.deepest)
     rows.running &= ~(deep | in_table)
-    if watch is not None and rows.running.any():
-        watch(batch)
+    if on_step is not None and rows.running.any():
+        on_step(batch)
     contacts, steps = [], 0
     for stage in (0, 1):
         for move in range(1, protocol.moves + 1):
@@ -143,7 +143,7 @@ def close(
             batch.mocap_pos[:, 0], batch.mocap_quat[:, 0] = pose[:, :3], pose[:, 3:]
             rows.step(protocol.steps_per_move)
             steps += protocol.steps_per_move
-            tell(steps / _steps(protocol))
+            progress(steps / _steps(protocol))
         contacts.append(rows.touching(np.flatnonzero(rows.running)).links)
     moved, turned = distances(start, rows.object_poses())
     ran = finite & ~deep & ~in_table
@@ -172,8 +172,8 @@ def push(
     threads: int | None = None,
     first_failure: bool = False,
     to_the_end: bool = False,
-    tell: Callable[[float], None] = lambda share: None,
-    watch: Watch | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    on_step: StepCallback | None = None,
 ) -> Trials:
     """Push the object of closed grasps in each direction, or lift it.
 
@@ -184,8 +184,8 @@ def push(
         threads: CPU threads; by default as many as there are.
         first_failure: As for `simulate`.
         to_the_end: Failed trials continue, to be watched; their results are the same as if they did not.
-        tell: Called with the finished share of the whole trial.
-        watch: Called after every simulation step.
+        progress: Called with the finished share of the whole trial.
+        on_step: Called after every simulation step.
     """
     protocol, count = world.protocol, len(closed.reason)
     names = directions or protocol.directions or LIFT
@@ -194,7 +194,7 @@ def push(
     start = closed.conditions.T_world_object[grasp]
     reason = closed.reason[grasp]
     undecided = reason == Reason.HELD
-    rows = Rows(world, closed.conditions.friction[grasp], undecided, _threads(threads), watch)
+    rows = Rows(world, closed.conditions.friction[grasp], undecided, _threads(threads), on_step)
     rows.batch.state[:] = closed.state[grasp]
     held_at = rows.batch.mocap_pos.copy()
     if not protocol.tabletop:
@@ -229,7 +229,7 @@ def push(
             reason[lost], undecided = worst[lost], undecided & ~lost
         if not to_the_end:
             rows.running &= undecided
-        tell(1.0 - (protocol.checks - check) * protocol.steps_per_check / _steps(protocol))
+        progress(1.0 - (protocol.checks - check) * protocol.steps_per_check / _steps(protocol))
     return Trials(
         directions=names,
         links=world.links,

@@ -31,7 +31,7 @@ DIVERGED = [
 ]
 """Warnings of MuJoCo after which a simulation is not valid."""
 
-Watch = Callable[[Batch], None]
+StepCallback = Callable[[Batch], None]
 """Called after every simulation step, and once before the first."""
 
 
@@ -79,14 +79,14 @@ class Rows:
         friction: Float[np.ndarray, " N"],
         running: Bool[np.ndarray, " N"],
         threads: int,
-        watch: Watch | None = None,
+        on_step: StepCallback | None = None,
     ) -> None:
         """Begin N simulations at the model's initial state, of which those that are `running` will be stepped."""
         self.world = world
         self.batch = Batch(world.model, len(running), threads)
         self.running = running.copy()
         self.unstable = np.zeros(len(running), dtype=bool)
-        self._watch = watch
+        self._on_step = on_step
         self._data = mujoco.MjData(world.model)
         if (friction != world.protocol.friction).any():
             coefficients = self.batch.expand("geom_friction")
@@ -95,7 +95,7 @@ class Rows:
 
     def step(self, count: int) -> None:
         """Advance running simulations by `count` steps; those that diverge stop."""
-        for steps in (count,) if self._watch is None else (1,) * count:
+        for steps in (count,) if self._on_step is None else (1,) * count:
             ids = np.flatnonzero(self.running)
             if not len(ids):
                 return
@@ -108,8 +108,8 @@ class Rows:
             self.unstable[ids] |= (self.batch.warning[ids][:, DIVERGED, 1] > 0).any(axis=1)
             self.unstable[ids] |= ~np.isfinite(self.batch.qpos[ids]).all(axis=1)
             self.running &= ~self.unstable
-            if self._watch is not None:
-                self._watch(self.batch)
+            if self._on_step is not None:
+                self._on_step(self.batch)
 
     def touching(self, rows: np.ndarray) -> Touch:
         """Return the contacts in the simulations `rows`; none in the others."""

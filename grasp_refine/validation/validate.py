@@ -34,7 +34,7 @@ BARELY = 0.5
 MIN_CONTACT_LINKS = 2
 """Smallest number of links near the object at the grasp; a grasp that held with fewer is flagged."""
 
-Tell = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 """Called with the name of the present simulation, and the number of finished grasps, in fractions."""
 
 
@@ -144,7 +144,7 @@ def validate(
     world: World | None = None,
     motion: Motion | None = None,
     checks: Checks | None = None,
-    tell: Tell = lambda what, done: None,
+    progress: Progress = lambda what, done: None,
 ) -> Validated:
     """Measure N grasps on one object and, with a world, simulate them.
 
@@ -157,7 +157,7 @@ def validate(
         world: Hand and object for MuJoCo; None: nothing is simulated.
         motion: Motion that closes the hand to the grasps; needed for simulation.
         checks: Further trials beside the protocol; by default none.
-        tell: Called with the progress of the simulation.
+        progress: Called with the progress of the simulation.
 
     Raises:
         GraspRefineError: an argument of another type or shape.
@@ -179,19 +179,19 @@ def validate(
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))
     wall, cpu = time.perf_counter(), time.process_time()
-    trials = simulate(world, motion, threads=checks.threads, progress=lambda done: tell("simulating", done))
+    trials = simulate(world, motion, threads=checks.threads, progress=lambda done: progress("simulating", done))
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return Validated(
         **labels,
         wall_s=np.full(count, wall / max(count, 1)),
         cpu_s=np.full(count, cpu / max(count, 1)),
         trials=trials,
-        **_further(world, scene, motion, rows, checks, tell),
+        **_further(world, scene, motion, rows, checks, progress),
     )
 
 
 def _further(
-    world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, tell: Tell
+    world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, progress: Progress
 ) -> dict[str, Any]:
     """Return the further trials that were requested."""
     found = {}
@@ -205,7 +205,7 @@ def _further(
             numbers=rows,
             seed=checks.seed,
             threads=checks.threads,
-            progress=lambda done: tell("object elsewhere", done / checks.noise.count),
+            progress=lambda done: progress("object elsewhere", done / checks.noise.count),
         )
     if checks.frictions:
         found["frictions"] = holds_at(
@@ -213,11 +213,11 @@ def _further(
             motion,
             checks.frictions,
             threads=checks.threads,
-            progress=lambda done: tell("other friction", done / len(checks.frictions)),
+            progress=lambda done: progress("other friction", done / len(checks.frictions)),
         )
     if checks.without_squeeze:
         found["unsqueezed"] = holds_without_squeeze(
-            world, motion, threads=checks.threads, progress=lambda done: tell("without squeeze", done)
+            world, motion, threads=checks.threads, progress=lambda done: progress("without squeeze", done)
         )
     return found
 

@@ -18,7 +18,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.servos import moments
 
@@ -111,7 +111,7 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
 
 def _error_with_advice(error: ValueError) -> str:
     """Return the message of MuJoCo, with the possible cause if it is about mass or size of the object."""
-    text = complaint(error)
+    text = one_line(error)
     if re.search(rf"\b{OBJECT}(_\d+)?\b", text) and re.search(r"\b(mass|inertia|volume|size)\b", text):
         return f"{text}; --mass or --scale may be too small for it"
     return text

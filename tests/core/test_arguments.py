@@ -41,7 +41,7 @@ from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of, validate
@@ -65,7 +65,7 @@ T_a[..., 0, 3] = 0.1
 t_a, t_b = tensor(T_a), tensor(T_b)
 layer, kinematics, chain = WitnessLayer(pairs, ContactKinematics()), Kinematics(hand, links), Chain(hand, links)
 protocol = Protocol(directions=("+x",), moves=1, steps_per_move=1, checks=1, steps_per_check=1)
-world, motion = build_world(model_of(hand), box, protocol), closing(Scene(hand, box, T[:1], q[:1]))
+world, motion = build_world(model_of(hand), box, protocol), closing_motion(Scene(hand, box, T[:1], q[:1]))
 long = 2 * pose[:1, [0, 1, 2, 3, 4, 5, 6]]
 large = T * [[2.0], [2.0], [2.0], [1.0]]
 
@@ -106,8 +106,8 @@ REFUSED = {
     "build_world(hand, box, protocol)": "model_of(hand)",
     'build_world(model_of(hand), "mug", protocol)': 'load_object("mug")',
     "simulate(model_of(hand), motion)": "build_world",
-    "simulate(world, scene)": "closing(scene)",
-    "closing(motion)": "Scene",
+    "simulate(world, scene)": "closing_motion(scene)",
+    "closing_motion(motion)": "Scene",
     'validate("scene", name="a", scale=1.0, rows=[0], index=[0])': "Scene",
     "Pairs((ball,), (box,))": "Object",
     "Pairs(ball, ball)": "tuple",

@@ -24,7 +24,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
@@ -47,7 +47,7 @@ def things() -> dict[str, object]:
     prepared = HandObject(hand, box)
     T_link = prepared.chain(T, q).T_world_link
     world = build_world(model_of(hand), box, Protocol(moves=1, steps_per_move=1, checks=1, steps_per_check=1))
-    motion = closing(scene, prepared)
+    motion = closing_motion(scene, prepared)
     rows = np.arange(2)
     return {
         "Hand": hand,

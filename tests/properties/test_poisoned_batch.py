@@ -28,7 +28,7 @@ from grasp_refine.results.document import run_document
 from grasp_refine.results.outcome import compare
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.cli import main
 
 GEOMETRY = Weights(wrench=0.0)
@@ -163,7 +163,7 @@ def test_their_measures_are_null_in_valid_json(scene: Scene) -> None:
     config = CONFIGS["levenberg-marquardt"]
     mixed, good, bad = poisoned(scene)
     found = refine(mixed, config)
-    motion = closing(replace(mixed, T_world_root=found.T_world_root, q=found.q))
+    motion = closing_motion(replace(mixed, T_world_root=found.T_world_root, q=found.q))
     rows = np.arange(len(mixed.q))
     outcome = compare(mixed, found, motion, margin=0.0, name="box", scale=1.0, row=rows, index=rows)
     entries = strict(dumps(run_document(outcome, config, config={}, wall_s=1.0, cpu_s=1.0)))["grasps"]
@@ -176,7 +176,7 @@ def test_their_measures_are_null_in_valid_json(scene: Scene) -> None:
     assert all(entries[row]["quality"]["after"] > 0 for row in good)
     # Those of the others are as without them.
     alone = refine(scene, config)
-    motion_alone = closing(replace(scene, T_world_root=alone.T_world_root, q=alone.q))
+    motion_alone = closing_motion(replace(scene, T_world_root=alone.T_world_root, q=alone.q))
     np.testing.assert_allclose(motion.T_world_root[good], motion_alone.T_world_root, atol=1e-9)
     np.testing.assert_allclose(motion.q[good], motion_alone.q, atol=1e-9)
     nowhere = bad[[key != "1e6 m away" for key in POISONS]]

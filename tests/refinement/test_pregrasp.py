@@ -18,7 +18,7 @@ from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObje
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure, movement
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
@@ -90,9 +90,9 @@ def test_hands_open_around_a_mug(mugs: Scene) -> None:
 
 def test_gloves_that_are_kept_change_nothing(mugs: Scene) -> None:
     prepared = HandObject.of(mugs)
-    fresh = closing(mugs)
+    fresh = closing_motion(mugs)
     for _ in range(2):
-        again = closing(mugs, prepared)
+        again = closing_motion(mugs, prepared)
         np.testing.assert_allclose(again.T_world_root, fresh.T_world_root, atol=1e-9)
         # Squeezes are pressed by bare hands.
         np.testing.assert_allclose(again.q, fresh.q, atol=1e-9)
@@ -106,7 +106,7 @@ def test_opening_can_be_ended(mugs: Scene) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        closing(mugs, None, progress)
+        closing_motion(mugs, None, progress)
     assert heard == [1]
 
 

@@ -35,7 +35,7 @@ from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, sta
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.validation.measures import SIDES
 from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine_apps.report.progress import Reporter
@@ -358,7 +358,7 @@ def test_the_outcome_measures_a_refinement():
     scene = Scene(hand, ball, T[None], hand.rest[None])
     config = Config(solver=Descent(iterations=40), contact_selection=ContactSelection(reach=0.2), nearest=True)
     refinement = refine(scene, config)
-    motion = closing(replace(scene, T_world_root=refinement.T_world_root, q=refinement.q))
+    motion = closing_motion(replace(scene, T_world_root=refinement.T_world_root, q=refinement.q))
     outcome = compare(
         scene, refinement, motion, margin=0.0, name="ball", scale=2.0, row=np.array([5]), index=np.array([1])
     )

@@ -14,7 +14,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import STAGES, closing, motion_of
+from grasp_refine.validation.motion import STAGES, closing_motion, motion_of
 from refusals import refused
 
 
@@ -33,7 +33,7 @@ def test_the_stages_are_open_grasp_and_squeeze(hand: Hand, grasps: GraspSet) -> 
     T, q = transform_from_pose(grasps.hand_pose), grasps.q.copy()
     q[1, 3] = np.nan
     scene = Scene(hand, box, T, q)
-    motion = closing(scene)
+    motion = closing_motion(scene)
     assert len(motion) == 3 and STAGES == ("pregrasp", "grasp", "squeeze")
     T_open, q_open = open_hand(scene)
     good = [0, 2]

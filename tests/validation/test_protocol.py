@@ -58,7 +58,7 @@ def test_a_free_object_is_pushed_along_the_named_direction(protocol: Protocol) -
     def watch(batch: Batch) -> None:
         paths.append(batch.qpos[:, world.object_at : world.object_at + 7].copy())
 
-    trials = push(world, closed, to_the_end=True, watch=watch)
+    trials = push(world, closed, to_the_end=True, on_step=watch)
     assert sorted(trials.directions) == sorted(UNIT)
     assert (trials.reason == Reason.MOVED).all()
     path = np.stack(paths).reshape(-1, count, len(UNIT), 7)
@@ -94,7 +94,9 @@ def test_on_a_tabletop_the_object_falls_and_the_hand_does_not() -> None:
     world = build_world(gripper(), ball(), TABLETOP, Plane(offset=-50.0))
     poses: list[np.ndarray] = []
     motion = away()
-    closed = close(world, motion, Conditions.nominal(world, 1), watch=lambda batch: poses.append(batch.qpos[0].copy()))
+    closed = close(
+        world, motion, Conditions.nominal(world, 1), on_step=lambda batch: poses.append(batch.qpos[0].copy())
+    )
     assert closed.reason.tolist() == [Reason.THROWN]
     path = np.stack(poses[1:])
     falls = fallen(9.81, np.arange(1, len(path) + 1), TABLETOP.timestep)

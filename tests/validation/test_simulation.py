@@ -114,7 +114,7 @@ def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
     assert (trials.reason == Reason.UNSTABLE).all()
     assert not (trials.displacement_m < 1.0).any()
     closed, times = close(world, around(4.0), Conditions.nominal(world, 1)), []
-    push(world, closed, watch=lambda batch: times.append(batch.time.copy()))
+    push(world, closed, on_step=lambda batch: times.append(batch.time.copy()))
     assert (np.diff(times, axis=0) >= 0).all() and len(times) < FORCE_CLOSURE.steps_per_check
 
 

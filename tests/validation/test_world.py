@@ -9,7 +9,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
 from grasp_refine.validation.servos import moments
 from grasp_refine.validation.simulation import simulate
@@ -69,7 +69,7 @@ def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
 
 def test_complaints_fit_into_one_line() -> None:
     text = "XML Error: Error: unrecognized attribute: 'foo'\n  Element 'body',\t line 1\n\n"
-    assert complaint(ValueError(text)) == "unrecognized attribute: 'foo', Element 'body', line 1"
+    assert one_line(ValueError(text)) == "unrecognized attribute: 'foo', Element 'body', line 1"
 
 
 def test_warnings_of_mujoco_go_to_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -193,7 +193,7 @@ def find_first_lost(scene: Scene, world: World) -> int | None:
     for start in range(0, len(scene.q), SIMULATION_BATCH):
         rows = slice(start, start + SIMULATION_BATCH)
         some = replace(scene, T_world_root=scene.T_world_root[rows], q=scene.q[rows])
-        lost = ~simulate(world, closing(some)).success
+        lost = ~simulate(world, closing_motion(some)).success
         if lost.any():
             return start + int(np.argmax(lost))
     return None

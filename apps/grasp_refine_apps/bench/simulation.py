@@ -26,7 +26,7 @@ from grasp_refine.objects.folders import find_object
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.messages import unlogged
-from grasp_refine.validation.motion import Motion, closing, motion_of
+from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -108,7 +108,7 @@ def main() -> None:
         chosen = grasps.select(np.flatnonzero((grasps.object == name) & (grasps.scale == scale))[: options.count])
         obj = load_object(find_object(name, options.objects) if options.objects else name, scale=scale)
         scene = Scene(hand, obj, transform_from_pose(chosen.hand_pose), match_joints(chosen, hand)[0])
-        motion = motion_of(chosen, hand) if chosen.pregrasp and chosen.squeeze else closing(scene)
+        motion = motion_of(chosen, hand) if chosen.pregrasp and chosen.squeeze else closing_motion(scene)
         rows.append({"object": name, "scale": scale, **measure(hand, scene, motion)})
         row = rows[-1]
         table.add_row(

@@ -56,7 +56,7 @@ class Simulation:
             raise GraspRefineError(
                 f"--seconds must be a multiple of {CHECK_INTERVAL_S:g}, at most {MAX_PUSH_S:g}, got {self.seconds:g}"
             )
-        return replace(SETTINGS[self.setting].slippery(self.friction), mass=self.mass, checks=checks)
+        return replace(SETTINGS[self.setting].with_friction(self.friction), mass=self.mass, checks=checks)
 
 
 @dataclass(frozen=True)
@@ -108,4 +108,4 @@ class ValidationOptions:
             raise GraspRefineError("--setting and --friction are for --validate, which simulates the grasps")
         if self.friction is not None and not 0 < self.friction < inf:
             raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
-        return SETTINGS[self.setting].slippery(self.friction) if self.validate else None
+        return SETTINGS[self.setting].with_friction(self.friction) if self.validate else None

@@ -196,7 +196,7 @@ class Validate:
                 world=world,
                 motion=motion,
                 checks=checks,
-                tell=reporter.validation_callback(group.object, len(group.rows)),
+                progress=reporter.validation_callback(group.object, len(group.rows)),
             )
             parts.append(found)
             if world is not None and motion is not None and found.trials is not None:

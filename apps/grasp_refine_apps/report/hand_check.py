@@ -15,7 +15,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, Joint
 from grasp_refine.hands.self_collision import Judged, judged_pairs
 from grasp_refine.hands.urdf import joints_fixed_and_mimicking, links_with_visuals
-from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.urdf_model import urdf_model
 
@@ -68,7 +68,7 @@ def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
         with unlogged():
             model = urdf_model(hand).spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        return notes, complaint(error)
+        return notes, one_line(error)
     sizes = {"joints": model.njnt, "followers": model.neq, "convex geoms": model.ngeom, "actuators": model.nu}
     listed = ", ".join(f"{what} {number}" for what, number in sizes.items())
     return (f"MuJoCo accepts the hand: {listed}", *notes), ""

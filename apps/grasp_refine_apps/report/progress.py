@@ -66,9 +66,9 @@ class Reporter:
         self._bar.update(self._task, description=escape(what), total=None, visible=True)
 
     def validation_callback(self, name: str, total: int) -> Callable[[str, float], None]:
-        """Return the `tell` callback of `validate` for `total` grasps on the object `name`."""
+        """Return the `progress` callback of `validate` for `total` grasps on the object `name`."""
 
-        def tell(what: str, done: float) -> None:
+        def show(what: str, done: float) -> None:
             self._bar.update(
                 self._task,
                 visible=True,
@@ -78,7 +78,7 @@ class Reporter:
                 status=f"{int(done)}/{total} grasps",
             )
 
-        return tell
+        return show
 
     def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
         """Return the `progress` callback of `refine` for a group of `count` grasps on the object `name`.

@@ -25,7 +25,7 @@ from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, posed_scene
 
 FINGERTIP_TOLERANCE_M = 1e-6
@@ -73,7 +73,7 @@ def grasp_set(
     """
     if not pose.finite:
         raise GraspFileError("the shown grasp is not finite, so no file can hold it: reset it first")
-    motion = closing(posed_scene(scene, pose), prepared)
+    motion = closing_motion(posed_scene(scene, pose), prepared)
     opened, grasp, pressing = (
         Stage(pose_from_transform(motion.T_world_root[:, stage]), motion.q[:, stage]) for stage in range(3)
     )

@@ -16,11 +16,11 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.motion import Motion, closing, motion_of
+from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine.validation.protocol import SETTINGS, Protocol
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import close, push
-from grasp_refine.validation.stepping import Conditions, Watch
+from grasp_refine.validation.stepping import Conditions, StepCallback
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.viewer.pose import Pose
@@ -51,7 +51,7 @@ def protocol_of(setting: str, friction: float | None = None) -> Protocol:
         raise GraspRefineError(f"setting '{setting}': there are {', '.join(SETTINGS)}")
     if friction is not None and not 0 < friction <= MAX_FRICTION:
         raise GraspRefineError(f"friction must be above 0 and at most {MAX_FRICTION:g}, got {friction:g}")
-    return SETTINGS[setting].slippery(friction)
+    return SETTINGS[setting].with_friction(friction)
 
 
 class Validator:
@@ -112,7 +112,7 @@ class PosedGrasp:
         own = None
         if "own" in owners.values():
             posed = replace(scene, T_world_root=pose.T_object_root[None], q=pose.q[None])
-            own = closing(posed, self.prepared, lambda finished, iteration, loss: check())
+            own = closing_motion(posed, self.prepared, lambda finished, iteration, loss: check())
         if own is not None and "file" not in owners.values():
             return own, owners
         assert of_file is not None  # some stages are of its file
@@ -139,8 +139,8 @@ def run_trial(validator: Validator, grasp: PosedGrasp, protocol: Protocol, contr
     motion, owners = grasp.motion(control.check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
     observer = trial_observer(protocol, pushing, control)
-    closed = close(world, motion, Conditions.nominal(world, 1), watch=observer)
-    trials = push(world, closed, watch=observer)
+    closed = close(world, motion, Conditions.nominal(world, 1), on_step=observer)
+    trials = push(world, closed, on_step=observer)
     control.report(1.0, "done")
     return TrialResult.of(trials, 0, protocol, owners, motion)
 
@@ -176,7 +176,7 @@ def record_direction(
     return shown_motion(hand, validator.model(hand), replay, world.model)
 
 
-def trial_observer(protocol: Protocol, pushing: str, control: Control) -> Watch:
+def trial_observer(protocol: Protocol, pushing: str, control: Control) -> StepCallback:
     """Return an observer of the steps of one trial, which reports progress, and checks `control` at each step.
 
     Args:

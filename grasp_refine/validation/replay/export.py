@@ -14,7 +14,7 @@ import numpy as np
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.messages import complaint, unlogged
+from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
 PUSH = "push"
@@ -153,7 +153,7 @@ def _check_same_physics(model: mujoco.MjModel, text: str) -> None:
         with unlogged():
             written = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
-        raise GraspRefineError(f"the exported model cannot be compiled: {complaint(error)}") from None
+        raise GraspRefineError(f"the exported model cannot be compiled: {one_line(error)}") from None
     for name in filter(_PHYSICS.match, dir(model)):
         # Of sites and actuators, those of the push are the last.
         ours, theirs = getattr(model, name), getattr(written, name)[: len(getattr(model, name))]

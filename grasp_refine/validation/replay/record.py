@@ -9,7 +9,7 @@ from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES
 from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.simulation import LIFT, close, push
-from grasp_refine.validation.stepping import Conditions, Watch
+from grasp_refine.validation.stepping import Conditions, StepCallback
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import World
 
@@ -25,7 +25,7 @@ def record(
     name: str,
     hand: str,
     conditions: Conditions | None = None,
-    also: Watch = lambda batch: None,
+    also: StepCallback = lambda batch: None,
 ) -> Replay | None:
     """Record one grasp from the pregrasp to the end of its trial, also when it fails; None if it cannot start.
 
@@ -44,7 +44,7 @@ def record(
     # The callback is called once before the first step.
     steps = -1
 
-    def watch(batch: Batch) -> None:
+    def on_step(batch: Batch) -> None:
         nonlocal steps
         also(batch)
         steps += 1
@@ -62,8 +62,8 @@ def record(
             frames.append(tuple(np.array(field[0]) for field in fields))
 
     conditions = Conditions.nominal(world, 1) if conditions is None else conditions
-    closed = close(world, motion, conditions, threads=1, watch=watch)
-    trials = push(world, closed, directions=(direction,), threads=1, to_the_end=True, watch=watch)
+    closed = close(world, motion, conditions, threads=1, on_step=on_step)
+    trials = push(world, closed, directions=(direction,), threads=1, to_the_end=True, on_step=on_step)
     if not frames:
         return None
     time, qpos, qvel, ctrl, mocap_pos, mocap_quat = (np.stack(column) for column in zip(*frames, strict=True))

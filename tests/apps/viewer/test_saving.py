@@ -20,7 +20,7 @@ from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.viewer import saving
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
@@ -100,7 +100,7 @@ def test_the_stages_are_those_that_simulation_closes_with():
     own, grasps = hand("allegro"), shown("allegro")
     pose = Pose(exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7])), np.clip(own.rest + 0.1, own.lower, own.upper))
     scene = Scene(own, load_object("sphere:0.03", candidates=64), pose.T_object_root[None], pose.q[None])
-    motion = closing(scene)
+    motion = closing_motion(scene)
     assert grasps.pregrasp is not None and grasps.squeeze is not None
     np.testing.assert_array_equal(grasps.pregrasp.q, motion.q[:, 0])
     np.testing.assert_array_equal(grasps.q, pose.q[None])

@@ -21,7 +21,7 @@ from grasp_refine.pipeline.problem import Group
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
@@ -126,7 +126,7 @@ def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: 
 def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
     group: Group, scene: Scene, grasp: PosedGrasp
 ) -> None:
-    own = closing(scene, grasp.prepared)
+    own = closing_motion(scene, grasp.prepared)
     given = replace(
         group.grasps,
         pregrasp=Stage(pose_from_transform(own.T_world_root[:, 0]), own.q[:, 0] + 0.01),

@@ -19,7 +19,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import Motion, closing
+from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
@@ -134,7 +134,7 @@ class GroupTask:
             if config is not None:
                 short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
                 refine(few, short, prepared=prepared)
-        closing(few, prepared)
+        closing_motion(few, prepared)
 
     def _result(
         self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Progress
@@ -153,7 +153,7 @@ class GroupTask:
             motion = self.group.came
         else:
             cpu = time.process_time()
-            motion = closing(scene, prepared)
+            motion = closing_motion(scene, prepared)
             cost["stages_cpu_ms"] = np.full(count, 1e3 * (time.process_time() - cpu) / max(count, 1))
         reason = {}
         for number, (name, world) in enumerate(worlds.items()):

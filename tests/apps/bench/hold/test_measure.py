@@ -11,7 +11,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing
+from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine_apps.bench.hold.measure import Group, GroupResult, GroupTask, Method, contact_gap, methods
@@ -65,7 +65,7 @@ def results(hand: Hand) -> list[GroupResult]:
     # One that nearly touches, and one that is open all the way.
     grasps = scene(hand, np.array([[OPEN - RADIUS - 0.002, -OPEN + RADIUS + 0.002], [0.01, -0.01]]))
     # As they came, they never close.
-    came = closing(grasps)
+    came = closing_motion(grasps)
     came.q[:] = 0.0
     shares: list[float] = []
     group, model = Group("ball", grasps, came), urdf_model(hand)
