@@ -41,6 +41,8 @@ class Axis:
     """Smallest number that is drawn; smaller ones are at this height, with a hollow marker."""
     marks: tuple[float, ...] = ()
     """Numbers at which a dashed line is drawn."""
+    steps: tuple[float, ...] = ()
+    """All numbers, of a horizontal axis that draws them at equal steps; empty: to scale."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,8 @@ class Chart:
             if not points:
                 continue
             across, height = np.array(points, dtype=float).T
+            if self.x.steps:
+                across = np.searchsorted(self.x.steps, across)
             low = -np.inf if y.least is None else y.least
             drawn = np.maximum(height, low)
             axes.plot(across, drawn, dash, marker=marker, color=color, markersize=4.5, linewidth=1.6, label=label)
@@ -129,7 +133,7 @@ class Chart:
         for mark in y.marks:
             axes.axhline(mark, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
         for axis, its, scale in ((axes.xaxis, self.x, axes.set_xscale), (axes.yaxis, y, axes.set_yscale)):
-            if its.log:
+            if its.log and not its.steps:
                 scale("log")
             _set_ticks(axis, its)
         axes.set(xlabel=self.x.name, ylabel=y.name)
@@ -154,17 +158,20 @@ def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
 
 def _set_ticks(axis: Any, its: Axis) -> None:
     """Set ticks at 1, 2 and 5 where there are few decades, and write them with their unit."""
-    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import EngFormatter, Formatter, FuncFormatter, LogLocator, NullFormatter
 
+    factor, unit = (100.0, " %") if its.unit == "%" else (1.0, f" {its.unit}".rstrip())
+    form: Formatter = FuncFormatter(lambda value, _: f"{factor * value:.6g}{unit}")
+    if its.unit in ("s", "m"):
+        form = EngFormatter(unit=its.unit)
+    if its.steps:
+        axis.set_ticks(range(len(its.steps)), list(map(form, its.steps)))
+        return
     if its.log:
         low, high = axis.get_view_interval()
         axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high < 200 * low else (1,), numticks=10))
         axis.set_minor_formatter(NullFormatter())
-    if its.unit in ("s", "m"):
-        axis.set_major_formatter(EngFormatter(unit=its.unit))
-    else:
-        factor, unit = (100.0, " %") if its.unit == "%" else (1.0, f" {its.unit}".rstrip())
-        axis.set_major_formatter(lambda value, _: f"{factor * value:.6g}{unit}")
+    axis.set_major_formatter(form)
 
 
 def _inlined(svg: str, title: str) -> str:

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.console import Console
-from rich.markup import escape
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
 from grasp_refine_apps.bench.align.bodies import Kind
-from grasp_refine_apps.bench.align.page import page
 from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS, Preset
-from grasp_refine_apps.bench.align.saved import save_task
-from grasp_refine_apps.bench.align.study import Outcome, Study, run_study
-from grasp_refine_apps.bench.align.table import bench_table
+from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers
 from grasp_refine_apps.report.command_line import flag
 
@@ -117,11 +111,7 @@ class BenchAlign:
     json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write all rows to this file, in SI units."""
     html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write a report with charts and pictures of typical failures to this file."""
-    save: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Write one task as an .npz that `refine-grasp view` opens: both bodies, their targets, and their poses at every
-    iterate of each method. It is the first task of the first pair that can surely be solved, run once more and alone
-    by each method, at its largest budget; another --seed, --kinds or --classes gives another task."""
+    """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
     def execute(self) -> int:
@@ -130,26 +120,9 @@ class BenchAlign:
         Raises:
             GraspRefineError: options that do not go together, or meshes that cannot be used.
         """
-        study = self.study()
-        title = f"alignment, {study.targets} targets a pair, seed {study.seed}; accuracies in %"
+        return run_benchmark("bench align", replace(self, json=None, html=None, overwrite=False), self, self.study())
 
-        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            outcome = run_study(study, lambda line: console.print(escape(line), style="dim", soft_wrap=True), progress)
-            if self.save is not None and outcome.recorded is not None and outcome.rows:
-                save_task(self.save, outcome.recorded)
-            return outcome
-
-        return run_old_benchmark(
-            "bench align",
-            replace(self, json=None, html=None, overwrite=False, save=None),
-            self,
-            run,
-            lambda outcome: [bench_table(outcome.rows, title)],
-            lambda document, outcome: page(document, outcome.failures),
-            also=() if self.save is None else (self.save,),
-        )
-
-    def study(self) -> Study:
+    def study(self) -> AlignStudy:
         """Return the study that the options define.
 
         Raises:
@@ -175,7 +148,7 @@ class BenchAlign:
         timed: list[dict[str, Any]] = (
             [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
         )
-        return Study(
+        return AlignStudy(
             variants=tuple(
                 dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
             ),
@@ -189,7 +162,6 @@ class BenchAlign:
             device=self.device,
             threads=self.threads,
             workers=self.workers,
-            record=self.save is not None,
         )
 
     def _variants(self) -> tuple[Variant, ...]:

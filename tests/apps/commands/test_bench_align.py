@@ -16,7 +16,6 @@ import trimesh
 from command_line import call, refused
 from grasp_refine_apps.bench.align import tasks
 from grasp_refine_apps.bench.align.presets import PRESETS
-from grasp_refine_apps.bench.align.saved import is_task, load_task
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
@@ -193,30 +192,6 @@ def test_a_report_is_one_file_that_names_what_was_compared(capfd: pytest.Capture
     assert not re.search(r"""(?:src|href)=["']https?:""", text)
 
 
-def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFixture[str]):
-    Path("tasks").mkdir()
-    arguments = [*TINY, "--methods", "distance", "rigid", "--margins", "0.002", "--save", "tasks/one.npz"]
-    found = document(*arguments)
-    out = capfd.readouterr().out
-    assert "bench.json" in out and "tasks/one.npz" in out
-    assert found["config"]["save"] is None and "--save" not in found["invocation"]
-    assert is_task(Path("tasks/one.npz"))
-    task = load_task(Path("tasks/one.npz"))
-    assert [(run.label, len(run), run.margin) for run in task.trajectories] == [
-        ("distance", 41, 0.002), ("rigid", 41, 0.002)
-    ]  # fmt: skip
-    assert task.kind == "convex" and task.target_class in ("vertex-vertex", "face-vertex", "vertex-face")
-    pair = next(row["pair"] for row in found["rows"] if row["pair"] != "all")
-    assert [body.name for body in task.bodies] == [name.split()[0] for name in pair.split(" / ")]
-    # What is saved changes nothing of what is measured.
-    assert timeless(document(*arguments[:-2])) == timeless(found)
-    # The only task of a benchmark goes the same way alone as it went there.
-    alone = "--targets 1 --classes vertex-vertex --budgets 40 --save alone.npz"
-    row = pooled(document(*TINY[:6], *alone.split()))[0]
-    (run,) = load_task(Path("alone.npz")).trajectories
-    assert run.error[run.result] == pytest.approx(row["d9"], rel=1e-6)
-
-
 # Bad input
 
 
@@ -256,7 +231,6 @@ def test_a_task_is_saved_as_each_method_went_through_it(capfd: pytest.CaptureFix
         ("--meshes nowhere", ("--meshes", "nowhere")),
         ("--meshes .", ("--meshes", ".obj")),
         ("--json same --html same", ("same",)),
-        ("--json a --save a", ("a:",)),
         ("--json .", (".:",)),
         ("--html .", (".:",)),
     ],
@@ -270,7 +244,7 @@ def test_a_list_needs_a_value(option: str, capfd: pytest.CaptureFixture[str]):
     assert_names(refused(capfd, "bench", "align", option), option)
 
 
-@pytest.mark.parametrize("option", ["--json", "--html", "--save"])
+@pytest.mark.parametrize("option", ["--json", "--html"])
 def test_what_cannot_be_written_is_found_out_first(option: str, capfd: pytest.CaptureFixture[str]):
     Path("file").write_text("a file")
     assert_names(refused(capfd, *TINY, option, "file/bench"), "file/bench", "file ")

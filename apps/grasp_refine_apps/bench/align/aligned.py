@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +13,6 @@ from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
-
-Visit = Callable[[np.ndarray, np.ndarray], None]
-"""Called with the poses (4, 4) of both bodies of the first task of the first pair, at its start and each iteration."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.transport import EquivalentTransport
-from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import Tasks
@@ -72,7 +72,6 @@ def align(
     dtype: torch.dtype = torch.float64,
     device: str = "cpu",
     progress: Callable[[float], None] = lambda share: None,
-    visit: Visit | None = None,
 ) -> AlignmentResult:
     """Run the tasks of several pairs, an equal number of each.
 
@@ -83,16 +82,11 @@ def align(
         dtype: Number type of poses and losses.
         device: Device of poses and losses; queries and derivatives run on the CPU.
         progress: Called from time to time with the share of the budget that is used.
-        visit: Called with the poses of the first task at each iterate.
     """
 
     def stacked(name: str) -> Tensor:
         array = np.stack([getattr(one, name) for one in tasks], axis=1)
         return torch.as_tensor(array, dtype=dtype, device=device)
-
-    def visited(*poses: Tensor) -> None:
-        if visit is not None:
-            visit(*(T[0, 0].double().cpu().numpy() for T in poses))
 
     watch = Stopwatch()
     pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
@@ -109,7 +103,6 @@ def align(
         while done < 1.0:
             error, gradients, last = problem.gradients(T_a, T_b, iteration, last)
             best.keep(error, T_a, T_b)
-            visited(T_a, T_b)
             rotation = solver.step_size * SCHEDULE_FACTORS[sum(done >= share for share in SCHEDULE_SHARES)]
             T_b = _step(T_b, gradients[-1], rotation)
             if solver.optimise == "T1T2":
@@ -122,7 +115,6 @@ def align(
                 done = (time.process_time() - start_cpu) / (solver.seconds * len(bodies))
             if iteration % 50 == 0:
                 progress(min(done, 1.0))
-    visited(T_a, T_b)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     with torch.no_grad():
         last_error, _ = problem.errors(T_a, T_b, iteration)

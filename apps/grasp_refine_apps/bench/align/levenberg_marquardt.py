@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.refinement.solvers.least_squares import WIDTH, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.witness.patch import Patch
-from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.problem import AlignProblem
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
@@ -46,7 +46,6 @@ def run_levenberg_marquardt(
     solver: AlignLevenbergMarquardt,
     *,
     progress: Callable[[float], None] = lambda share: None,
-    visit: Visit | None = None,
 ) -> AlignmentResult:
     """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
@@ -55,7 +54,6 @@ def run_levenberg_marquardt(
         tasks: Tasks of each pair; some pairs may have more than others.
         solver: Budget and witness.
         progress: Called from time to time with the share of the budget that is used.
-        visit: Called with the poses of the first task at each iterate.
     """
     watch = Stopwatch()
     problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
@@ -70,11 +68,6 @@ def run_levenberg_marquardt(
         if iteration % 10 == 0:
             progress(min(iteration / most, 1.0))
 
-    def visited(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
-        assert visit is not None
-        for T_b in point.T[member == 0]:
-            visit(problem.tasks.T_world_a[0], T_b)
-
     settings = LevenbergMarquardt(
         iterations=solver.iterations,
         restarts=solver.iterations,
@@ -84,7 +77,7 @@ def run_levenberg_marquardt(
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch:
-        found = minimise(problem, start, settings, TOLERANCE_M2, progress=told, on_iteration=visited if visit else None)
+        found = minimise(problem, start, settings, TOLERANCE_M2, progress=told)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts

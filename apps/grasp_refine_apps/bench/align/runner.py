@@ -1,4 +1,4 @@
-"""Jobs of the benchmark: each takes some pairs through one variant."""
+"""Alignments of the benchmark: each takes some pairs through one variant."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from grasp_refine_apps.bench.align.aligned import AlignmentResult, Visit, errors_at, pad_tasks
+from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair
 from grasp_refine_apps.bench.align.descent import AlignDescent, align
 from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
@@ -24,7 +24,7 @@ EARLY_COST_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class Alignment:
     """One variant on some pairs of one kind."""
 
     variant: Variant
@@ -46,17 +46,12 @@ class Job:
         early = EARLY_COST_SHARE if self.variant.solver == "levenberg-marquardt" else 1.0
         return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 
-    @property
-    def label(self) -> str:
-        """Label of the job, for a progress bar."""
-        return f"{self.variant.name}, {self.pairs[0].kind}"
-
-    def do(self, progress: Callable[[float], None]) -> JobResult:
+    def run(self, progress: Callable[[float], None]) -> JobResult:
         """Run the variant on the tasks, in this process."""
         torch.set_num_threads(self.threads)
         variant = self.variant
         with one_thread():
-            aligned = self.solved(progress)
+            aligned = self._solved(progress)
         if variant.patch is None:
             return JobResult(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b
@@ -64,20 +59,20 @@ class Job:
             self, aligned, errors_at(self.pairs, pad_tasks(self.tasks), *poses, variant.margin, variant.patch)[0]
         )
 
-    def solved(self, progress: Callable[[float], None], visit: Visit | None = None) -> AlignmentResult:
-        """Run the solver on the tasks; `visit` is called with the poses of the first one."""
+    def _solved(self, progress: Callable[[float], None]) -> AlignmentResult:
+        """Run the solver on the tasks."""
         solver = self.variant.built(self.seed)
         if not isinstance(solver, AlignDescent):
-            return run_levenberg_marquardt(self.pairs, self.tasks, solver, progress=progress, visit=visit)
+            return run_levenberg_marquardt(self.pairs, self.tasks, solver, progress=progress)
         to = {"dtype": getattr(torch, self.dtype), "device": self.device}
-        return align(self.pairs, pad_tasks(self.tasks), solver, **to, progress=progress, visit=visit)
+        return align(self.pairs, pad_tasks(self.tasks), solver, **to, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
 class JobResult:
-    """Results of a job; task i of pair p is real where `i < len(job.tasks[p])`."""
+    """Results of an alignment; task i of pair p is real where `i < len(job.tasks[p])`."""
 
-    job: Job
+    job: Alignment
     aligned: AlignmentResult
     patch_error: np.ndarray | None = None
     """Errors (N, P) at the best poses by the patch witness, in square metres; None: not measured."""
@@ -92,7 +87,7 @@ class JobResult:
         return None if self.patch_error is None else self.patch_error[: len(self.job.tasks[pair]), pair]
 
 
-def jobs(
+def alignments(
     variants: Sequence[Variant],
     pairs: Sequence[BodyPair],
     tasks: Sequence[Tasks],
@@ -101,8 +96,8 @@ def jobs(
     dtype: str,
     device: str,
     threads: int,
-) -> list[Job]:
-    """Make one job for each variant and each group of pairs of one kind."""
+) -> list[Alignment]:
+    """Group pairs of one kind, and make one alignment of each group for each variant."""
     made = []
     for kind in KINDS:
         # Pairs with similar numbers of pieces run together: they are padded to the largest number.
@@ -113,5 +108,5 @@ def jobs(
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)
-                made.append(Job(variant, tuple(pairs[i] for i in group), chosen, seed, dtype, device, threads))
+                made.append(Alignment(variant, tuple(pairs[i] for i in group), chosen, seed, dtype, device, threads))
     return made

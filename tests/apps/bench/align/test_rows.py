@@ -13,7 +13,7 @@ from grasp_refine.core.json_files import dumps
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows, summary
-from grasp_refine_apps.bench.align.runner import Job, JobResult
+from grasp_refine_apps.bench.align.runner import Alignment, JobResult
 from grasp_refine_apps.bench.align.stopwatch import PARTS, Stopwatch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -69,7 +69,7 @@ def done(
     aligned = AlignmentResult(
         error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s
     )
-    return JobResult(Job(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
+    return JobResult(Alignment(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
 
 
 def by(found: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
