@@ -107,6 +107,9 @@ class Chart:
 
     def _draw(self, axes: Axes, rows: Sequence[Row], y: Axis, labels: Sequence[str]) -> None:
         """Draw one panel."""
+        for its, set_scale in ((self.x, axes.set_xscale), (y, axes.set_yscale)):
+            if its.log and not its.steps:
+                set_scale("log")
         for k, label in enumerate(labels):
             color, marker = COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)]
             dash = DASHES[k // len(COLORS) % len(DASHES)]
@@ -132,9 +135,10 @@ class Chart:
             )
         for mark in y.marks:
             axes.axhline(mark, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
-        for axis, its, scale in ((axes.xaxis, self.x, axes.set_xscale), (axes.yaxis, y, axes.set_yscale)):
-            if its.log and not its.steps:
-                scale("log")
+        for axis, its, set_limits in ((axes.xaxis, self.x, axes.set_xlim), (axes.yaxis, y, axes.set_ylim)):
+            low, high = axis.get_data_interval()
+            if its.log and not its.steps and low == high:
+                set_limits(low / 2.0, 2.0 * high)
             _set_ticks(axis, its)
         axes.set(xlabel=self.x.name, ylabel=y.name)
 

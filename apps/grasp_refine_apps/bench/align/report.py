@@ -164,14 +164,14 @@ def _times(rows: Sequence[Row]) -> Chart:
         if len({row["label"] for row in rows}) > MAX_LINES and key in swept(rows):
             rows = at_best(rows, key)
             note += f" Each method is shown with its best {name} only."
-    least = 0.5 / max((row["targets"] for row in rows), default=1)
+    least = 0.5 / max(1, *(row["targets"] for row in rows))
     return Chart(
         "Error against CPU time",
         rows,
         Axis("cpu_s_per_pair", "CPU time per pair of bodies", "s"),
         (
             Axis("d5", "median error [m²]", least=MIN_ERROR_M2, marks=(1e-6, 1e-8)),
-            Axis("missed", "targets missed by more than 1 mm", "%", least=max(least, 1e-6)),
+            Axis("missed", "targets missed by more than 1 mm", "%", least=least),
         ),
         lambda row: row["label"],
         lambda row: f"{row['kind']} bodies",
