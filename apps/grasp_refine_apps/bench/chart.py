@@ -135,10 +135,7 @@ class Chart:
             )
         for mark in y.marks:
             axes.axhline(mark, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
-        for axis, its, set_limits in ((axes.xaxis, self.x, axes.set_xlim), (axes.yaxis, y, axes.set_ylim)):
-            low, high = axis.get_data_interval()
-            if its.log and not its.steps and low == high:
-                set_limits(low / 2.0, 2.0 * high)
+        for axis, its in ((axes.xaxis, self.x), (axes.yaxis, y)):
             _set_ticks(axis, its)
         axes.set(xlabel=self.x.name, ylabel=y.name)
 
