@@ -38,7 +38,6 @@ from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 from made_results import plain_outcome, with_measures
 from refusals import assert_names, refused
@@ -482,7 +481,7 @@ def test_files_that_exist_are_kept_unless_asked(tmp_path: Path):
     check_writable(Path("/dev/null"), Path("/dev/null"), overwrite=False)
 
 
-# Names, progress and versions
+# Names and versions
 
 
 def test_result_files_have_names_that_any_file_system_takes(tmp_path: Path):
@@ -490,52 +489,6 @@ def test_result_files_have_names_that_any_file_system_takes(tmp_path: Path):
     assert [path.name for path in paths.values()] == [
         "claw_mug.npz", "claw_box_1,2,3.npz", "claw_a_b.npz", "claw_a_b_.npz"
     ]  # fmt: skip
-
-
-def test_progress_is_single_lines_without_a_terminal():
-    stream = io.StringIO()
-    with Reporter(Console(file=stream, width=40)) as reporter:
-        reporter.say("note: a line that is longer than the console is wide, kept in one piece")
-        reporter.start("claw", 3, 100)
-        progress = reporter.group("mug", 3)
-        progress(0, 1, 1e-4)
-        progress(3, 2, 0.0)
-    note, line = stream.getvalue().splitlines()
-    assert note == "note: a line that is longer than the console is wide, kept in one piece"
-    assert_names(line, "3 grasps", "claw", "100 iterations")
-    stream.truncate(0)
-    with Reporter(Console(file=stream, width=40)) as reporter:
-        reporter.wait("sampling")
-        reporter.start("claw", 1, 100, starts=1)
-    assert re.search(r"\b1 grasp\b.*\bclaw\b.*\b1 start\n$", stream.getvalue())
-
-
-def test_progress_is_a_bar_in_a_terminal():
-    stream = io.StringIO()
-    with Reporter(Console(file=stream, width=100, force_terminal=True)) as reporter:
-        reporter.start("claw", 4, 100)
-        reporter.group("mug", 2)(2, 10, 1e-4)
-        reporter.group("can", 2)(1, 20, 2.5e-5)
-        reporter._bar.refresh()
-    for named in ("can", "3/4", "iteration 20", "2.5e-05 m²"):
-        assert named in stream.getvalue()
-
-
-def test_the_bar_counts_good_grasps_where_they_are_made_to_hold():
-    stream = io.StringIO()
-    with Reporter(Console(file=stream, width=100, force_terminal=True)) as reporter:
-        reporter.wait("sampling grasps of claw")
-        reporter._bar.refresh()
-        reporter.start("claw", 4, 100, starts=6)
-        progress, done = reporter.group("mug", 4), []
-        for finished, iteration in ((0, 10), (1, 20), (1, 250), (3, 260)):
-            progress(finished, iteration, 1e-4)
-            done.append(reporter._bar.tasks[0].completed)
-        reporter._bar.refresh()
-    # The bar never goes back, and is never full before all are.
-    assert done == sorted(done) and done[0] > 0 and done[-1] <= 4
-    assert "sampling grasps of claw" in stream.getvalue() and "3/4 good" in stream.getvalue()
-    assert "iteration 260" in stream.getvalue()
 
 
 def test_requirements_are_those_of_the_project():

@@ -64,7 +64,7 @@ class Progress:
         self._past: deque[tuple[float, float]] = deque([(self._begun, 0.0)])
         self._waiting = "starting the workers" if shards else ""
         self._spinner = Spinner("dots")
-        self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=4, transient=True)
+        self._live = Live(self, console=console, refresh_per_second=4, transient=True)
 
     def __enter__(self) -> Progress:
         """Show the bar, where there is a terminal."""
@@ -179,8 +179,8 @@ class Progress:
             facts.append(f"{count_text(self._failed, 'shard')} failed")
         return facts
 
-    def _picture(self) -> RenderableType:
-        """The bar, and a line for each worker."""
+    def __rich__(self) -> RenderableType:
+        """Return the bar, and a line for each worker."""
         finished = self._skipped + self._running + self._lost
         bar = Table.grid(expand=True)
         bar.add_row(ProgressBar(total=max(self._total, 1), completed=finished))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,14 +17,13 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
 from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.problem import Draft, Group, UncutGroup
+from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
-from grasp_refine.pipeline.refine import Listener, refine_problem
+from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import NEAREST
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.losses import Weights
-from grasp_refine.refinement.solvers.least_squares import Progress
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
 from grasp_refine.results.result_files import is_same_refinement, result_paths
@@ -99,11 +98,11 @@ class Run:
             paths = self._paths(draft, stamps, protocol)
             problem = loader.cut(draft)
             for note in problem.notes:
-                reporter.say(f"note: {note}")
+                reporter.note(note)
             held = config.holds and not _aimed(draft, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
-            refined = refine_problem(problem, config, protocol, listener=_Listener(reporter))
+            refined = refine_problem(problem, config, protocol, listener=reporter)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome
@@ -202,19 +201,3 @@ class Run:
 def _aimed(draft: Draft, config: Config) -> bool:
     """Return True if links have targets."""
     return config.nearest or draft.aimed
-
-
-class _Listener(Listener):
-    """Listener that shows the progress of a refinement with a reporter."""
-
-    def __init__(self, reporter: Reporter) -> None:
-        self._reporter = reporter
-
-    def refining(self, group: Group) -> Progress:
-        return self._reporter.group(group.object, len(group.rows))
-
-    def note(self, line: str) -> None:
-        self._reporter.say(f"note: {line}")
-
-    def simulating(self, group: Group) -> Callable[[str, float], None]:
-        return self._reporter.validation_callback(group.object, len(group.rows))

@@ -91,7 +91,7 @@ class Validate:
             self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
             problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
-                reporter.say(f"note: {note}")
+                reporter.note(note)
             examined = [self._examine(problem, protocol, reporter) for problem in problems]
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         found = [part.validated for part in examined]
@@ -175,7 +175,7 @@ class Validate:
         if protocol is not None:
             model = model_of(problem.hand)
             for note in model.notes:
-                reporter.say(f"note: {note}")
+                reporter.note(note)
         compiling += time.process_time()
         checks = self.robustness.checks(self.simulation.threads)
         parts, trials = [], []
@@ -196,7 +196,7 @@ class Validate:
                 world=world,
                 motion=motion,
                 checks=checks,
-                progress=reporter.validation_callback(group.object, len(group.rows)),
+                progress=reporter.simulating(group),
             )
             parts.append(found)
             if world is not None and motion is not None and found.trials is not None:

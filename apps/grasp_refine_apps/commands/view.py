@@ -135,7 +135,7 @@ class View:
             loader = Loader(inputs, self.settings.seed, reporter.say, reporter.wait)
             problem = loader.cut(loader.draft())
             for note in problem.notes:
-                reporter.say(f"note: {note}")
+                reporter.note(note)
         collection = Collection.of(problem)
         trials_by_grasp: dict[int, TrialResult] = {}
         for document in documents:

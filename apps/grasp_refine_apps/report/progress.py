@@ -10,9 +10,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.pipeline.problem import Group
+from grasp_refine.pipeline.refine import Listener
 
 
-class Reporter:
+class Reporter(Listener):
     """Progress of a refinement of several groups of grasps, shown on a console; a context manager."""
 
     def __init__(self, console: Console) -> None:
@@ -61,18 +63,23 @@ class Reporter:
         self._iterations, self._total, self._done = iterations, total, "good" if starts else "done"
         self._bar.update(self._task, description="refining", total=total, visible=True)
 
+    def note(self, line: str) -> None:
+        """Print a note for the user."""
+        self.say(f"note: {line}")
+
     def wait(self, what: str) -> None:
         """Show the description of a lengthy step, in a terminal only."""
         self._bar.update(self._task, description=escape(what), total=None, visible=True)
 
-    def validation_callback(self, name: str, total: int) -> Callable[[str, float], None]:
-        """Return the `progress` callback of `validate` for `total` grasps on the object `name`."""
+    def simulating(self, group: Group) -> Callable[[str, float], None]:
+        """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
+        total = len(group.rows)
 
         def show(what: str, done: float) -> None:
             self._bar.update(
                 self._task,
                 visible=True,
-                description=f"{what}, {escape(name)}",
+                description=f"{what}, {escape(group.object)}",
                 total=total,
                 completed=done,
                 status=f"{int(done)}/{total} grasps",
@@ -80,11 +87,12 @@ class Reporter:
 
         return show
 
-    def group(self, name: str, count: int) -> Callable[[int, int, float], None]:
-        """Return the `progress` callback of `refine` for a group of `count` grasps on the object `name`.
+    def refining(self, group: Group) -> Callable[[int, int, float], None]:
+        """Return the progress callback of the refinement of a group, which begins now.
 
         In a force-closure search, finished grasps are good, and others may still become good.
         """
+        count = len(group.rows)
         before, self._finished = self._finished, self._finished + count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
@@ -94,7 +102,7 @@ class Reporter:
             self._bar.update(
                 self._task,
                 completed=before + finished + running,
-                description=f"refining {escape(name)}",
+                description=f"refining {escape(group.object)}",
                 status=f"{done}, iteration {iteration}, mean loss {mean_loss:.1e} m²",
             )
 

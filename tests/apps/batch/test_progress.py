@@ -48,7 +48,7 @@ def said(console: Console) -> list[str]:
 def picture(progress: Progress, width: int = 80) -> list[str]:
     """What a terminal would show now."""
     console = Console(file=io.StringIO(), width=width, highlight=False, force_terminal=True, color_system=None)
-    console.print(progress._picture())
+    console.print(progress)
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import FORCE_CLOSURE, SETTINGS
+from grasp_refine_apps.commands.options import parse
+from grasp_refine_apps.commands.run import Run
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation, ValidationOptions
 
@@ -34,3 +36,10 @@ def test_durations_and_angles_have_the_units_of_the_library():
     assert Simulation(mass=0.5, friction=0.2).protocol().mass == 0.5
     noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
     assert (noise.count, noise.offset, noise.turn) == pytest.approx((3, 0.01, radians(90.0)))
+
+
+@pytest.mark.parametrize("separator", [",", " ", ", "])
+def test_several_values_are_separated_by_commas_or_spaces(separator: str):
+    index, limits = (separator.join(values).split() for values in (("2", "0"), ("0.1", "0", "3")))
+    run = parse(Run, "run", ["--index", *index, "--max-move", *limits])
+    assert (run.inputs.index, run.settings.max_move) == ((2, 0), (0.1, 0.0, 3.0))
