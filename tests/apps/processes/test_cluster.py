@@ -59,7 +59,7 @@ def test_a_task_that_waits_for_others_is_not_taken_for_one_that_hangs(address: s
     with Client(address, set_as_default=False) as other:
         busy = [other.submit(time.sleep, 12.0, workers=[worker], pure=False) for worker in other.nthreads()]
         assert soon(lambda: all(other.processing().values()))
-        assert outcomes(address, tmp_path, "write", tries=1, patience_s=8.0) == {0: "0.txt"}
+        assert outcomes(address, tmp_path, "write", tries=1, patience_s=4.0) == {0: "0.txt"}
         assert any(future.done() for future in busy)
 
 
