@@ -16,8 +16,8 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.zeroth_order import ZerothOrder
-from shapes_for_tests import convex_body, ellipsoid_hull
-from twists import FIELDS, gradients, poses_at_gap, random_cotangents, random_poses, weighed
+from shapes_for_tests import convex_body
+from twists import FIELDS, gradients, poses_at_gap, random_cotangents, weighed
 
 
 def cube(side: float) -> Body:
@@ -202,20 +202,6 @@ def test_tensors_may_lie_in_memory_as_they_like(poses: tuple[np.ndarray, np.ndar
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_the_size_of_the_batch_may_change_from_call_to_call(poses: tuple[np.ndarray, np.ndarray], name: str) -> None:
-    layer, whole = WitnessLayer(hulls(), METHODS[name]), query(hulls(), *poses)
-    cotangents = random_cotangents(whole, FIELDS, seed=7)
-    expected = gradients(layer, *poses, cotangents).numpy()
-    for rows in ([3], [0, 1, 2, 3, 4], [7, 2], [], list(range(8)), [1]):
-        T_a, T_b = (T[rows] for T in poses)
-        found = query(hulls(), T_a, T_b)
-        np.testing.assert_array_equal(found.distance, whole.distance[rows])
-        some = {field: cotangent[rows] for field, cotangent in cotangents.items()}
-        one = gradients(layer, T_a, T_b, some).numpy()
-        np.testing.assert_allclose(one, expected[:, rows], rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
 def test_graphs_that_are_made_together_keep_apart(
     poses: tuple[np.ndarray, np.ndarray], order: tuple[int, ...], name: str
@@ -256,60 +242,4 @@ def test_what_is_drawn_depends_on_seed_and_key_only(poses: tuple[np.ndarray, np.
     assert torch.rand(1).item() == drawn
 
 
-def test_other_seeds_and_keys_draw_other_samples(poses: tuple[np.ndarray, np.ndarray]) -> None:
-    cotangents = random_cotangents(query(hulls(), *poses), FIELDS, seed=8)
-    first, key, seed = (
-        gradients(WitnessLayer(hulls(), ZerothOrder(seed=s)), *poses, cotangents, key=k).numpy()
-        for s, k in ((0, 0), (0, 1), (1, 0))
-    )
-    assert np.abs(first - key).max() > 1e-3 * np.abs(first).max()
-    assert np.abs(first - seed).max() > 1e-3 * np.abs(first).max()
-
-
 # scales
-
-
-SCALES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Diagonals in metres."""
-
-
-@cache
-def scaled(diagonal: float) -> Pairs:
-    """Two ellipsoids of about that size."""
-    bodies = []
-    for seed in (0, 1):
-        vertices = ellipsoid_hull(seed, 100, (0.5, 0.3, 0.2)).vertices
-        bodies.append(build_body(f"hull {seed}", [hull(diagonal * vertices)], seed=seed))
-    return pair(*bodies)
-
-
-@pytest.mark.parametrize("diagonal", SCALES)
-def test_a_world_of_another_size_has_answers_of_that_size(diagonal: float) -> None:
-    """Distances and points scale, normals stay; from a tenth of a diagonal apart to total penetration."""
-    T_a, T_b = random_poses(40, seed=9, spread=0.4), random_poses(40, seed=10, spread=0.4)
-    unit = query(scaled(1.0), T_a, T_b)
-    assert (unit.distance > 0.1).any() and (unit.distance < -0.1).any()
-    for T in (T_a, T_b):
-        T[..., :3, 3] *= diagonal
-    found = query(scaled(diagonal), T_a, T_b)
-    np.testing.assert_array_equal(found.status, unit.status)
-    np.testing.assert_allclose(found.distance / diagonal, unit.distance, rtol=0, atol=2e-8)
-    # Points and normals are as good as the distance lets them be where surfaces are flat.
-    np.testing.assert_allclose(found.normal, unit.normal, atol=1e-3)
-    off = np.maximum(*(np.abs(getattr(found, name) / diagonal - getattr(unit, name)) for name in FIELDS[:2])).max(-1)
-    assert off.max() < 1e-4 and off[unit.distance > 0].max() < 1e-6
-
-
-@pytest.mark.parametrize("diagonal", SCALES)
-def test_the_gradient_of_the_distance_scales(diagonal: float) -> None:
-    """That by a shift has no unit, that by a turn is a length."""
-    cotangents = {"distance": np.ones((12, 1))}
-    found = []
-    for size in (1.0, diagonal):
-        T_a, T_b = poses_at_gap(scaled(1.0), 12, 0.05, seed=11)
-        for T in (T_a, T_b):
-            T[..., :3, 3] *= size
-        found.append(gradients(WitnessLayer(scaled(size), ContactKinematics()), T_a, T_b, cotangents).numpy())
-    np.testing.assert_allclose(found[1][..., :3, 3], found[0][..., :3, 3], atol=1e-4)
-    np.testing.assert_allclose(np.linalg.norm(found[1][..., :3, 3], axis=-1), 1.0, atol=1e-9)
-    np.testing.assert_allclose(found[1][..., :3, :3] / diagonal, found[0][..., :3, :3], atol=1e-4)

@@ -20,10 +20,8 @@ from refusals import refused
 from shapes_for_tests import convex_body, ring_body
 from twists import (
     FIELDS,
-    contracted,
     gradient_along_twists,
     gradients,
-    layer_gradient,
     poses_at_gap,
     slopes_along_twists,
     weighed,
@@ -108,49 +106,6 @@ def test_the_gradient_in_the_entries_stays_within_rigid_motions() -> None:
 # no state between calls
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_calls_do_not_know_of_each_other(name: str) -> None:
-    pairs = two_pairs()
-    layer = WitnessLayer(pairs, METHODS[name])
-    batches = [near_poses(pairs, count, gap, 3 * count) for count, gap in ((1, 0.01), (7, -0.002), (4, 0.003))]
-    expected = [gradients(WitnessLayer(two_pairs(), METHODS[name]), *poses, key=k) for k, poses in enumerate(batches)]
-    for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)):
-        leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
-        losses = [weighed(layer(*pair, key=k)) for k, pair in enumerate(leaves)]
-        for k in order:
-            losses[k].backward()
-        for found, wanted in zip(leaves, expected, strict=True):
-            for leaf, gradient in zip(found, wanted, strict=True):
-                assert torch.equal(leaf.grad, gradient)
-    # All in one backward pass, and the same poses twice.
-    leaves = [[T.clone().requires_grad_() for T in poses] for poses in batches]
-    (weighed(layer(*leaves[1], key=1)) + weighed(layer(*leaves[1], key=1)) + weighed(layer(*leaves[0]))).backward()
-    torch.testing.assert_close(leaves[1][0].grad, 2 * expected[1][0])
-    assert torch.equal(leaves[0][1].grad, expected[0][1])
-
-
-@pytest.mark.parametrize("count", [0, 1, 7, 64])
-@pytest.mark.parametrize("name", METHODS)
-def test_any_batch_size(name: str, count: int) -> None:
-    pairs = two_pairs()
-    layer = WitnessLayer(pairs, METHODS[name])
-    T_a, T_b = near_poses(pairs, 7, 0.004, 20)
-    index = torch.arange(count) % 7
-    found = gradients(layer, T_a[index], T_b[index])
-    w = layer(T_a[index], T_b[index])
-    assert w.point_a.shape == (count, 2, 3) and w.distance.shape == (count, 2)
-    for G in found:
-        assert G.shape == (count, 2, 4, 4) and torch.isfinite(G).all()
-    # Each item gets what it would get alone.
-    leaves = [T.clone().requires_grad_() for T in (T_a[index], T_b[index])]
-    (layer(*leaves).point_a ** 2).sum().backward()
-    for item in range(min(count, 3)):
-        alone = [T[index[item], None].clone().requires_grad_() for T in (T_a, T_b)]
-        (layer(*alone).point_a ** 2).sum().backward()
-        for one, all_ in zip(alone, leaves, strict=True):
-            torch.testing.assert_close(one.grad[0], all_.grad[item], rtol=1e-12, atol=1e-15)
-
-
 def test_a_second_derivative_is_refused() -> None:
     pairs = Pairs((convex_body(0),), (convex_body(1),))
     T_a, T_b = (T.requires_grad_() for T in near_poses(pairs, 2, 0.01, 30))
@@ -163,34 +118,6 @@ def test_a_second_derivative_is_refused() -> None:
 # layouts and types
 
 
-def test_memory_layout_does_not_matter() -> None:
-    pairs = two_pairs()
-    layer = WitnessLayer(pairs, ContactKinematics())
-    T_a, T_b = near_poses(pairs, 4, 0.005, 40)
-    expected = gradients(layer, T_a, T_b)
-
-    def fortran(T: torch.Tensor) -> torch.Tensor:
-        return torch.from_numpy(np.asfortranarray(T.numpy()))
-
-    def strided(T: torch.Tensor) -> torch.Tensor:
-        wide = torch.zeros(8, 2, 6, 5, dtype=T.dtype)
-        wide[::2, :, 1:5, :4] = T
-        return wide[::2, :, 1:5, :4]
-
-    def transposed(T: torch.Tensor) -> torch.Tensor:
-        return T.mT.contiguous().mT
-
-    def reversed_pairs(T: torch.Tensor) -> torch.Tensor:
-        return T.permute(3, 1, 0, 2).contiguous().permute(2, 1, 3, 0)
-
-    for layout in (fortran, strided, transposed, reversed_pairs):
-        leaves = [layout(T).detach().requires_grad_() for T in (T_a, T_b)]
-        assert not leaves[0].is_contiguous()
-        weighed(layer(*leaves)).backward()
-        for leaf, gradient in zip(leaves, expected, strict=True):
-            torch.testing.assert_close(leaf.grad, gradient, rtol=1e-9, atol=1e-12)
-
-
 def test_one_pose_may_be_expanded_over_batch_and_pairs() -> None:
     pairs = Pairs.against([convex_body(0), convex_body(1)], convex_body(2))
     T_a, T_b = near_poses(pairs, 3, 0.02, 50)
@@ -199,19 +126,6 @@ def test_one_pose_may_be_expanded_over_batch_and_pairs() -> None:
     weighed(layer(T_a, pose.expand(3, 2, 4, 4))).backward()
     _, full = gradients(layer, T_a, torch.eye(4, dtype=torch.float64).repeat(3, 2, 1, 1))
     torch.testing.assert_close(pose.grad, full.sum((0, 1)), rtol=1e-9, atol=1e-12)
-
-
-def test_single_precision_is_double_precision_rounded() -> None:
-    pairs = two_pairs()
-    layer = WitnessLayer(pairs, ContactKinematics(Adaptive(samples=None)))
-    T_a, T_b = (T.float() for T in near_poses(pairs, 3, 0.01, 60))
-    single, double = gradients(layer, T_a, T_b), gradients(layer, T_a.double(), T_b.double())
-    for one, two in zip(single, double, strict=True):
-        assert one.dtype == torch.float32
-        torch.testing.assert_close(one.double(), two, rtol=1e-5, atol=1e-5)
-    w, exact = layer(T_a, T_b), layer(T_a.double(), T_b.double())
-    assert w.distance.dtype == w.normal.dtype == torch.float32
-    np.testing.assert_allclose(w.distance.numpy(), exact.distance.numpy(), atol=1e-8)
 
 
 # gradients only where they are due
@@ -293,12 +207,6 @@ def test_pairs_that_were_not_answered_get_exact_zeros(name: str) -> None:
         torch.testing.assert_close(G[same], expected[same], rtol=1e-9, atol=1e-12)
 
 
-def test_all_pairs_unanswered_is_no_gradient_at_all() -> None:
-    pairs = two_pairs()
-    for G in gradients(WitnessLayer(pairs, Distance()), *near_poses(pairs, 2, 0.01, 110), cutoff=-1.0):
-        assert G.shape == (2, 2, 4, 4) and not G.any()
-
-
 def test_the_last_answer_is_taken_up_and_changes_no_gradient() -> None:
     pairs = two_pairs()
     layer = WitnessLayer(pairs, ContactKinematics(Adaptive(samples=None)))
@@ -319,21 +227,6 @@ def test_values_are_those_of_the_query() -> None:
     detached = w.detached()
     assert isinstance(detached.point_a, np.ndarray)
     np.testing.assert_array_equal(detached.rows(np.array([2, 0])).distance, found.distance[[2, 0]])
-
-
-def test_distance_gradients_need_no_method_and_agree_with_the_wrench_of_the_normal() -> None:
-    pairs = Pairs((convex_body(0),), (convex_body(1),))
-    T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=140)
-    w = query(pairs, T_a, T_b)
-    method = Records()
-    found = layer_gradient(WitnessLayer(pairs, method), T_a, T_b, {"distance": np.ones((3, 1))})
-    push = np.concatenate([w.normal, np.cross(w.point_b, w.normal)], axis=-1)[:, 0].T
-    np.testing.assert_allclose(found, np.concatenate([-push, push]), atol=1e-12)
-    assert not method.seen
-    slopes = slopes_along_twists(
-        lambda a, b: contracted(query(pairs, a, b), {"distance": np.ones((3, 1))}), T_a, T_b, 1e-6
-    )
-    np.testing.assert_allclose(found, slopes, atol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (3, 4, 4), (3, 1, 4, 4), (3, 2, 3, 4), (3, 2, 4)])

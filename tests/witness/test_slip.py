@@ -8,7 +8,7 @@ from ellipsoids import Contact, Ellipsoid, at_gap, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip, contract, pull_back, pull_back_witness, push_forward, wrench
+from grasp_refine.witness.slip import Slip, contract, pull_back, pull_back_witness, push_forward
 from shapes_for_tests import convex_body
 
 GAPS = (0.05, 0.003, -1e-3, -0.006)
@@ -207,10 +207,3 @@ def test_slips_that_need_no_clipping_pass_untouched_whatever_is_beside_them() ->
     # Flat directions, as of a face, an edge and a vertex.
     flat = np.stack([np.diag(v) for v in ([0.9, 0.9, 0], [0.5, 0, 0], [0.0, 0, 0])])
     np.testing.assert_array_equal(contract(flat), flat)
-
-
-def test_a_wrench_pairs_with_twists_as_its_force_with_the_velocity_of_its_point() -> None:
-    rng = np.random.default_rng(15)
-    p, f, twist = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 6))
-    power = (f * (twist[:, :3] + np.cross(twist[:, 3:], p))).sum(axis=1)
-    np.testing.assert_allclose((wrench(p, f) * twist).sum(axis=1), power, atol=1e-13)
