@@ -8,6 +8,7 @@ import torch
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.se3 import exp_se3, hat
 from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.slip import Slip, pull_back
 
 Loss = Callable[[Witness], np.ndarray]
 FIELDS = ("point_a", "point_b", "normal", "distance")
@@ -95,3 +96,15 @@ def contracted(witness: Witness, cotangents: dict[str, np.ndarray]) -> np.ndarra
         product = getattr(witness, name) * cotangent
         total = total + product.sum(axis=tuple(range(1, product.ndim)))
     return total
+
+
+def slip_velocities(
+    slip: Slip, x_a: np.ndarray, x_b: np.ndarray, twist_a: np.ndarray, twist_b: np.ndarray, coupling: str = "coupled"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (..., 3) of both witness points under spatial twists (..., 6): transposes of `pull_back`."""
+    found = []
+    for axis in np.eye(6):
+        forces = (np.broadcast_to(part, np.shape(x_a)) for part in (axis[:3], axis[3:]))
+        wrench_a, wrench_b = pull_back(slip, x_a, x_b, *forces, coupling)
+        found.append((wrench_a * twist_a).sum(axis=-1) + (wrench_b * twist_b).sum(axis=-1))
+    return np.stack(found[:3], axis=-1), np.stack(found[3:], axis=-1)

@@ -7,11 +7,11 @@ import numpy as np
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
+from grasp_refine.witness.slip import Coupling, Slip, SlipMethod
 
 
 @dataclass(frozen=True)
-class Analytical:
+class Analytical(SlipMethod):
     """The slip along the feature at the witness point: face, edge or vertex.
 
     A = I - n n^T on a face, e e^T on an edge, 0 at a vertex: the projection onto the directions in all active
@@ -44,14 +44,7 @@ class Analytical:
                 local[side][here] = feature_slip(
                     pieces[winner], point[here], normal[here], w.distance.T[here], self.tolerance, rounding[here]
                 )
-        slip = (sides.rotation @ local @ sides.rotation.mT).swapaxes(0, 1)
-        return Slip(slip[:, :count], slip[:, count:], w.point_a, w.point_b, sampled=False)
-
-    def pull_back(
-        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
-        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
+        return Slip.of_sides(scene, sides, local, sampled=False)
 
 
 def feature_slip(

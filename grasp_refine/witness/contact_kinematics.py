@@ -10,17 +10,15 @@ import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.se3 import Array, array_namespace, cross, matvec, tangents
-from grasp_refine.witness.curvature import raise_eigenvalues, with_eigenvalues
+from grasp_refine.witness.curvature import RIDGE_RATIO, raise_eigenvalues, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
+from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
-_EYE = np.eye(2)
 _RIM_FACTOR = 1.0001
 """Factor on the squared distance of the outermost sample, which keeps its weight above zero beyond the radius."""
-_RIDGE_RATIO = 1e-3
-"""Ridge of the least squares, as a fraction of rho^2: without it, samples on a line would leave K undetermined."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class ContactKinematics:
         K_a, K_b = self.curvatures(scene, E)
         d = effective_distance(K_a, K_b, w.distance)[..., None, None]
         # The equations of the class transposed; `slide` is the covector on u.
-        in_plane = matvec(E.mT, force_a) + matvec(_EYE + d * K_a, matvec(E.mT, force_b))
+        in_plane = matvec(E.mT, force_a) + matvec(np.eye(2) + d * K_a, matvec(E.mT, force_b))
         if force_n is not None:
             in_plane = in_plane + matvec(K_a, matvec(E.mT, force_n))
         S = relative_curvature(K_a, K_b, w.distance)
@@ -65,10 +63,7 @@ class ContactKinematics:
         along = (force_b * w.normal).sum(axis=-1, keepdims=True) * w.normal
         relative = wrench(w.point_b, along + matvec(E, matvec(K_b, slide)))
         relative[..., 3:] += cross(w.normal, matvec(E, slide))
-        wrench_a = wrench(w.point_a, force_a) + wrench(w.point_b, force_b) - relative
-        if force_n is not None:
-            wrench_a[..., 3:] += cross(w.normal, force_n)
-        return wrench_a, relative
+        return seen_from_a(w, force_a, force_b, force_n, relative)
 
     def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fitted K_a and K_b (batch, pair, 2, 2) in 1/m, in the tangent basis E (batch, pair, 3, 2)."""
@@ -158,7 +153,7 @@ def _fit(near: Neighbors, E: np.ndarray) -> np.ndarray:
     e = e - (weight[..., None, :] @ e)
     n = n - (weight[..., None, :] @ n)
     weighted = (weight[..., None] * e).mT
-    ridge = _RIDGE_RATIO * rho_squared[..., None] * _EYE
+    ridge = RIDGE_RATIO * rho_squared[..., None] * np.eye(2)
     K = np.linalg.solve(weighted @ e + ridge, weighted @ n)
     rho = np.sqrt(rho_squared)[..., 0]
     return with_eigenvalues(0.5 * (K + K.mT), lambda values: np.clip(values, -1.0 / rho, 4.0 / rho))

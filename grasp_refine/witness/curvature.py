@@ -10,11 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.geometry.body import Body
+from grasp_refine.witness.neighborhood import COS_NORMALS
 
-_COS_NORMALS = -0.5
-"""Cosine of 120 degrees, the largest angle between the contact normal and normals that count."""
-
-_RIDGE_RATIO = 1e-3
+RIDGE_RATIO = 1e-3
 """Ridge of the least squares, as a fraction of rho^2: without it, candidates on a line would leave K undetermined."""
 
 _BLOCK_POINTS = 128
@@ -84,7 +82,7 @@ class Curvatures:
                 # One row at a time: in a product of many rows, the rounding of each depends on their number.
                 weight = weigh[rows, None] @ self.position[b]
                 np.maximum(weight, 0.0, out=weight)
-                weight *= facing[rows, None] @ self.normal[b] >= _COS_NORMALS
+                weight *= facing[rows, None] @ self.normal[b] >= COS_NORMALS
                 moments[rows] = (weight @ self.products[b])[:, 0]
         return _curvature(moments, E, radius)
 
@@ -116,7 +114,7 @@ def _curvature(moments: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.nda
     products = np.concatenate([mean[:, 6:15].reshape(-1, 3, 3), mean[:, 15:].reshape(-1, 3, 3)], axis=2)
     spread = E.mT @ (products - v[:, :, None] * v_and_n[:, None, :])
     A, B = spread[..., :3] @ E, spread[..., 3:] @ E
-    ridge = _RIDGE_RATIO * radius * radius
+    ridge = RIDGE_RATIO * radius * radius
     a, b, c = A[:, 0, 0] + ridge, A[:, 0, 1], A[:, 1, 1] + ridge
     # A and B are e e^T and e n^T: K^T = A^-1 B, and its symmetric part.
     scale = 1.0 / (a * c - b * b)

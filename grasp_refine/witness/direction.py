@@ -8,11 +8,11 @@ from grasp_refine.core.arguments import check_positive
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
+from grasp_refine.witness.slip import Coupling, Slip, SlipMethod
 
 
 @dataclass(frozen=True)
-class Direction:
+class Direction(SlipMethod):
     """The witness point as a soft support point of nearby samples v_j in the direction of the other one.
 
     w_j = softmax(<v_j, s (x_b - x_a)> / eps), s = +1 separated and -1 penetrating. With C = Cov_w(v) / eps the
@@ -63,15 +63,7 @@ class Direction:
             np.abs(1.0 + values) < _MIN_POLE_DISTANCE, np.copysign(_MIN_POLE_DISTANCE, 1.0 + values), 1.0 + values
         )
         slip = (vectors * (values / away)[..., None, :]) @ vectors.mT
-        slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
-        pairs = scene.T_world_a.shape[1]
-        return Slip(slip[:, :pairs], slip[:, pairs:], scene.witness.point_a, scene.witness.point_b)
-
-    def pull_back(
-        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
-        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
+        return Slip.of_sides(scene, sides, slip)
 
 
 _MIN_POLE_DISTANCE = 1e-3

@@ -1,6 +1,6 @@
 """Distance-based randomized smoothing of witness points (arXiv 2511.06267, section IV)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Coupling, Slip, pull_back_witness
+from grasp_refine.witness.slip import Coupling, Slip, SlipMethod
 
 
 @dataclass(frozen=True)
-class Distance:
+class Distance(SlipMethod):
     """The closest point as a soft minimum, over nearby surface samples v_j, of the distance to the other point y.
 
     w_j = softmax(-|v_j - y|^2 / tau), x* = sum w_j v_j, hence dx*/dy = (2 / tau) Cov_w(v).
@@ -38,20 +38,15 @@ class Distance:
         """Slip matrices (batch, pair, 3, 3) of both bodies, world frame."""
         sides, near = scene.neighbors(self.neighborhood, self.seed)
         smoothed, slip = smooth(near, sides.other)
-        slip = (sides.rotation @ slip @ sides.rotation.mT).swapaxes(0, 1)
-        count = scene.T_world_a.shape[1]
-        self_a, self_b = scene.witness.point_a, scene.witness.point_b
-        if self.smoothed_self:
-            smoothed = smoothed.swapaxes(0, 1)
-            self_a = transform_points(scene.T_world_a, smoothed[:, :count])
-            self_b = transform_points(scene.T_world_b, smoothed[:, count:])
-        return Slip(slip[:, :count], slip[:, count:], self_a, self_b)
-
-    def pull_back(
-        self, scene: WitnessScene, force_a: np.ndarray, force_b: np.ndarray, force_n: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
-        return pull_back_witness(self.slip(scene), scene, force_a, force_b, force_n, self.coupling)
+        found = Slip.of_sides(scene, sides, slip)
+        if not self.smoothed_self:
+            return found
+        self_a, self_b = np.split(smoothed.swapaxes(0, 1), 2, axis=1)
+        return replace(
+            found,
+            self_a=transform_points(scene.T_world_a, self_a),
+            self_b=transform_points(scene.T_world_b, self_b),
+        )
 
 
 def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body
 
-_COS_NORMALS = -0.5
+COS_NORMALS = -0.5
 """Cosine of 120 degrees, the largest angle between the contact normal and normals that count."""
 
 _WINDOW_CANDIDATES = 128
@@ -289,4 +289,4 @@ def _nearest(
 
 def _agree_with_contact(normals: np.ndarray, contact: np.ndarray) -> np.ndarray:
     """Mask of the normals (..., K, 3) within 120 degrees of contact normals (..., 3)."""
-    return (normals @ contact[..., None])[..., 0] >= _COS_NORMALS
+    return (normals @ contact[..., None])[..., 0] >= COS_NORMALS

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import matvec
 from grasp_refine.witness.analytical import feature_slip
@@ -46,13 +47,12 @@ class PairCurvatures:
     def of(pairs: Pairs, smallest: float) -> PairCurvatures:
         """Prepare pairs; `smallest` is the floor of K_a + K_b, divided by the mean of the two bodies' diagonals."""
         both = (*pairs.a, *pairs.b)
-        distinct = {id(body): body for body in both}
-        place = {key: index for index, key in enumerate(distinct)}
-        diagonal = np.array([body.diagonal for body in both]).reshape(2, -1)
+        distinct, body = index_distinct(both)
+        diagonal = np.array([one.diagonal for one in both]).reshape(2, -1)
         return PairCurvatures(
             pairs,
-            Curvatures.of(tuple(distinct.values())),
-            np.array([place[id(body)] for body in both]),
+            Curvatures.of(distinct),
+            body,
             smallest / diagonal.mean(axis=0),
             CORNER_CURVATURE_PER_M / length_factor(pairs.a, pairs.b),
         )

@@ -16,6 +16,7 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.core.arguments import is_number
+from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.geometry.pieces import Piece
@@ -166,7 +167,7 @@ class _Goals:
 class _Side:
     """Polytopes on one side of M contacts, with their poses."""
 
-    pieces: list[Piece]
+    pieces: tuple[Piece, ...]
     """The distinct polytopes."""
     piece: np.ndarray
     """Index (M,) into them."""
@@ -180,13 +181,12 @@ class _Side:
     @staticmethod
     def of(pieces: Sequence[Piece], T: np.ndarray, x: np.ndarray, outward: np.ndarray) -> "_Side":
         """Side of contacts of `pieces` at poses T (M, 4, 4), points x and normals `outward` (M, 3), world frame."""
-        slots = {piece: slot for slot, piece in enumerate(dict.fromkeys(pieces))}
-        index = np.array([slots[piece] for piece in pieces])
-        radius = np.array([piece.radius for piece in slots])[index]
+        distinct, index = index_distinct(pieces)
+        radius = np.array([piece.radius for piece in distinct])[index]
         R = T[:, :3, :3]
         local = matvec(R.mT, x - T[:, :3, 3])
         normal = matvec(R.mT, outward)
-        return _Side(list(slots), index, R, local - radius[:, None] * normal, normal)
+        return _Side(distinct, index, R, local - radius[:, None] * normal, normal)
 
     def take(self, index: np.ndarray) -> "_Side":
         """Return the contacts `index`."""

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.core.arguments import check_positive
-from grasp_refine.witness.perturbation import perturbed, relative_covector
-from grasp_refine.witness.relative import seen_from_a
+from grasp_refine.witness.relative import pull_back_differences
 from grasp_refine.witness.scene import WitnessScene
 
 
@@ -36,19 +35,4 @@ class ZerothOrder:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wrenches (batch, pair, 6) on the two bodies from covectors on witness points and normal."""
         z = np.random.default_rng((self.seed, scene.key)).standard_normal((self.samples, 6))
-        scale = self.sigma * np.concatenate(
-            [np.repeat(scene.length[:, None], 3, axis=1), np.ones((len(scene.length), 3))], 1
-        )
-        shape = (2, self.samples, *scene.witness.distance.shape)
-        signed = np.concatenate([z, -z])[:, None, None] * scale
-        moved = perturbed(scene, np.broadcast_to(signed, (2 * self.samples, *scene.witness.distance.shape, 6)))
-        both = moved.valid.reshape(shape).all(axis=0)[..., None]
-
-        def slope(values: np.ndarray) -> np.ndarray:
-            forth, back = values.reshape(*shape, 3)
-            difference = np.where(both, forth - back, 0.0)
-            return np.einsum("mk,mbpi->kbpi", z, difference) / (2.0 * self.samples * scale.T[:, None, :, None])
-
-        sensitivity = slope(moved.point_a), slope(moved.point_b), slope(moved.normal)
-        relative = relative_covector(scene, sensitivity, force_a, force_b, force_n)
-        return seen_from_a(scene.witness, force_a, force_b, force_n, relative)
+        return pull_back_differences(scene, z, self.sigma, self.samples, force_a, force_b, force_n)

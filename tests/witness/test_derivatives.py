@@ -13,11 +13,12 @@ from grasp_refine.witness.distance import Distance, smooth, temperature
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip, push_forward
+from grasp_refine.witness.slip import Slip
 from refusals import refused
 from twists import (
     layer_gradient,
     poses_at_gap,
+    slip_velocities,
     slopes_along_twists,
 )
 
@@ -55,8 +56,8 @@ def test_only_the_coupled_slip_follows_a_common_motion() -> None:
     x, y = rng.normal(size=(2, 3))
     twist = rng.normal(size=6)
     rigid = np.stack([twist[:3] + np.cross(twist[3:], p) for p in (x, y)])
-    coupled = np.stack(push_forward(Slip(A, B, x, y), x, y, twist, twist, "coupled"))
-    unilateral = np.stack(push_forward(Slip(A, B, x, y), x, y, twist, twist, "one-sided"))
+    coupled = np.stack(slip_velocities(Slip(A, B, x, y), x, y, twist, twist, "coupled"))
+    unilateral = np.stack(slip_velocities(Slip(A, B, x, y), x, y, twist, twist, "one-sided"))
     np.testing.assert_allclose(coupled, rigid, atol=1e-9)
     assert np.abs(unilateral - rigid).max() > 1e-3
 

@@ -13,13 +13,14 @@ from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import choose, draw_offset
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip, push_forward
+from grasp_refine.witness.slip import Slip
 from grasp_refine.witness.zeroth_order import ZerothOrder
 from twists import (
     contracted,
     layer_gradient,
     poses_at_gap,
     random_cotangents,
+    slip_velocities,
     slopes_along_twists,
 )
 
@@ -100,7 +101,7 @@ def test_a_ball_with_its_centre_on_a_face_keeps_its_place(off: float) -> None:
     slide, rest = np.array([0.3, -0.4, 0.0, 0.0, 0.0, 0.0]), np.zeros(6)
     # The ball takes both points along, the face none.
     for twists, expected in (((slide, rest), slide[:3]), ((rest, slide), rest[:3])):
-        for dx in push_forward(slip, x_a, x_b, *twists):
+        for dx in slip_velocities(slip, x_a, x_b, *twists):
             np.testing.assert_allclose(dx, expected, atol=1e-5)
 
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-import torch
 
 from ellipsoids import Contact, Ellipsoid, at_gap, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.witness.neighborhood import Surfaces
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip, contract, pull_back, pull_back_witness, push_forward
+from grasp_refine.witness.slip import Slip, contract, pull_back, pull_back_witness
 from shapes_for_tests import convex_body
+from twists import slip_velocities
 
 GAPS = (0.05, 0.003, -1e-3, -0.006)
 
@@ -46,7 +46,7 @@ def unit_twists() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(3))
 def test_exact_slips_of_ellipsoids_move_their_witness_points(seed: int, gap: float) -> None:
     a, b, c = at_gap(seed, gap)
-    dx_a, dx_b = push_forward(exact_slip(a, b, c), c.x_a, c.x_b, *unit_twists())
+    dx_a, dx_b = slip_velocities(exact_slip(a, b, c), c.x_a, c.x_b, *unit_twists())
     expected = motion(a, b, c.n)
     np.testing.assert_allclose(dx_a, expected[:, 0], atol=1e-6)
     np.testing.assert_allclose(dx_b, expected[:, 1], atol=1e-6)
@@ -100,7 +100,7 @@ def test_one_sided_slip_is_the_papers_equation() -> None:
     # dx_a = V_a(x_a*) - A V_a(x_b) + A [V_b(x_b*) - B V_b(x_a)], and the same with a and b exchanged.
     expected_a = V(twist_a, s_a) - A @ V(twist_a, x_b) + A @ (V(twist_b, s_b) - B @ V(twist_b, x_a))
     expected_b = V(twist_b, s_b) - B @ V(twist_b, x_a) + B @ (V(twist_a, s_a) - A @ V(twist_a, x_b))
-    found = push_forward(Slip(A, B, s_a, s_b), x_a, x_b, twist_a, twist_b, "one-sided")
+    found = slip_velocities(Slip(A, B, s_a, s_b), x_a, x_b, twist_a, twist_b, "one-sided")
     np.testing.assert_allclose(found, [expected_a, expected_b], atol=1e-13)
 
 
@@ -110,7 +110,7 @@ def test_the_coupled_solve_satisfies_both_slip_equations() -> None:
     A, B = (m @ m.T / (1.1 * np.linalg.norm(m @ m.T, 2)) for m in M)
     x_a, x_b = rng.normal(size=(2, 3))
     twist_a, twist_b = rng.normal(size=(2, 6))
-    dx_a, dx_b = push_forward(Slip(A, B, x_a, x_b), x_a, x_b, twist_a, twist_b)
+    dx_a, dx_b = slip_velocities(Slip(A, B, x_a, x_b), x_a, x_b, twist_a, twist_b)
 
     def V(twist: np.ndarray, p: np.ndarray) -> np.ndarray:
         return twist[:3] + np.cross(twist[3:], p)
@@ -129,11 +129,11 @@ def test_points_follow_a_common_motion_where_sliding_is_open(gap: float) -> None
     x_b = x_a + [0.0, 0.0, gap]
     slip = Slip(A, B, x_a, x_b, sampled=False)
     twist = np.random.default_rng(17).normal(size=6)
-    for x, dx in zip((x_a, x_b), push_forward(slip, x_a, x_b, twist, twist), strict=True):
+    for x, dx in zip((x_a, x_b), slip_velocities(slip, x_a, x_b, twist, twist), strict=True):
         np.testing.assert_allclose(dx, twist[:3] + np.cross(twist[3:], x), atol=1e-12)
     # One body alone takes them along by a share.
     slide = np.array([0.5, -0.7, 0.0, 0.0, 0.0, 0.0])
-    dx_a, dx_b = push_forward(slip, x_a, x_b, 0.0 * slide, slide)
+    dx_a, dx_b = slip_velocities(slip, x_a, x_b, 0.0 * slide, slide)
     shares = np.concatenate([dx_a[:2], dx_b[:2]]) / np.tile(slide[:2], 2)
     assert ((shares > 0.3) & (shares < 0.7)).all()
 
@@ -153,33 +153,6 @@ def test_moments_do_not_lose_their_digits_far_from_the_origin(sampled: bool) -> 
         # About the point itself.
         found.append([np.append(w[:3], w[3:] - np.cross(x, w[:3])) for w in (w_a, w_b)])
     np.testing.assert_allclose(found[1], found[0], atol=1e-7 * np.abs(found[0]).max())
-
-
-@pytest.mark.parametrize("coupling", ["coupled", "one-sided"])
-@pytest.mark.parametrize("sampled", [True, False])
-def test_pull_back_is_the_transpose_for_any_matrices(coupling: str, sampled: bool) -> None:
-    rng = np.random.default_rng(16)
-    slip = Slip(*rng.normal(size=(2, 9, 3, 3)) * 0.4, *rng.normal(size=(2, 9, 3)), sampled=sampled)
-    x_a, x_b, f_a, f_b = rng.normal(size=(4, 9, 3))
-    twists = rng.normal(size=(2, 9, 6))
-    work = sum(dx * f for dx, f in zip(push_forward(slip, x_a, x_b, *twists, coupling), (f_a, f_b), strict=True))
-    wrenches = pull_back(slip, x_a, x_b, f_a, f_b, coupling)
-    expected = sum(w * twist for w, twist in zip(wrenches, twists, strict=True))
-    np.testing.assert_allclose(work.sum(axis=1), expected.sum(axis=1), rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("coupling", ["coupled", "one-sided"])
-@pytest.mark.parametrize("sampled", [True, False])
-def test_tensors_and_arrays_give_the_same(coupling: str, sampled: bool) -> None:
-    rng = np.random.default_rng(12)
-    arguments = [*rng.normal(size=(2, 4, 2, 3, 3)) * 0.4, *rng.normal(size=(2, 4, 2, 3))]
-    points = rng.normal(size=(4, 4, 2, 3))
-    found = pull_back(Slip(*arguments, sampled=sampled), *points, coupling)
-    tensors = pull_back(
-        Slip(*map(torch.from_numpy, arguments), sampled=sampled), *map(torch.from_numpy, points), coupling
-    )
-    for array, tensor in zip(found, tensors, strict=True):
-        np.testing.assert_allclose(tensor.numpy(), array, atol=1e-12)
 
 
 def test_contracted_slips_are_symmetric_with_eigenvalues_from_0_to_1() -> None:
