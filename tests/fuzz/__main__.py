@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import sys
 import time
@@ -16,9 +15,8 @@ def main() -> int:
     if sys.argv[1:2] == ["--child"]:
         from fuzz.child import run
 
-        module, reader, folder, seed, seconds, most, report = sys.argv[2:]
-        with os.fdopen(int(report), "w", encoding="utf-8") as pipe:
-            run(import_module(module).READERS[reader], Path(folder), int(seed), float(seconds), int(most), pipe)
+        module, reader, folder, seed, seconds, most = sys.argv[2:]
+        run(import_module(module).READERS[reader], Path(folder), int(seed), float(seconds), int(most))
         return 0
     from fuzz.readers import READERS
     from fuzz.runner import fuzz
@@ -32,20 +30,20 @@ def main() -> int:
     if unknown := [name for name in options.readers if name not in READERS]:
         parser.error(f"no reader {unknown[0]}; there are {', '.join(READERS)}")
     found = 0
-    print(f"{'reader':12s} {'executions':>10s} {'refused':>8s} {'endings':>8s} {'CPU s':>7s} {'findings':>8s}")
+    print(f"{'reader':12s} {'executions':>10s} {'refused':>8s} {'endings':>8s} {'findings':>8s}")
     for name in options.readers or READERS:
         outcome = fuzz(name, seed=options.seed, seconds=options.seconds)
         found += len(outcome.findings)
         counts = f"{outcome.executions:10d} {outcome.refused:8d} {outcome.endings:8d}"
-        print(f"{name:12s} {counts} {outcome.seconds:7.1f} {len(outcome.findings):8d}", flush=True)
+        print(f"{name:12s} {counts} {len(outcome.findings):8d}", flush=True)
         for finding in outcome.findings:
-            print(f"  {finding.kind}: {finding.where}: {' '.join(finding.said.split())[-160:]}", flush=True)
+            print(f"  {finding.kind}: {finding.where}: {' '.join(finding.details.split())[-160:]}", flush=True)
             if options.keep is not None:
                 options.keep.mkdir(parents=True, exist_ok=True)
                 stem = re.sub(r"\W+", "_", f"{name} {finding.kind} {finding.where}")[:80]
                 path = options.keep / f"{stem}-{time.strftime('%H%M%S')}"
                 path.with_suffix(Path(finding.name).suffix or ".bin").write_bytes(finding.content)
-                path.with_suffix(".said").write_text(f"{finding.name}\n{finding.said}", encoding="utf-8")
+                path.with_suffix(".said").write_text(f"{finding.name}\n{finding.details}", encoding="utf-8")
     return 1 if found else 0
 
 

@@ -1,4 +1,4 @@
-"""Readers with one fault each, which fuzzing has to find."""
+"""A reader with one fault after the other, which fuzzing has to find, and one that crashes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Hashable
-from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def raises(path: Path) -> Hashable:
     raise KeyError("x")
 
 
-def speaks_oddly(path: Path) -> Hashable:
+def shows_control_characters(path: Path) -> Hashable:
     raise UnkindError("x")
 
 
@@ -42,94 +42,43 @@ def hangs(path: Path) -> Hashable:
         pass
 
 
-def swells(path: Path) -> Hashable:
-    return len(b"x" * (2**28 + 2**25))
-
-
-def opens(path: Path) -> Hashable:
-    return (path.parent / "../outside/secret.toml").read_bytes()
-
-
-def writes(path: Path) -> Hashable:
-    return (path.parent / "../outside/new").write_text("x")
-
-
-def moves(path: Path) -> Hashable:
-    return os.rename(path, path.parent / "../outside/new")
-
-
-def connects(path: Path) -> Hashable:
-    with socket.socket() as one:
-        return one.connect_ex(("127.0.0.1", 9))
-
-
-def starts(path: Path) -> Hashable:
-    return subprocess.run(["true"]).returncode
-
-
-def unpickles(path: Path) -> Hashable:
-    return pickle.loads(b"cos\ngetcwd\n.")
-
-
-def warns(path: Path) -> Hashable:
-    warnings.warn("odd", RuntimeWarning, stacklevel=1)
-    return None
-
-
-def chatters(path: Path) -> Hashable:
-    print("odd", file=sys.stderr)
-    return None
-
-
 def crashes(path: Path) -> Hashable:
     os.kill(os.getpid(), signal.SIGSEGV)
-    return None
+    time.sleep(60.0)
 
 
-CALLS = count(1)
-
-
-def crashes_at_third(path: Path) -> Hashable:
-    return refuses(path) if next(CALLS) % 3 else crashes(path)
-
-
-FAULTS: dict[str, tuple[Callable[[Path], Hashable], str, str]] = {
-    "raises": (raises, "KeyError", "KeyError: 'x'"),
-    "speaks oddly": (speaks_oddly, "message", "clears"),
-    "hangs": (hangs, "hang", "of CPU"),
-    "swells": (swells, "memory", "MiB more for"),
-    "opens": (opens, "outside", "open "),
-    "writes": (writes, "outside", "write "),
-    "moves": (moves, "outside", "os.rename "),
-    "connects": (connects, "outside", "socket."),
-    "starts": (starts, "outside", "subprocess.Popen"),
-    "unpickles": (unpickles, "outside", "pickle.find_class"),
-    "warns": (warns, "warning", "odd"),
-    "chatters": (chatters, "noise", "odd"),
-    "crashes": (crashes, "crash", ""),
+FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "KeyError": (raises, "KeyError: 'x'"),
+    "message": (shows_control_characters, "clears"),
+    "hang": (hangs, "of CPU"),
+    "memory": (lambda path: len(b"x" * (2**28 + 2**25)), "MiB more for"),
+    "outside open": (lambda path: (path.parent / "../outside/secret.toml").read_bytes(), "open "),
+    "outside write": (lambda path: (path.parent / "../outside/new").write_text("x"), "write "),
+    "outside rename": (lambda path: os.rename(path, path.parent / "../outside/new"), "os.rename "),
+    "outside socket": (lambda path: socket.socket().close(), "socket."),
+    "outside process": (lambda path: subprocess.run(["true"]).returncode, "subprocess.Popen"),
+    "outside pickle": (lambda path: pickle.loads(b"cos\ngetcwd\n."), "pickle.find_class"),
+    "warning": (lambda path: warnings.warn("odd", RuntimeWarning, stacklevel=1), "odd"),
+    "noise": (lambda path: print("odd", file=sys.stderr), "odd"),
 }
-"""Fault -> reader, kind of finding, and what is said of it."""
+"""Kind of finding, with what tells it from others of its kind -> fault, and what the finding names."""
 
-SOUND: dict[str, Callable[[Path], Hashable]] = {"reads": lambda path: path.stat().st_size, "refuses": refuses}
+SOUND: tuple[Callable[[Path], object], ...] = (lambda path: path.stat().st_size, refuses)
+CALLS = count()
 
 
-def harmless(read: Callable[[Path], Hashable], path: Path) -> Hashable:
-    """What is done with the sound files at the beginning, which is not watched."""
-    return read(path) if path.read_bytes() != b"content" else None
+def one_after_the_other(path: Path) -> Hashable:
+    """Each fault, then what is sound; a seed, which is read at the beginning and not watched, is sound too."""
+    functions = [*(fault for fault, _ in FAULTS.values()), *SOUND]
+    return None if path.read_bytes() == b"seed" else str(functions[next(CALLS) % len(functions)](path))
+
+
+def crashing(path: Path) -> Hashable:
+    """Two are refused, the third ends the process."""
+    return None if path.read_bytes() == b"seed" else refuses(path) if next(CALLS) < 2 else crashes(path)
 
 
 READERS = {
-    name: Reader(
-        name,
-        lambda: [("file.txt", b"content")],
-        partial(harmless, read),
-        # Sound files are read as they are at first; all others are changed to this one.
-        lambda random, name, content: b"x",
-        cpu_limit=1.0,
-    )
-    for name, read in {
-        **{name: fault[0] for name, fault in FAULTS.items()},
-        **SOUND,
-        "crashes at third": crashes_at_third,
-    }.items()
+    name: Reader(name, lambda: [("file.txt", b"seed")], read, lambda random, name, content: b"x", cpu_limit=1.0)
+    for name, read in (("faulty", one_after_the_other), ("crashing", crashing))
 }

@@ -28,8 +28,6 @@ MEMORY_LIMIT = 2**28
 """Bytes by which the memory that is held may grow with one input."""
 ADDRESSES = 2**33
 """Bytes of addresses that the process may have, so that nothing else on the machine suffers."""
-BEAT = 2.0
-"""Seconds between signs of life."""
 LARGEST_CORPUS = 400
 """Inputs that showed something new are changed further; so many are kept."""
 LONGEST_MESSAGE = 4000
@@ -211,8 +209,12 @@ def drawn(reader: Reader, random: Random, corpus: Sequence[tuple[str, bytes]], r
     return name, content
 
 
-def run(reader: Reader, folder: Path, seed: int, seconds: float, most: int, report: Any) -> None:
-    """Read changed files for so many seconds or so many times, and write one line of JSON for each finding."""
+def run(reader: Reader, folder: Path, seed: int, seconds: float, most: int) -> None:
+    """Read changed files for so many seconds or so many times.
+
+    `folder` gets the file `findings`, a line of JSON for each, and `current`: name, number of executions, of refusals
+    and of different endings, and the contents of the last input.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**28, 2**28))
@@ -227,28 +229,24 @@ def run(reader: Reader, folder: Path, seed: int, seconds: float, most: int, repo
     corpus = list(reader.seeds())
     roots = len(corpus)
     known: set[Hashable] = set()
-    told: set[tuple[str, str]] = set()
-    start = last = time.monotonic()
-    executions = refused = 0
-    while executions < most and time.monotonic() - start < seconds:
-        name, content = drawn(reader, random, corpus, roots)
-        (folder / "current").write_bytes(json.dumps([name, executions + 1, refused]).encode() + b"\n" + content)
-        ending, findings = judge.judged(name, content)
-        executions += 1
-        refused += isinstance(ending, tuple) and ending[0] == "refused"
-        if ending not in known and len(corpus) < LARGEST_CORPUS:
-            known.add(ending)
-            corpus.append((name, content))
-        for found in findings:
-            if found[:2] not in told:
-                told.add(found[:2])
-                _tell(report, finding=found, name=name, content=content.hex())
-        if time.monotonic() - last > BEAT:
-            last = time.monotonic()
-            _tell(report, executions=executions, refused=refused, endings=len(known))
-    _tell(report, executions=executions, refused=refused, endings=len(known), done=True)
-
-
-def _tell(report: Any, **what: Any) -> None:
-    report.write(json.dumps(what) + "\n")
-    report.flush()
+    reported: set[tuple[str, str]] = set()
+    start = time.monotonic()
+    refused = executions = 0
+    with (folder / "findings").open("w", encoding="utf-8") as report:
+        while executions < most and time.monotonic() - start < seconds:
+            name, content = drawn(reader, random, corpus, roots)
+            executions += 1
+            state = folder / "current"
+            state.write_bytes(json.dumps([name, executions, refused, len(known)]).encode() + b"\n" + content)
+            ending, findings = judge.judged(name, content)
+            refused += isinstance(ending, tuple) and ending[0] == "refused"
+            if ending not in known and len(corpus) < LARGEST_CORPUS:
+                known.add(ending)
+                corpus.append((name, content))
+            for kind, where, details in findings:
+                if (kind, where) not in reported:
+                    reported.add((kind, where))
+                    found = {"kind": kind, "where": where, "details": details, "name": name, "content": content.hex()}
+                    report.write(json.dumps(found) + "\n")
+                    report.flush()
+            state.write_bytes(json.dumps([name, executions, refused, len(known)]).encode() + b"\n" + content)

@@ -1,4 +1,4 @@
-"""Objects by a text: primitives, and paths of meshes, as a command line, a job or a grasp file may have them."""
+"""Objects by a text, as a command line, a job or a grasp file may have them, and TOML files of objects' meshes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import numpy as np
 
 from fuzz.mutations import NUMBERS, VALUES
 from fuzz.reader import Reader
+from fuzz.toml import WORDS, changed_toml, toml
 from grasp_refine.objects.object import load_object
 from grasp_refine.objects.source import is_known, named_object
 
 TEXTS = tuple(value for value in VALUES if isinstance(value, str))
+LISTED = {"cup": "meshes/cup.obj", "mug": "mug", "die": "box:0.02,0.02,0.02"}
 
 
 def seeds() -> list[tuple[str, bytes]]:
@@ -31,13 +33,13 @@ def change(random: Random, name: str, content: bytes) -> bytes:
     return kind + b":" + b",".join(sizes * random.choice((1, 1, 1, 2)))
 
 
+def silent(line: str) -> None:
+    raise AssertionError(f"fetched: {line}")
+
+
 def read(path: Path) -> Hashable:
     """The object."""
     text = path.read_bytes().decode("utf-8", errors="replace")
-
-    def silent(line: str) -> None:
-        raise AssertionError(f"fetched: {line}")
-
     known = is_known(text)
     if known:
         named_object(text, None, Path("grasps.npz"), silent)
@@ -47,4 +49,11 @@ def read(path: Path) -> Hashable:
     return known, len(loaded.body.pieces)
 
 
+def read_list(path: Path) -> Hashable:
+    """What three names mean by a TOML file."""
+    found = [named_object(name, path, Path("grasps.npz"), silent) for name in LISTED]
+    return tuple(type(one.source).__name__ for one in found)
+
+
 READER = Reader("object", seeds, read, change, (b"box:", b"sphere:", b"cylinder:", b"mug", b"."))
+LIST_READER = Reader("objects.toml", lambda: [("objects.toml", toml(LISTED))], read_list, changed_toml(), WORDS)
