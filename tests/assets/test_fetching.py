@@ -95,11 +95,6 @@ def test_what_is_here_is_not_fetched_again_and_what_was_damaged_is(claw: Asset, 
     assert files_in(folder) == CONTENTS
 
 
-def test_a_folder_is_a_mirror_too(claw: Asset, tmp_path: Path):
-    folder = fetch_asset(claw, Mirror(made_tree(tmp_path / "mirror")))
-    assert files_in(folder) == CONTENTS
-
-
 def test_a_read_only_folder_is_a_mirror_too(claw: Asset, tmp_path: Path):
     mirror = made_tree(tmp_path / "mirror")
     for path in (*mirror.rglob("*"), mirror):
@@ -424,16 +419,6 @@ def test_all_assets_come_from_the_shared_folder(shared_assets: Path, monkeypatch
     verdicts = list(verify(assets))
     assert [verdict.state for verdict in verdicts] == ["whole"] * len(assets)
     assert sum(verdict.files for verdict in verdicts) == sum(len(asset.files) for asset in assets)
-
-
-def test_assets_come_from_a_web_server_with_the_shared_folder(shared_assets: Path, monkeypatch: pytest.MonkeyPatch):
-    with serving(shared_assets) as server:
-        monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address)
-        for kind, name in (("hands", "barrett"), ("objects", "tm_1002_tray_bottom"), ("grasps", "leap_cube")):
-            asset = read_manifest(kind)[name]
-            fetch_asset(asset, accept_license=True)
-            assert is_whole(asset, "mirror")
-            assert set(server.asked) >= {f"/{file.mirror}" for file in asset.files}
 
 
 def test_the_meshes_of_every_urdf_are_where_it_looks_for_them(shared_assets: Path, monkeypatch: pytest.MonkeyPatch):

@@ -24,13 +24,6 @@ def limits(*joints: Joint) -> dict[str, tuple[float, float]]:
     return {j.name: (j.lower, j.upper) for j in limit_by_followers(joints, URDF)[0]}
 
 
-def test_chains_lead_to_the_independent_joint() -> None:
-    chain = [joint("a", -1, 1), joint("b", -9, 9, ("a", -2, 0.25)), joint("c", -9, 9, ("b", 3, 0.5))]
-    by_name = {j.name: j for j in chain}
-    assert followed(chain[2], by_name) == Mimic("a", -6, 1.25), "3 (-2 a + 0.25) + 0.5"
-    assert followed(chain[0], by_name) == Mimic("a", 1, 0)
-
-
 def test_limits_keep_all_followers_within_theirs() -> None:
     """Whatever the signs and offsets, both ends of the range are ends of some joint's own, and none is left."""
     joints = [

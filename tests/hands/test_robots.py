@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, transform_points
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, list_hands, load_hand
 from grasp_refine.hands.hand_toml import read_hand_toml
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.hands.source import needs_urdf
 from grasp_refine.objects.object import load_object
@@ -65,7 +64,7 @@ def random_configurations(hand: Hand, count: int = 100) -> np.ndarray:
 
 
 def poses(hand: Hand, links: tuple[str, ...], q: np.ndarray) -> np.ndarray:
-    return Kinematics(hand, links)(torch.eye(4, dtype=torch.float64).expand(len(q), 4, 4), torch.tensor(q)).numpy()
+    return Chain(hand, links)(np.tile(np.eye(4), (len(q), 1, 1)), q).T_world_link
 
 
 def test_the_hands_are_these() -> None:

@@ -8,14 +8,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-import torch
 
 import spread_gripper as gripper_of_three
 import underactuated as hand_of_five
-from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose, transform_points
-from grasp_refine.hands.chain import Chain, integrate
+from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose
+from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import load_object
@@ -125,11 +123,9 @@ def test_followers_narrow_the_limits_of_what_they_follow(hands: dict[str, Hand])
 # kinematics
 
 
-def test_three_ways_to_know_where_links_are_agree(hand: Hand) -> None:
+def test_mujoco_has_the_links_where_we_have_them(hand: Hand) -> None:
     T, q = configurations(hand, 20)
     ours = Chain(hand, links(hand))(T, q).T_world_link
-    torches = Kinematics(hand, links(hand))(torch.from_numpy(T), torch.from_numpy(q)).numpy()
-    np.testing.assert_allclose(ours, torches, atol=1e-12)
     made = urdf_model(hand)
     assert made.matrix.shape == (sum(j.movable for j in hand.joints), len(hand.joint_names))
     model = made.spec.compile()
@@ -142,30 +138,6 @@ def test_three_ways_to_know_where_links_are_agree(hand: Hand) -> None:
             body = data.body(bodies[link])
             np.testing.assert_allclose(body.xpos, expected[:3, 3], atol=1e-9)
             np.testing.assert_allclose(body.xmat.reshape(3, 3), expected[:3, :3], atol=1e-9)
-
-
-def test_forces_at_the_fingertips_do_the_work_of_the_independent_joints(hand: Hand) -> None:
-    """Virtual work by the geometric Jacobian, against finite differences of where the tips are."""
-    tips = [contact.link for contact in hand.contacts]
-    chain, rng = Chain(hand, tips), np.random.default_rng(1)
-    T, q = configurations(hand, 4)
-    frames = chain(T, q)
-    force, point = rng.normal(size=(2, 4, len(tips), 3)) * np.array([1.0, 0.05])[:, None, None, None]
-    on_link = transform_points(inverse(frames.T_world_link), point)
-
-    def work(T: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return (force * transform_points(chain(T, q).T_world_link, on_link)).sum(axis=(1, 2))
-
-    h = 1e-6
-    steps = h * np.eye(6 + len(hand.joint_names))
-    slopes = [
-        (work(integrate(T, np.tile(s[:6], (4, 1))), q + s[6:]) - work(integrate(T, np.tile(-s[:6], (4, 1))), q - s[6:]))
-        / (2 * h)
-        for s in steps
-    ]
-    covector = np.concatenate([force, np.cross(point, force)], axis=-1)
-    pulled = chain.to_joint_space(frames, covector, np.arange(len(tips))).sum(axis=1)
-    np.testing.assert_allclose(pulled, np.stack(slopes, axis=-1), atol=1e-8)
 
 
 # from nothing to a grasp that holds

@@ -11,7 +11,7 @@ import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
-from grasp_refine.grasps.formats.layout import BODEX, layout_of
+from grasp_refine.grasps.formats.layout import BODEX
 from grasp_refine.grasps.formats.scene import object_in_scene
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
@@ -50,8 +50,6 @@ class Bodex:
                 f"robot_pose must have shape (1, N, 3, 7 + joints): one object, N grasps, {', '.join(STAGES)}; it has "
                 f"{poses.shape} (motions of a hand on an arm are not read)"
             )
-        names = source.joint_names(held)
-        layout = layout_of(source, BODEX, poses.shape[3] - 7, hand, names=names)
         notes: Sequence[str] = ()
         if missing_keys(held, ("obj_pose", "obj_scale", "obj_path")):
             described, notes = object_in_scene(source)
@@ -62,7 +60,7 @@ class Bodex:
                 "scale": source.scale(_first(held["obj_scale"]), "obj_scale"),
             }
         rows = {f"{name} of robot_pose": poses[0, :, at] for at, name in enumerate(STAGES)}
-        return grasps_of_stages(source, layout, rows, **described), notes
+        return grasps_of_stages(source, BODEX, hand, rows, **described), notes
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object and scale."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.grasps.formats.folders import object_folder, scale_folder
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
-from grasp_refine.grasps.formats.layout import MUJOCO, layout_of
+from grasp_refine.grasps.formats.layout import MUJOCO
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
     GRASP,
@@ -18,7 +18,6 @@ from grasp_refine.grasps.formats.stages import (
     STAGES,
     fit_layout,
     grasps_of_stages,
-    joint_count,
     missing_stage_notes,
     rows_of_stage,
 )
@@ -43,12 +42,10 @@ class DexGraspBench:
         held = source.content
         keys = [f"{name}_qpos" for name in STAGES if name == GRASP or held.get(f"{name}_qpos") is not None]
         rows = {key: source.numbers(held[key], key, (None,))[None] for key in keys}
-        count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
-        names = source.joint_names(held)
-        layout = layout_of(source, MUJOCO, count, hand, names=names)
         grasps = grasps_of_stages(
             source,
-            layout,
+            MUJOCO,
+            hand,
             rows,
             object_pose=held["obj_pose"],
             object_name=source.object_name(held["obj_path"], "obj_path"),

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes
-from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout
+from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.stages import fit_layout
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -52,11 +52,7 @@ class DexGraspNet:
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file."""
-        if hand is not None and not (set(SHADOW.joints) <= set(hand.joint_names) and "palm" in hand.links_by_name):
-            raise source.error(
-                f"is for the Shadow hand, with the joints {', '.join(SHADOW.joints)}; hand '{hand.name}' has "
-                f"{', '.join(hand.joint_names)}"
-            )
+        check_hand(source, SHADOW, hand)
         wanted = (*JOINTS, *POSITION, *ANGLES)
         rows = []
         for row, grasp in enumerate(source.content):

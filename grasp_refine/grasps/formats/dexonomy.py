@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.grasps.formats.folders import floating_folder
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
-from grasp_refine.grasps.formats.layout import MUJOCO, layout_of
+from grasp_refine.grasps.formats.layout import MUJOCO
 from grasp_refine.grasps.formats.scene import object_in_scene
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
@@ -19,7 +19,6 @@ from grasp_refine.grasps.formats.stages import (
     STAGES,
     fit_layout,
     grasps_of_stages,
-    joint_count,
     missing_stage_notes,
     rows_of_stage,
 )
@@ -65,12 +64,9 @@ class Dexonomy:
             if value.ndim != 2 or len(value) != 1:
                 raise source.error(f"{name}_qpos must hold one grasp; it has shape {value.shape}")
             rows[f"{name}_qpos"] = value
-        count = joint_count(source, rows["grasp_qpos"], "grasp_qpos")
         named = source.text(held["hand_name"], "hand_name") if held.get("hand_name") is not None else ""
-        names = source.joint_names(held)
-        layout = layout_of(source, MUJOCO, count, hand, names=names, hand_name=named)
         described, more = object_in_scene(source)
-        return grasps_of_stages(source, layout, rows, **described), [*notes, *more]
+        return grasps_of_stages(source, MUJOCO, hand, rows, hand_name=named, **described), [*notes, *more]
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per grasp, with its scene inside."""

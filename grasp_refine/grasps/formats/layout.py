@@ -122,6 +122,19 @@ def layout_of(
     )
 
 
+def check_hand(source: Source, layout: Layout, hand: Hand | None) -> None:
+    """Refuse the hand that the user gave for a file of one layout.
+
+    Raises:
+        GraspFileError: it lacks the link or a joint of the layout; shows the joints of both.
+    """
+    if hand is not None and not _is_of(layout, hand):
+        raise source.error(
+            f"is for the hand {layout.hand}, with the joints {', '.join(layout.joints)}; hand '{hand.name}' has "
+            f"{', '.join(hand.joint_names)}"
+        )
+
+
 def _by_name(source: Source, layouts: Sequence[Layout], count: int, hand: Hand | None, names: Sequence[str]) -> Layout:
     if len(names) != count or len(set(names)) != count:
         raise source.error(f"has {count} joint values per grasp, but {len(set(names))} joint names: {', '.join(names)}")

@@ -16,7 +16,7 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes
-from grasp_refine.grasps.formats.layout import Layout
+from grasp_refine.grasps.formats.layout import Layout, check_hand
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.stages import fit_layout
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -51,11 +51,7 @@ class LeapCache:
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file."""
-        if hand is not None and not (set(JOINTS) <= set(hand.joint_names) and LEAP.base_link in hand.links_by_name):
-            raise source.error(
-                f"is for the LEAP hand, with the joints {', '.join(JOINTS)}; hand '{hand.name}' has "
-                f"{', '.join(hand.joint_names)}"
-            )
+        check_hand(source, LEAP, hand)
         values = source.numbers(source.content, "the array", (None, NUM_COLUMNS))
         # x y z qx qy qz qw becomes x y z qw qx qy qz.
         pose = values[:, [16, 17, 18, 22, 19, 20, 21]]

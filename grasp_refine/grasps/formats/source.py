@@ -16,6 +16,8 @@ from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside that of an object, whose names are not the object's."""
+MAX_NUMBERS = 2**24
+"""Most numbers of one array, which take 128 MiB as float64, whatever they take in the file."""
 MAX_NAME_CHARACTERS = 200
 """Most characters of an object's name; the rest is cut off."""
 
@@ -54,6 +56,8 @@ class Source:
             raise self.error(f"{what} must be numbers of one shape; its rows differ in length") from None
         if array.dtype.kind not in "fiu":
             raise self.error(f"{what} must hold numbers; it holds {_kind(value)}")
+        if array.size > MAX_NUMBERS:
+            raise self.error(f"{what} holds {array.size} numbers, more than the {MAX_NUMBERS} that are read; split it")
         if shape is not None and not _fits(array.shape, shape):
             wanted = ", ".join("N" if length is None else str(length) for length in shape)
             raise self.error(f"{what} must have shape ({wanted}); it has {array.shape}")

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose
-from grasp_refine.grasps.formats.layout import Layout
+from grasp_refine.grasps.formats.layout import Layout, layout_of
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
 from grasp_refine.grasps.rebase import rebased
@@ -29,26 +29,36 @@ ORIGIN_POSE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 def grasps_of_stages(
     source: Source,
-    layout: Layout,
-    rows: Mapping[str, Any],
+    layouts: Sequence[Layout],
+    hand: Hand | None,
+    rows: Mapping[str, np.ndarray],
     *,
     object_pose: Any,
     object_name: str,
     scale: float,
+    hand_name: str = "",
 ) -> GraspSet:
     """The grasps with some rows as stages; the grasp itself must be among them.
 
     Args:
-        source: The file, for messages.
-        layout: Order and frame of the numbers.
+        source: The file, which may have `joint_names`.
+        layouts: Orders and frames of the numbers that its format knows.
+        hand: The hand that the user gave.
         rows: Name in the file -> rows (N, 7 + n); the name begins with that of the stage.
         object_pose: Pose (7,) of the object in the world.
         object_name: Its name.
         scale: Factor that takes its mesh to metres.
+        hand_name: Name of the hand that the file gives.
 
     Raises:
-        GraspFileError: numbers of another shape, or no unit quaternions.
+        GraspFileError: numbers of another shape, no unit quaternions, or joints of no layout.
     """
+    (what,) = [name for name in rows if name.startswith(GRASP)]
+    columns = rows[what].shape[-1]
+    if columns < 8:
+        raise source.error(f"{what} must have 7 numbers of a pose and the joint values; it has {columns}")
+    names = source.joint_names(source.content)
+    layout = layout_of(source, layouts, columns - 7, hand, names=names, hand_name=hand_name)
     T_object_world = inverse(transform_from_pose(source.poses([object_pose], "obj_pose", 1)))
     stages: dict[str, Any] = {}
     count = None
@@ -70,18 +80,6 @@ def grasps_of_stages(
         q=grasp.q,
         **stages,
     )
-
-
-def joint_count(source: Source, rows: np.ndarray, what: str) -> int:
-    """Number of joint values in each row of a stage.
-
-    Raises:
-        GraspFileError: there are fewer than 8 numbers in a row.
-    """
-    count = rows.shape[-1] - 7
-    if count < 1:
-        raise source.error(f"{what} must have 7 numbers of a pose and the joint values; it has {rows.shape[-1]}")
-    return count
 
 
 def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarray, "N columns"]:

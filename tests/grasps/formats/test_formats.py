@@ -14,6 +14,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_so3
+from grasp_refine.grasps.formats import source
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
@@ -132,6 +133,15 @@ def bench(grasps: Callable[..., GraspSet], load: Load, folder: Path) -> dict[str
     """What one DexGraspBench file of ours holds."""
     write(grasps("shadow", count=1), folder / "seed.npy", "dexgraspbench", load)
     return load_content(folder / "seed.npy")
+
+
+def test_more_numbers_than_memory_should_take_are_refused(
+    grasps: Callable[..., GraspSet], load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """64 MiB of float16 once took 1.6 GB as float64."""
+    bench(grasps, load, tmp_path)
+    monkeypatch.setattr(source, "MAX_NUMBERS", 28)
+    assert_names(refusal(tmp_path / "seed.npy"), "grasp_qpos", "29", "28")
 
 
 def test_the_object_pose_is_taken_into_account(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
@@ -325,7 +335,7 @@ def test_defects_of_dexgraspnet_files(grasps: Callable[..., GraspSet], load: Loa
     assert_names(refusal(save(path, np.array([lacking], dtype=object))), "qpos", "grasp 0", "WRJTy", "robot0:FFJ3")
     assert_names(refusal(save(path, np.array([{"qpos": held["qpos"]}], dtype=object))), "grasp 0", "scale")
     leap = load("leap")
-    assert_names(refusal(tmp_path / "out" / "mug.npy", hand=leap), "Shadow", "FFJ4")
+    assert_names(refusal(tmp_path / "out" / "mug.npy", hand=leap), "hand shadow", "FFJ4")
     odd = GraspSet(**{**vars(grasps("shadow", count=1)), "object": np.array(["a/b"])})
     with refused(GraspFileError, "'a/b'"):
         format_named("dexgraspnet").write(odd, partial(load, "shadow"))
@@ -344,7 +354,7 @@ def test_defects_of_leap_caches(load: Load, tmp_path: Path):
     assert_names(refusal(save(tmp_path / "a.npy", rows)), "16 to 22", "row 1")
     rows[0, 2], rows[1, 19:], rows[2, 18] = np.nan, 0.0, np.inf
     assert not read_grasps(save(tmp_path / "a.npy", rows)).finite.any()
-    assert_names(refusal(tmp_path / "cube_s105.npy", hand=load("shadow")), "LEAP", "1, 0")
+    assert_names(refusal(tmp_path / "cube_s105.npy", hand=load("shadow")), "hand leap", "1, 0")
     assert_names(refusal(save(tmp_path / "b.npy", rows[:, 1:])), "leap_cache", "(N, 23)", "(3, 22)")
 
 
