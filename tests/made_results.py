@@ -121,6 +121,39 @@ def plain_outcome(
     )
 
 
+def error_in_millimetres(count: int, objects: tuple[str, ...] = ("mug",)) -> Outcome:
+    """Grasp i has a contact error of i mm after and 10 i mm before, and converged; all else is the same for all.
+
+    There are no targets, and with so much quality all should hold.
+    """
+    outcome = plain_outcome(
+        count,
+        starts=2,
+        iterations=123,
+        quality=(0.4, 0.97),
+        wrench_residual=(0.2, 0.05),
+        penetration=(2e-3, 1e-4),
+        self_penetration=(1e-3, 0.0),
+        moved_palm_m=4e-3,
+        moved_palm_rad=np.radians(5.0),
+        moved_joints_rad=np.radians(6.0),
+        wall_s=0.25,
+    )
+    error = np.full((count, 2, 3), np.nan)
+    error[:, :, 0] = np.arange(count)[:, None] * (1e-2, 1e-3)
+    error[:, :, 1] = 0.0
+    outcome = replace(outcome, object=np.resize(np.array(objects), count), row=np.arange(count) + 100)
+    return with_measures(outcome, contact_error=error)
+
+
+def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
+    """The outcome with the status of grasps changed, such as g3=Status.STALLED."""
+    status = outcome.status.copy()
+    for name, value in grasps.items():
+        status[int(name[1:])] = value
+    return replace(outcome, status=status)
+
+
 def with_measures(outcome: Outcome, **values: Any) -> Outcome:
     """The outcome with other values of measures: key -> values as in `Outcome.measures`."""
     return replace(outcome, measures={**outcome.measures, **values})

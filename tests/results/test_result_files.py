@@ -14,9 +14,16 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import Stage, load_grasps
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.results.result_files import fingerprint, recorded_urdf
+from grasp_refine.results.result_files import fingerprint, recorded_urdf, result_paths
 from grasp_refine_apps.cli import main
 from refusals import refused
+
+
+def test_result_files_have_names_that_any_file_system_takes(tmp_path: Path):
+    paths = result_paths(tmp_path, "claw", ("mug", "box:1,2,3", "a/b", "a b"))
+    assert [path.name for path in paths.values()] == [
+        "claw_mug.npz", "claw_box_1,2,3.npz", "claw_a_b.npz", "claw_a_b_.npz"
+    ]  # fmt: skip
 
 
 def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path) -> None:

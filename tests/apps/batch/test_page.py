@@ -15,10 +15,11 @@ import pytest
 from batch_rows import document, failure, made_up_rows
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.validation.measures import MEASURE
-from grasp_refine_apps.batch.chart import CHARTED, chart
+from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
+from grasp_refine_apps.batch.words import NONE
 from grasp_refine_apps.batch.worst import Case
 from grasp_refine_apps.cli import COMMANDS
 from refusals import assert_names
@@ -116,11 +117,6 @@ def test_counts_are_those_of_the_statistics():
     assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said
 
 
-def test_without_simulation_there_is_no_word_of_it():
-    found = some(made_up_rows(4, held_before=np.nan, held_after=np.nan))
-    assert "imulat" not in words_of(page(document(), found, ()))
-
-
 def test_a_case_says_where_it_is_and_how_to_see_it():
     one = case()
     html = page(document(), some(), [Picture(one, PNG, PNG)])
@@ -131,11 +127,6 @@ def test_a_case_says_where_it_is_and_how_to_see_it():
         "refine-grasp", "view", "my sets/00003.npz", "--index", "7", "--object", "/my meshes/mug.obj",
     ]  # fmt: skip
     assert "view" in COMMANDS
-
-
-def test_a_case_without_a_picture_says_why():
-    html = page(document(), some(), [Picture(case(), problem="not drawn: mug.obj: no such file")])
-    assert "not drawn: mug.obj: no such file" in words_of(html) and "<img" not in html
 
 
 def test_failures_are_told_by_reason():
@@ -156,24 +147,9 @@ def test_the_page_stays_small_whatever_failed():
     assert len(html) < 150_000 and f"{5000 - MAX_KINDS} more" in words_of(html)
 
 
-def test_a_part_of_a_batch_says_so():
-    said = words_of(page(document(totals={"shards": 9, "complete": 2}, failed=[failure(1)]), some(), ()))
-    assert_names(said, "6 of 9 shards", "1 shard ")
-
-
 def test_a_batch_of_nothing_has_a_page():
     html = page(document(failed=[failure(0)]), Statistics.empty(), ())
     assert "0 grasps" in html and "<svg" not in html and not Checker(html).problems
-
-
-def test_where_the_time_went_comes_in_its_order():
-    profile = {
-        "solver": {"cpu_s": 1.0, "wall_s": 1.5, "calls": 7},
-        "narrow phase": {"cpu_s": 3.0, "wall_s": 3.5, "calls": 1234},
-        "forces": {"cpu_s": 0.0, "wall_s": 0.0, "calls": 0},
-    }
-    said = words_of(page(document(profile=profile), some(), ()))
-    assert "narrow phase 3.00 75.0 % 3.50 1 234 solver 1.00 25.0 % 1.50 7" in said and "forces 0" not in said
 
 
 def test_names_and_messages_cannot_become_html():
@@ -208,6 +184,15 @@ def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
     assert ">~0</text>" in svg and re.search(r"0\.0001 mm\D+0\.0 %\D+100\.0 %", svg)
     assert bars(svg, "after") == [104.0] and bars(svg, "before") == [52.0, 52.0]
     assert re.search(r" mm\D+50\.0 %", svg)
+
+
+def test_the_worst_is_at_the_end_where_a_measure_is_worse():
+    values = np.arange(1, 101) / 100
+    found = some(made_up_rows(100, quality_after=values, penetration_after_m=values / 100, quality_before=np.nan))
+    before, after = np.split(np.array(statistics_row(MEASURE["quality"], found.distributions)), 2)
+    assert set(before) == {NONE} and after.astype(float) == pytest.approx([0.505, 0.5, 0.05, 0.01], abs=0.011)
+    depth = statistics_row(MEASURE["penetration"], found.distributions)[4:]
+    assert [float(text) for text in depth] == pytest.approx([5.05, 5.0, 9.5, 10.0], rel=0.06), "millimetres"
 
 
 def test_what_nobody_measured_is_not_drawn():

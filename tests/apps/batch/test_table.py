@@ -90,9 +90,3 @@ def test_failures_are_named_up_to_twenty():
     assert "  and 5 more, in the JSON summary and the report" in lines
     crashed = printed(document(failed=[failure(3, "SIGKILL", "crashed")]), some(1))
     assert "1 shard failed:" in crashed and "  part 3: crashed, 2 times: SIGKILL" in crashed
-
-
-def test_a_part_of_a_batch_says_so_and_nothing_at_all_is_no_table():
-    totals = {"shards": 10, "complete": 4}
-    lines = printed(document(totals=totals, failed=[failure(1), failure(None, "no", "refused")]), Statistics.empty())
-    assert "5 of 10 shards to be done yet" in lines and not any("→" in line for line in lines)
