@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from grasp_refine.collision.certified_distance import Answer, PiecePair
 from grasp_refine.collision.query import Pairs, QueryStatus, query
 from grasp_refine.core.errors import CollisionError
-from grasp_refine.core.se3 import inverse, transform_points
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from refusals import refused
@@ -136,70 +136,6 @@ def test_the_last_answer_changes_the_work_and_not_the_result() -> None:
     cold, warm = query(pairs, T_a, T_b), query(pairs, T_a, T_b, previous=last)
     np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
     assert warm.num_queries.sum() <= cold.num_queries.sum()
-
-
-def test_an_item_does_not_depend_on_its_batch() -> None:
-    a, b = cluster(0), cluster(1)
-    T_a, T_b = scattered(20, 13, 0.08)
-    pairs = Pairs((a, b), (b, b))
-    T_a, T_b = np.repeat(T_a, 2, axis=1), np.repeat(T_b, 2, axis=1)
-    together = query(pairs, T_a, T_b)
-    for i in range(20):
-        alone = query(pairs, T_a[i : i + 1], T_b[i : i + 1])
-        for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
-            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[i])
-
-
-def test_a_pose_that_is_not_finite_spoils_only_itself() -> None:
-    pairs = Pairs((cluster(0),), (cluster(1),))
-    T_a, T_b = scattered(6, 17, 0.1)
-    clean = query(pairs, T_a, T_b)
-    T_a[2, 0, 1, 1], T_b[4, 0, 0, 3] = np.nan, np.inf
-    found = query(pairs, T_a, T_b)
-    bad = np.array([2, 4])
-    assert (found.status[bad] == QueryStatus.NOT_FINITE).all() and np.isnan(found.distance[bad]).all()
-    good = np.setdiff1d(np.arange(6), bad)
-    np.testing.assert_array_equal(found.distance[good], clean.distance[good])
-    np.testing.assert_array_equal(found.point_b[good], clean.point_b[good])
-
-
-def surface_residual(piece: Piece, points: np.ndarray) -> np.ndarray:
-    """Signed distance of points (N, 3) to the planes of a polytope: zero on its surface."""
-    normals, offsets = piece.planes
-    return (points @ normals.T - offsets).max(axis=1)
-
-
-def test_witness_points_lie_on_both_surfaces_and_on_the_normal() -> None:
-    rng = np.random.default_rng(3)
-    p, q = (hull(rng.normal(size=(40, 3)) * 0.02) for _ in range(2))
-    T_a, T_b = scattered(100, 19, 0.06)
-    w = query(Pairs((piece_body(p),), (piece_body(q),)), T_a, T_b)
-    assert (w.distance > 0).any() and (w.distance < 0).any()
-    for piece, T, points in ((p, T_a, w.point_a), (q, T_b, w.point_b)):
-        local = transform_points(inverse(T), points)[:, 0]
-        np.testing.assert_allclose(surface_residual(piece, local), 0.0, atol=2e-8)
-    np.testing.assert_allclose(np.linalg.norm(w.normal, axis=-1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(((w.point_b - w.point_a) * w.normal).sum(-1), w.distance, atol=1e-15)
-
-
-def test_closed_forms_of_round_pieces() -> None:
-    segment = capsule(0.01, (0, 0, -0.03), (0, 0, 0.03))
-    pairs = Pairs((piece_body(sphere(0.02, (0.01, 0, 0))),), (piece_body(segment),))
-    T_a, T_b = scattered(50, 23, 0.05)
-    centers = transform_points(inverse(T_b) @ T_a, np.broadcast_to([0.01, 0, 0], (50, 1, 3)))
-    nearest = np.clip(centers[..., 2], -0.03, 0.03)[..., None] * [0, 0, 1]
-    expected = np.linalg.norm(centers - nearest, axis=-1) - 0.03
-    np.testing.assert_allclose(query(pairs, T_a, T_b).distance, expected, atol=1e-9)
-
-
-def test_far_translations_keep_their_digits() -> None:
-    pairs = Pairs((piece_body(sphere(0.02)),), (piece_body(box([0.04, 0.04, 0.04])),))
-    T_a = np.tile(np.eye(4), (1, 1, 1, 1))
-    T_b = T_a.copy()
-    T_b[..., 0, 3] = 0.05
-    for T in (T_a, T_b):
-        T[..., :3, 3] += 1e6
-    assert query(pairs, T_a, T_b).distance.item() == pytest.approx(0.01, abs=1e-9)
 
 
 def test_bodies_are_kept_alive_and_normals_are_copies() -> None:

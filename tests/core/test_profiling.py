@@ -7,14 +7,12 @@ import subprocess
 import sys
 import threading
 import time
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from rich.console import Console
 
 from command_line import subprocess_environment
 from grasp_refine.collision.engine import engines
@@ -27,7 +25,6 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
-from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.cli import main
@@ -115,15 +112,6 @@ def test_an_error_ends_its_stages(clock: SimpleNamespace):
     with stage("solver"):
         passes(clock, 1000.0)
     assert watch.cpu_s == 8.0
-
-
-def test_it_runs_again_and_counts_on(clock: SimpleNamespace):
-    watch = Stopwatch()
-    for _ in range(3):
-        with watch, stage("loading"):
-            passes(clock, 1.0)
-        passes(clock, 1000.0)
-    assert (cpu(watch), watch.spent["loading"].calls) == ({"loading": 3.0}, 3)
 
 
 def test_a_stage_may_end_after_the_stopwatch_stopped(clock: SimpleNamespace):
@@ -257,20 +245,6 @@ def test_the_stages_of_a_refinement_sum_to_its_time_and_change_nothing(config: C
 
 
 # What people see
-
-
-def test_a_profile_is_shown_and_told_as_json():
-    profile = {name: [0.0, 0.0, 0] for name in STAGES} | {"solver": [3.0, 4.0, 2], "other": [1.0, 1.0, 0]}
-    console = Console(width=80, record=True, file=StringIO())
-    console.print(profile_table(profile))
-    lines = [line.split() for line in console.export_text().splitlines() if line.strip(" ─")]
-    assert lines[1] == ["stage", "CPU", "s", "%", "wall", "s", "calls"]
-    assert lines[2:] == [
-        ["solver", "3.00", "75.0", "4.00", "2"], ["other", "1.00", "25.0", "1.00"], ["all", "4.00", "100.0", "5.00"],
-    ]  # fmt: skip
-    entry = profile_entry(profile)
-    assert tuple(entry) == STAGES and entry["solver"] == {"cpu_s": 3.0, "wall_s": 4.0, "calls": 2}
-    assert profile_entry(None) is None
 
 
 @pytest.mark.usefixtures("workplace")

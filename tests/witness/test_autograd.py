@@ -15,6 +15,7 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.neighborhood import Adaptive
+from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from refusals import refused
 from shapes_for_tests import convex_body, ring_body
@@ -27,7 +28,12 @@ from twists import (
     weighed,
 )
 
-METHODS = {"distance": Distance(), "contact kinematics": ContactKinematics()}
+METHODS = {
+    "distance": Distance(),
+    "distance, neighbor": Distance(Neighbor()),
+    "contact kinematics": ContactKinematics(),
+    "contact kinematics, neighbor": ContactKinematics(Neighbor()),
+}
 
 
 def two_pairs() -> Pairs:
@@ -172,7 +178,7 @@ def test_the_method_sees_only_the_pairs_and_fields_the_loss_looks_at() -> None:
     assert scene.pairs.a == (pairs.a[0], pairs.a[2]) and (scene.witness.winner[:, 1] >= 10).all()
 
 
-@pytest.mark.parametrize("method", [Distance(), ContactKinematics(), Analytical()])
+@pytest.mark.parametrize("method", [*METHODS.values(), Analytical()])
 def test_looking_at_one_pair_gives_the_gradient_of_that_pair_alone(method: object) -> None:
     pairs = Pairs.against([convex_body(0), ring_body(1), convex_body(1)], ring_body(1))
     T_a, T_b = near_poses(pairs, 3, 0.01, 90)

@@ -19,7 +19,6 @@ from grasp_refine.witness.contact_kinematics import (
     effective_distance,
     relative_curvature,
 )
-from grasp_refine.witness.curvature import raise_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import convex_body
@@ -271,10 +270,3 @@ def test_flat_faces_get_the_smallest_curvature() -> None:
     K_a, K_b = method.curvatures(scene, tangents(witness.normal))
     np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].diagonal * np.eye(2)[None, None], atol=1e-9)
     np.testing.assert_allclose(K_a, K_b, atol=1e-9)
-
-
-def test_raising_moves_small_eigenvalues_of_the_sum_and_no_others() -> None:
-    K_a, K_b = np.diag([50.0, 1.0])[None, None], np.diag([10.0, -9.0])[None, None]
-    raised_a, raised_b = raise_eigenvalues(K_a, K_b, np.array([20.0]))
-    np.testing.assert_allclose(raised_a[0, 0], np.diag([50.0, 15.0]), atol=1e-12)
-    np.testing.assert_allclose(raised_b[0, 0], np.diag([10.0, 5.0]), atol=1e-12)

@@ -8,7 +8,6 @@ import pytest
 from grasp_refine.core.se3 import exp_so3, tangents
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.witness import curvature
 from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, with_eigenvalues
 
 FINE = 8192
@@ -149,11 +148,6 @@ def test_a_row_does_not_depend_on_the_others_to_the_last_bit(count: int) -> None
         np.testing.assert_array_equal(bodies.fit(*(a[some] for a in rows)), every[some])
 
 
-def test_nothing_at_all_can_be_fitted() -> None:
-    bodies, rows = many_rows(3)
-    assert bodies.fit(*(a[:0] for a in rows)).shape == (0, 2, 2)
-
-
 def test_bodies_may_have_different_numbers_of_candidates() -> None:
     bodies = [ball(0.02), build_body("box", [box([0.05, 0.06, 0.07])], candidates=100)]
     c = bodies[1].candidates
@@ -214,10 +208,3 @@ def test_the_sum_is_raised_to_its_floor_and_the_difference_stays() -> None:
     high = (before >= floor[:, None]).all(axis=1)
     assert high.any() and not high.all()
     np.testing.assert_allclose(new_a[high], K_a[high], atol=1e-12)
-
-
-def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    bodies, rows = many_rows(40)
-    expected = bodies.fit(*rows)
-    monkeypatch.setattr(curvature, "_BLOCK_POINTS", 7)
-    np.testing.assert_array_equal(bodies.fit(*rows), expected)

@@ -385,35 +385,6 @@ def test_planted_faces_agree_with_a_general_solver(tilt: float, gap: float):
             assert np.linalg.norm(across) < 2e-6
 
 
-def test_no_sampled_point_of_the_patch_is_nearer():
-    rng = np.random.default_rng(8)
-    for _ in range(5):
-        a, b = planted(rng), planted(rng)
-        T_a, T_b = face_to_face(rng, 4, 3e-4, 1e-3)
-        goal = transform_points(T_a, rng.normal(size=(4, 3)) * [0.015, 0.015, 0] + [0, 0, 0.02])
-        t_a, t_b = transform_points(inverse(T_a), goal), transform_points(inverse(T_b), goal)
-        plain, patch = refined(body(a), body(b), T_a, T_b, t_a, t_b)
-        for i in range(4):
-            E, n = tangents(plain.normal[i]), plain.normal[i]
-            p = rng.uniform(-0.03, 0.03, (20000, 2))
-            top = line_end(a, T_a[i], plain.point_a[i] + p @ E.T, n)
-            bottom = -line_end(b, T_b[i], plain.point_b[i] + p @ E.T, -n)
-            within = bottom - top <= EPSILON
-            aim = E.T @ (goal[i] - plain.point_a[i])
-            chosen = np.linalg.norm(E.T @ (patch.point_a[i] - goal[i]))
-            assert chosen <= np.linalg.norm(p[within] - aim, axis=1).min(initial=np.inf) + 1e-9
-
-
-def line_end(piece: Piece, T: np.ndarray, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The largest z with x + z u inside the piece (M,), -inf where the line misses it."""
-    normals, offsets = piece.planes
-    world = normals @ T[:3, :3].T
-    along, room = world @ u, offsets + world @ T[:3, 3] - x @ world.T
-    z = room / along
-    top, bottom = z[:, along > 0].min(axis=1), z[:, along < 0].max(axis=1)
-    return np.where(bottom <= top, top, -np.inf)
-
-
 @pytest.mark.parametrize("epsilon", [0.0, -1e-5, np.inf, np.nan])
 def test_an_epsilon_without_sense_is_refused(epsilon: float):
     with refused(CollisionError, "epsilon", epsilon):

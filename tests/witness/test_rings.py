@@ -3,24 +3,21 @@
 import networkx
 import numpy as np
 import pytest
-import torch
 import trimesh
 
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.se3 import inverse, transform_points
-from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.geometry.rings import Rings
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.neighborhood import Neighbors, Surfaces, draw_offset
+from grasp_refine.witness.neighborhood import Neighbors, draw_offset
 from grasp_refine.witness.rings import Neighbor, choose_rings
 from grasp_refine.witness.scene import WitnessScene
 from refusals import refused
-from shapes_for_tests import cluster_body, convex_body, ellipsoid_hull, ring_body
-from twists import layer_gradient, poses_at_gap, random_cotangents
+from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
+from twists import poses_at_gap
 
 PIECES = {
     "icosphere": lambda: hull(trimesh.creation.icosphere(subdivisions=2, radius=0.03).vertices),
@@ -209,62 +206,7 @@ def test_both_sides_draw_from_the_pieces_that_carry_the_witness_points(gap: floa
     np.testing.assert_array_equal(near.floor, scene.surfaces.floor)
 
 
-def test_neighbours_of_an_item_do_not_depend_on_its_batch() -> None:
-    pairs = Pairs((cluster_body(2),), (ring_body(1),))
-    T_a, T_b = poses_at_gap(pairs, 16, 0.004, seed=5)
-    whole = scene_of(pairs, T_a, T_b, key=3)
-    _, together = whole.neighbors(Neighbor(), 1)
-    for b in range(16):
-        item = slice(b, b + 1)
-        _, alone = scene_of(pairs, T_a[item], T_b[item], whole.witness.rows(item), key=3).neighbors(Neighbor(), 1)
-        np.testing.assert_array_equal(alone.mask[:, 0], together.mask[:, b])
-        np.testing.assert_array_equal(alone.points[:, 0], together.points[:, b])
-        np.testing.assert_array_equal(alone.radius[:, 0], together.radius[:, b])
-
-
-@pytest.mark.parametrize("method", [Distance(Neighbor()), ContactKinematics(Neighbor())], ids=["distance", "contact"])
-def test_rows_without_witness_points_do_no_harm(method: Distance | ContactKinematics) -> None:
-    pairs = Pairs((convex_body(0), cluster_body(1)), (ring_body(1), convex_body(2)))
-    T = np.tile(np.eye(4), (3, 2, 1, 1))
-    T_b = T.copy()
-    T_b[..., 0, 3] = [[0.12, 0.2], [9.0, 9.0], [0.1, np.nan]]
-    tensors = [torch.from_numpy(pose).requires_grad_() for pose in (T, T_b)]
-    w = WitnessLayer(pairs, method)(*tensors, cutoff=1.0)
-    assert (w.winner[1] == -1).all() and w.status[2, 1] == QueryStatus.NOT_FINITE
-    (w.point_a.sum() + w.normal[..., 0].sum()).backward()
-    for tensor in tensors:
-        assert torch.isfinite(tensor.grad).all()
-        assert not tensor.grad[1].any() and not tensor.grad[2, 1].any() and tensor.grad[0].any()
-
-
-def test_on_a_sphere_the_fit_finds_its_curvature() -> None:
-    pairs = Pairs((build_body("a", [sphere(0.03)]),), (build_body("b", [sphere(0.02)]),))
-    T_a, T_b = poses_at_gap(pairs, 5, 0.003, seed=6)
-    scene = scene_of(pairs, T_a, T_b)
-    E = np.linalg.svd(scene.witness.normal[..., None, :])[2].mT[..., 1:]
-    for K, radius in zip(ContactKinematics(Neighbor()).curvatures(scene, E), (0.03, 0.02), strict=True):
-        np.testing.assert_allclose(K, np.broadcast_to(np.eye(2) / radius, K.shape), atol=0.03 / radius)
-
-
-def test_the_table_of_a_layer_counts_winners_from_its_own_columns() -> None:
-    """The second pair alone, and beside another one: the same gradient."""
-    both = Pairs((ring_body(1), cluster_body(2)), (convex_body(0), ring_body(1)))
-    alone = Pairs(both.a[1:], both.b[1:])
-    T_a, T_b = poses_at_gap(alone, 6, 0.004, seed=7)
-    cotangents = random_cotangents(query(alone, T_a, T_b), ("point_a", "point_b"), seed=8)
-    expected = layer_gradient(WitnessLayer(alone, Distance(Neighbor())), T_a, T_b, cotangents)
-    wide = {name: np.concatenate([0 * c, c], axis=1) for name, c in cotangents.items()}
-    poses = (np.concatenate([T, T], axis=1) for T in (T_a, T_b))
-    found = layer_gradient(WitnessLayer(both, Distance(Neighbor())), *poses, wide)
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
-
-
 @pytest.mark.parametrize(("rings", "samples"), [(0, 16), (5, 1)])
 def test_a_neighbourhood_without_width_is_refused(rings: int, samples: int) -> None:
     with refused(CollisionError, "1 ring", "2 samples", f"rings={rings}", f"samples={samples}"):
         Neighbor(rings, samples)
-
-
-def test_the_floor_is_that_of_the_candidates() -> None:
-    surfaces = Surfaces.of([convex_body(0)])
-    np.testing.assert_allclose(surfaces.floor, 0.05 * surfaces.spacing[:, None] ** 2)

@@ -137,25 +137,6 @@ def test_the_derivative_scales_with_the_world(name: str, shapes: str) -> None:
         assert error[same].max() < 1e-6, s
 
 
-@pytest.mark.parametrize("s", [1e-3, 100.0])
-@pytest.mark.parametrize("name", METHODS)
-def test_single_precision_suffices_at_every_size(name: str, s: float) -> None:
-    """Rounded poses in double precision give the very same but for the rounding of the result."""
-    w = world("hulls", s)
-    rounded = [T.astype(np.float32).astype(np.float64) for T in (w.T_a, w.T_b)]
-    gradients = []
-    for dtype in (torch.float32, torch.float64):
-        leaves = [torch.from_numpy(T).to(dtype).requires_grad_() for T in rounded]
-        found = WitnessLayer(w.pairs, METHODS[name])(*leaves)
-        (found.point_a.sum() - 0.3 * found.point_b.sum() + s * found.normal.sum()).backward()
-        # Translations, then rotations over s: each has its own unit.
-        gradients.append(torch.stack([leaf.grad.double() for leaf in leaves])[..., :3, :])
-        gradients[-1][..., :3] /= s
-    single, double = gradients
-    assert torch.isfinite(single).all()
-    assert (single - double).abs().max() < 1e-5 * double.abs().max()
-
-
 @pytest.mark.parametrize("name", METHODS)
 def test_far_from_the_origin_bodies_move_as_they_do_near_it(name: str) -> None:
     """A million metres away, where positions are rounded to 1e-10 m: coupled slips once lost their moments there."""
