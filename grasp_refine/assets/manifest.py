@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.errors import AssetError, told
+from grasp_refine.core.errors import AssetError, quote_value
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
@@ -163,7 +163,7 @@ class _Entry:
         return value
 
     def wrong(self, key: str, needed: str) -> AssetError:
-        return AssetError(f"{self.where}: {key} = {told(self.values.get(key))} must be {needed}")
+        return AssetError(f"{self.where}: {key} = {quote_value(self.values.get(key))} must be {needed}")
 
 
 def _asset(kind: Kind, name: str, values: Any, path: Path) -> Asset:

@@ -1,6 +1,6 @@
 """Witness queries: the closest or deepest point pair of each body pair, for a batch of poses."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from functools import cached_property
@@ -12,7 +12,7 @@ import numpy as np
 from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.engine import Engine, chosen
 from grasp_refine.collision.python_search import PythonSearch
-from grasp_refine.core.arguments import as_numbers, check_kind, shown
+from grasp_refine.core.arguments import as_numbers, check_kind, describe_value
 from grasp_refine.core.errors import CollisionError, GraspRefineError
 from grasp_refine.core.profiling import count_queries, stage
 from grasp_refine.core.short_repr import spread, tallied
@@ -72,7 +72,7 @@ class Witness:
 
     def pairs(self, index: Any) -> "Witness":
         """Return the columns `index` of the pair axis."""
-        return Witness(*(getattr(self, field.name)[:, index] for field in fields(self)))
+        return self._map(lambda value: value[:, index])
 
     def detached(self) -> "Witness":
         """Return the witness as NumPy arrays in double precision, without a graph."""
@@ -80,20 +80,19 @@ class Witness:
         def array(value: Any) -> np.ndarray:
             return value if isinstance(value, np.ndarray) else value.detach().double().cpu().numpy()
 
-        return Witness(*(array(getattr(self, field.name)) for field in fields(self)))
+        return self._map(array)
 
     def rows(self, index: Any) -> "Witness":
         """Return the rows `index` of the batch axis."""
-        return Witness(*(getattr(self, field.name)[index] for field in fields(self)))
+        return self._map(lambda value: value[index])
 
     def reshape(self, *shape: int) -> "Witness":
         """Return the witness with other leading dimensions."""
         lead = self.distance.ndim
+        return self._map(lambda value: value.reshape(*shape, *value.shape[lead:]))
 
-        def reshaped(value: Any) -> Any:
-            return value.reshape(*shape, *value.shape[lead:])
-
-        return Witness(*(reshaped(getattr(self, field.name)) for field in fields(self)))
+    def _map(self, function: Callable[[Any], Any]) -> "Witness":
+        return Witness(*(function(getattr(self, field.name)) for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +120,12 @@ class Pairs:
         """
         for name in ("a", "b"):
             bodies = getattr(self, name)
-            if not (isinstance(bodies, tuple | list) and all(isinstance(body, Body) for body in bodies)):
-                wrong = (
-                    bodies
-                    if not isinstance(bodies, tuple | list)
-                    else next(body for body in bodies if not isinstance(body, Body))
-                )
+            listed = isinstance(bodies, tuple | list)
+            wrong = [body for body in bodies if not isinstance(body, Body)] if listed else [bodies]
+            if wrong:
                 raise CollisionError(
-                    f'Pairs: {name} must be a tuple of bodies, such as (load_object("mug").body,), got {shown(wrong)}'
+                    f'Pairs: {name} must be a tuple of bodies, such as (load_object("mug").body,), got '
+                    f"{describe_value(wrong[0])}"
                 )
             object.__setattr__(self, name, tuple(bodies))
         check_kind("Pairs: tolerances", self.tolerances, Tolerances)
@@ -208,7 +205,9 @@ def query(
         if not isinstance(cutoff, float):
             cutoff = as_numbers("cutoff", cutoff)
             if cutoff.shape not in ((), (1,), shape[1:], shape):
-                raise CollisionError(f"cutoff must be one number or one a pair ({len(pairs)},), got {shown(cutoff)}")
+                raise CollisionError(
+                    f"cutoff must be one number or one a pair ({len(pairs)},), got {describe_value(cutoff)}"
+                )
     except GraspRefineError as error:
         raise CollisionError(str(error)) from None
     return _search(pairs, None, T_world_a, T_world_b, np.full(shape, cutoff, dtype=np.float64), previous)

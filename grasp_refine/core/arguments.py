@@ -10,7 +10,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from grasp_refine.core.errors import GraspRefineError, told
+from grasp_refine.core.errors import GraspRefineError, quote_value
 
 SOURCES = MappingProxyType(
     {
@@ -43,7 +43,7 @@ def check_kind(name: str, value: object, kind: Any) -> None:
         source = SOURCES.get(getattr(next(iter(get_args(kind)), kind), "__name__", ""))
         given = f'"{value}"' if isinstance(value, str) else "..."
         advice = f"; {source.format(given)} returns one" if source else ""
-        raise GraspRefineError(f"{name} must be {_describe(kind)}, got {shown(value)}{advice}")
+        raise GraspRefineError(f"{name} must be {_describe(kind)}, got {describe_value(value)}{advice}")
 
 
 def check_fields(settings: Any) -> None:
@@ -100,7 +100,7 @@ def check_shape(name: str, array: Any, *shape: int | str, why: str = "") -> None
         GraspRefineError: names both shapes; or it is not an array.
     """
     if not hasattr(array, "shape"):
-        raise GraspRefineError(f"{name} must be a NumPy array or a torch tensor, got {shown(array)}")
+        raise GraspRefineError(f"{name} must be a NumPy array or a torch tensor, got {describe_value(array)}")
     if not _has_shape(array, shape):
         raise shape_error(name, array, shape, why)
 
@@ -127,17 +127,17 @@ def is_number(value: object) -> bool:
     return bool(number and value == value)
 
 
-def shown(value: object) -> str:
+def describe_value(value: object) -> str:
     """Return a value for a message: small ones in full, others by type and size."""
     if isinstance(value, type):
         return f"the class {value.__name__} itself"
     if hasattr(value, "shape"):
         return f"{type(value).__name__} of shape {tuple(value.shape)}"
-    if isinstance(value, tuple | list | dict) and len(text := told(value)) > 60:
+    if isinstance(value, tuple | list | dict) and len(text := quote_value(value)) > 60:
         return f"{type(value).__name__} of {len(value)}: {text[:60]}..."
     if value is None or isinstance(value, bool | int | float | str | bytes | tuple | list | dict):
-        return told(value)
-    return f"{type(value).__name__} {told(str(value))}" if hasattr(value, "__fspath__") else type(value).__name__
+        return quote_value(value)
+    return f"{type(value).__name__} {quote_value(str(value))}" if hasattr(value, "__fspath__") else type(value).__name__
 
 
 def _to_float64(name: str, value: Any) -> np.ndarray:
@@ -150,7 +150,7 @@ def _to_float64(name: str, value: Any) -> np.ndarray:
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":
         dtype = f" of {array.dtype}" if isinstance(value, np.ndarray) else ""
-        raise GraspRefineError(f"{name} must be an array of numbers, got {shown(value)}{dtype}")
+        raise GraspRefineError(f"{name} must be an array of numbers, got {describe_value(value)}{dtype}")
     return array.astype(np.float64)
 
 

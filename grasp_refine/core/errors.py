@@ -45,7 +45,7 @@ class CollisionError(GraspRefineError):
     """A collision query that no tolerance could answer, or poses that are not finite."""
 
 
-def told(value: object) -> str:
+def quote_value(value: object) -> str:
     """Return a value out of a file for a message: its `repr`, of bounded length and depth."""
     try:
         return _SHORT_REPR.repr(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -61,24 +62,22 @@ def from_cell(cell: str) -> str:
 
 def is_file(path: Path) -> bool:
     """Return whether the file exists; false for an impossible name, such as one of 300 characters."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
+    return _is_possible(path.is_file)
 
 
 def is_folder(path: Path) -> bool:
     """Return whether the folder exists; false for an impossible name."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+    return _is_possible(path.is_dir)
 
 
 def exists(path: Path) -> bool:
     """Return whether the file or folder exists; false for an impossible name."""
+    return _is_possible(path.exists)
+
+
+def _is_possible(check: Callable[[], bool]) -> bool:
     try:
-        return path.exists()
+        return check()
     except OSError:
         return False
 

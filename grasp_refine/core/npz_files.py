@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from grasp_refine.core.arguments import check_kind, shown
+from grasp_refine.core.arguments import check_kind, describe_value
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import are_valid, is_file
@@ -216,7 +216,7 @@ def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
     """
     check_kind("path", path, str | Path)
     if not isinstance(arrays, Mapping) or not all(isinstance(key, str) for key in arrays):
-        raise GraspFileError(f"arrays must be by name, as those of GraspSet.arrays() are, got {shown(arrays)}")
+        raise GraspFileError(f"arrays must be by name, as those of GraspSet.arrays() are, got {describe_value(arrays)}")
     entries: dict[str, Any] = {}
     for key, value in arrays.items():
         try:

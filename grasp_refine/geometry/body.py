@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from grasp_refine.core.arguments import as_numbers, check_kind, shown
+from grasp_refine.core.arguments import as_numbers, check_kind, describe_value
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.pieces import Piece
@@ -67,7 +67,7 @@ def build_body(name: str, pieces: Sequence[Piece], *, candidates: int = 1024, se
     check_kind("candidates", candidates, int)
     check_kind("seed", seed, int)
     if not (isinstance(pieces, Sequence) and all(isinstance(piece, Piece) for piece in pieces)):
-        raise MeshError(f"{name}: a body is made of a list of pieces, got {shown(pieces)}")
+        raise MeshError(f"{name}: a body is made of a list of pieces, got {describe_value(pieces)}")
     for piece in pieces:
         if not np.isfinite(as_numbers(f"{name}: vertices of a piece", piece.vertices, "V", 3)).all():
             raise MeshError(f"{name}: vertices of a piece must be finite")

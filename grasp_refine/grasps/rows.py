@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int, Shaped
 
-from grasp_refine.core.arguments import shown
+from grasp_refine.core.arguments import describe_value
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.plurals import count_text
 
@@ -55,7 +55,7 @@ def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:
     if rows.dtype == bool and rows.shape == (count,):
         return np.flatnonzero(rows)
     if rows.ndim != 1 or (rows.size and rows.dtype.kind not in "iu"):
-        raise GraspFileError(f"rows must be a list of integers or a mask ({count},), got {shown(indices)}")
+        raise GraspFileError(f"rows must be a list of integers or a mask ({count},), got {describe_value(indices)}")
     if rows.size and not -count <= rows.min() <= rows.max() < count:
-        raise GraspFileError(f"rows must be below {count}, the number of grasps, got {shown(indices)}")
+        raise GraspFileError(f"rows must be below {count}, the number of grasps, got {describe_value(indices)}")
     return rows.astype(int)

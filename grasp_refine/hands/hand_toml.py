@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from grasp_refine.core.errors import HandError, told
+from grasp_refine.core.errors import HandError, quote_value
 from grasp_refine.core.names import is_file, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
@@ -94,7 +94,7 @@ def read_hand_toml(path: Path) -> HandToml:
     _check_keys(raw, KEYS, f"{path}")
     collision = raw.get("collision", "urdf")
     if collision not in ("urdf", "mjcf"):
-        raise HandError(f"{path}: collision = {told(collision)}; valid: 'urdf', 'mjcf'")
+        raise HandError(f"{path}: collision = {quote_value(collision)}; valid: 'urdf', 'mjcf'")
     base_link, name = raw.get("base_link"), raw.get("name")
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
@@ -194,7 +194,7 @@ def _file(value: Any, path: Path, key: str) -> Path:
 
 def _typed(value: Any, kind: type[T], where: str) -> T:
     if not isinstance(value, kind) or value == "":
-        raise HandError(f"{where} must be a {TOML_TYPES[kind]}, got {told(value)}")
+        raise HandError(f"{where} must be a {TOML_TYPES[kind]}, got {quote_value(value)}")
     if isinstance(value, str) and not is_valid(value):
         raise HandError(f"{where} holds characters that no name may have: {value}")
     return value
@@ -202,7 +202,7 @@ def _typed(value: Any, kind: type[T], where: str) -> T:
 
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MAX_MAGNITUDE:
-        raise HandError(f"{where} must be a number, at most {MAX_MAGNITUDE:g}, got {told(value)}")
+        raise HandError(f"{where} must be a number, at most {MAX_MAGNITUDE:g}, got {quote_value(value)}")
     return float(value)
 
 

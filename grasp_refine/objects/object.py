@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from grasp_refine.core.arguments import check_kind, is_number, shown
+from grasp_refine.core.arguments import check_kind, describe_value, is_number
 from grasp_refine.core.errors import AssetError, MeshError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.plurals import count_text
@@ -123,7 +123,7 @@ def read_object(
     """
     text = str(source)
     if not (is_number(scale) and 0 < scale < np.inf):
-        raise MeshError(f"{text}: the scale must be positive and finite, got {shown(scale)}")
+        raise MeshError(f"{text}: the scale must be positive and finite, got {describe_value(scale)}")
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()

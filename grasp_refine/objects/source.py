@@ -10,7 +10,7 @@ from pathlib import Path
 from grasp_refine.assets.locating import fetched
 from grasp_refine.assets.manifest import Asset, read_manifest
 from grasp_refine.assets.names import find_asset
-from grasp_refine.core.errors import AssetError, MeshError, told
+from grasp_refine.core.errors import AssetError, MeshError, quote_value
 from grasp_refine.core.names import exists, is_folder
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.mesh import SUFFIXES
@@ -130,5 +130,5 @@ def _read_objects(path: Path) -> Mapping[str, str | Path]:
         raise AssetError(f'{path}: cannot be read as TOML lines name = "path" ({error})') from None
     for name, value in raw.items():
         if not isinstance(value, str) or not value:
-            raise AssetError(f"{path}: {name} must be a path in quotes, got {told(value)}")
+            raise AssetError(f"{path}: {name} must be a path in quotes, got {quote_value(value)}")
     return {name: value if value in EMBEDDED or ":" in value else path.parent / value for name, value in raw.items()}

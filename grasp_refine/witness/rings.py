@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.errors import CollisionError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.rings import Rings
@@ -60,12 +61,11 @@ def choose_rings(
     """
     S, B, _ = x.shape
     carrier = np.maximum(winner.T, 0)
-    # Many piece pairs share a piece: number the distinct ones.
+    # Many piece pairs share a piece.
     used, index = np.unique(carrier, return_inverse=True)
-    slots: dict[Piece, int] = {}
-    sides = [np.array([slots.setdefault(pieces[k], len(slots)) for k in used]) for pieces in (pieces_a, pieces_b)]
-    piece = np.concatenate([side[index.reshape(-1)] for side in sides])
-    tables = [each.rings(rule.rings) for each in slots]
+    distinct, slot = index_distinct([pieces[k] for pieces in (pieces_a, pieces_b) for k in used])
+    piece = slot.reshape(2, -1)[:, index.reshape(-1)].reshape(-1)
+    tables = [each.rings(rule.rings) for each in distinct]
 
     count = np.array([len(table.points) for table in tables])
     first = np.cumsum(count) - count

@@ -6,7 +6,7 @@ import pickle
 
 import pytest
 
-from grasp_refine.core.errors import MAX_MESSAGE_CHARACTERS, GraspRefineError, MeshError, told
+from grasp_refine.core.errors import MAX_MESSAGE_CHARACTERS, GraspRefineError, MeshError, quote_value
 
 
 @pytest.mark.parametrize(
@@ -32,11 +32,11 @@ def test_a_message_is_of_bounded_length():
 
 def test_values_are_told_like_repr_but_bounded():
     for value in ("box", "it's", 1.5, -3, None, [1, 2], {"a": 1}, 10**30):
-        assert told(value) == repr(value)
-    assert len(told("x" * 10**5)) <= 200
+        assert quote_value(value) == repr(value)
+    assert len(quote_value("x" * 10**5)) <= 200
     # Python prints no integers of more than 4300 digits, and TOML reads them in hexadecimal.
-    assert told(16**9000) == "an integer of thousands of digits"
+    assert quote_value(16**9000) == "an integer of thousands of digits"
     deep: list = []
     for _ in range(10**5):
         deep = [deep]
-    assert told(deep) == "[[[[...]]]]"
+    assert quote_value(deep) == "[[[[...]]]]"

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from grasp_refine.core.errors import GraspRefineError, told, visible
+from grasp_refine.core.errors import GraspRefineError, quote_value, visible
 from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.grasps.formats.folders import disambiguate, natural
@@ -134,7 +134,7 @@ def _jobs_of_list(path: Path, defaults: ProblemSpec, together: bool) -> Iterator
         row = dict(row)
         name = row.pop("name", "")
         if not isinstance(name, str):
-            raise GraspRefineError(f"{where}: name must be text, got {told(name)}")
+            raise GraspRefineError(f"{where}: name must be text, got {quote_value(name)}")
         if not is_valid(name):
             raise GraspRefineError(
                 f"{where}: '{visible(name)}' cannot be the name of a job: it holds control characters"
@@ -206,10 +206,10 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         except (TypeError, ValueError, OverflowError):
             number = float("nan")
         if isnan(number):
-            raise GraspRefineError(f"{where} must be a number, got {told(value)}")
+            raise GraspRefineError(f"{where} must be a number, got {quote_value(value)}")
         return number
     if not isinstance(value, str) or not value:
-        raise GraspRefineError(f"{where} must be text, got {told(value)}")
+        raise GraspRefineError(f"{where} must be text, got {quote_value(value)}")
     if choices and value not in choices:
         raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
     if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
