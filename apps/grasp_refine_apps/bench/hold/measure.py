@@ -162,7 +162,7 @@ class GroupTask:
                 world, motion, threads=self.threads, first_failure=True, progress=_share_of(within, count)
             )
             reason[name] = trials.reason[np.arange(count), trials.worst]
-        values = vars(metrics(scene.hand, scene.object, scene.T_world_root, scene.q))
+        values = metrics(scene.hand, scene.object, scene.T_world_root, scene.q).values
         gap = {"contact_gap_m": contact_gap(scene, touching)}
         return GroupResult(
             method,
