@@ -54,17 +54,6 @@ PROJECTION = """() => {
 PLOTS = """() => Object.values((window.__viserTestpoints || {}).uplots || {}).map(({chart}) =>
     [chart.series.slice(1).map(s => s.label), chart.data.map(column => Array.from(column))])"""
 
-FRAMES = """seconds => new Promise(done => {
-    const start = performance.now(), drawn = window.__viserTestpoints.rendererInfo.render, first = drawn.frame;
-    const tick = () => {
-        const passed = (performance.now() - start) / 1000;
-        if (passed > seconds) return done((drawn.frame - first) / passed);
-        window.__viserMutable.requestRender();
-        requestAnimationFrame(tick);
-    };
-    tick();
-})"""
-
 
 def chromium() -> str | None:
     """Where the browser lies; None if there is none."""
@@ -172,10 +161,6 @@ class ViserPage:
             drawn = self.picture()
         return drawn
 
-    def frames_per_second(self, seconds: float = 1.0) -> float:
-        """How often the page draws its scene when every frame asks for the next one."""
-        return self.page.evaluate(FRAMES, seconds)
-
     # The scene.
 
     def nodes(self) -> set[str]:
@@ -217,16 +202,6 @@ class ViserPage:
         x, y = self.pixel(point)
         self.page.mouse.move(x, y)  # viser finds what lies under the pointer when it moves
         self.page.mouse.click(x, y)
-
-    def drag_point(self, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray) -> None:
-        """Press the left button over one point of the world and let go over another."""
-        x, y = self.pixel(start)
-        last = self.pixel(end)
-        self.page.mouse.move(x, y)
-        self.page.mouse.down()
-        self.page.mouse.move(*last, steps=12)
-        self.page.mouse.move(*last)
-        self.page.mouse.up()
 
     # The widgets. viser sends one message in 50 ms and forgets all but the last in between, of whichever widget.
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.panels.app import Viewer
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
     from grasp_refine_apps.viewer.validated import TrialResult
-    from grasp_refine_apps.viewer.validations import ValidationFile
+    from grasp_refine_apps.viewer.validation_file import ValidationFile
 
 
 SIGNAL_POLL_S = 0.2
@@ -116,7 +116,6 @@ class View:
         from grasp_refine_apps.viewer.controller import Controller
         from grasp_refine_apps.viewer.shown_motion import is_replay
         from grasp_refine_apps.viewer.validation_file import read_validation
-        from grasp_refine_apps.viewer.validations import with_trials
 
         self.settings.config()
         documents = [read_validation(path) for path in self.files if path.suffix.lower() == ".json"]
@@ -140,9 +139,9 @@ class View:
         trials_by_grasp: dict[int, TrialResult] = {}
         for document in documents:
             trials_by_grasp |= document.of(collection)
-        return Controller(
-            with_trials(collection, trials_by_grasp) if trials_by_grasp else collection, self.settings, trials_by_grasp
-        )
+        if trials_by_grasp:
+            collection = collection.with_trials(trials_by_grasp)
+        return Controller(collection, self.settings, trials_by_grasp)
 
     def _replay_controller(self, path: Path, reporter: Reporter) -> Controller:
         """Load the grasp of a replay, with its motion."""

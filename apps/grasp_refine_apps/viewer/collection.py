@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.array_records import take
 from grasp_refine.hands.hand import Hand
-from grasp_refine.pipeline.problem import Group, Problem, StageSource
+from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
 from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
 from grasp_refine_apps.viewer.recorded import read_records
+from grasp_refine_apps.viewer.validated import TrialResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +39,6 @@ class Collection:
     """Poses of the base link before refinement (N, 4, 4), object frame; the present pose where none is recorded."""
     q_initial: Float[np.ndarray, "N n"]
     """Joint values before refinement (N, n)."""
-    refined: Bool[np.ndarray, " N"]
-    """True for grasps whose pose before refinement is recorded (N,)."""
     columns: Mapping[str, Column]
     """Measures of the grasps: key -> column."""
     marks: tuple[Marks, ...]
@@ -62,7 +60,7 @@ class Collection:
         found = read_records(problem)
         first = problem.files[:1] if not problem.sampled else ()
         files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
-        refined, columns = np.zeros(len(problem), dtype=bool), {}
+        columns = {}
         if found is not None:
             files, file_of, row = found.files, found.file[rows], found.row[rows]
             refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
@@ -71,7 +69,7 @@ class Collection:
             columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(problem, group_of, member, files, file_of, row, T, q, refined, columns, marks)
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks)
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -112,24 +110,6 @@ class Collection:
         """Pose (4, 4) of the base link in the object's frame and joint values (n,) of a grasp before refinement."""
         return self.T_initial[number], self.q_initial[number]
 
-    def motion(self, number: int, source: StageSource = "auto") -> Motion:
-        """Closing motion of the hand to this one grasp, as `Group.motion`.
-
-        Raises:
-            GraspFileError: pregrasp and squeeze are requested from the file, where some are missing.
-        """
-        group, rows = self.group(number), self.member[number : number + 1]
-        alone = Group(
-            group.object,
-            group.scale,
-            self.scene(number),
-            group.grasps.select(rows),
-            group.rows[rows],
-            group.index[rows],
-            np.zeros(1, dtype=int),
-        )
-        return alone.motion(source)
-
     def with_columns(self, *columns: Column) -> Collection:
         """Return the collection with additional or replaced columns."""
         return replace(self, columns={**self.columns, **{column.key: column for column in columns}})
@@ -153,14 +133,14 @@ class Collection:
         """
         self.marks[self.file_of[number]].save()
 
-    def with_simulation(
-        self, success: Bool[np.ndarray, " N"], reason: Shaped[np.ndarray, " N"], known: Bool[np.ndarray, " N"]
-    ) -> Collection:
-        """Return the collection with simulation results where `known` (N,): held or failed, and why it failed."""
-        old = self.columns.get(HELD.key, HELD.with_values(np.full(len(self), ""))).values
-        why = self.columns.get(REASON.key, REASON.with_values(np.full(len(self), ""))).values
-        verdict = np.where(success, HELD_TEXT, FAILED_TEXT)
-        return self.with_columns(
-            HELD.with_values(np.where(known, verdict, old)),
-            REASON.with_values(np.where(known, np.where(success, "", reason.astype(str)), why)),
-        )
+    def with_trials(self, trials: Mapping[int, TrialResult]) -> Collection:
+        """Return the collection with simulation results of some grasps, by number: held or failed, and why."""
+        numbers = list(trials)
+        verdict = [HELD_TEXT if trial.held else FAILED_TEXT for trial in trials.values()]
+        reason = [next((one.reason.label for one in t.results if not one.held), "") for t in trials.values()]
+        columns = []
+        for column, found in ((HELD, verdict), (REASON, reason)):
+            values = self.columns.get(column.key, column.with_values(np.full(len(self), ""))).values.astype(object)
+            values[numbers] = found
+            columns.append(column.with_values(values.astype(str)))
+        return self.with_columns(*columns)

@@ -1,22 +1,29 @@
-"""Reader of simulation results in the documents of `validate --json` and `run --json`."""
+"""Simulation results in the documents of `validate --json` and `run --json`, matched to the open grasps."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
+
+import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
+from grasp_refine.results.result_files import fingerprint
 from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
-from grasp_refine_apps.viewer.validations import COMMANDS, Entry, ValidationFile, When
+
+COMMANDS = ("run", "validate")
+"""Commands whose documents hold simulation results."""
 
 MAX_FILE_BYTES = 2**28
 """Maximum bytes of a document: 256 MiB, or some 40 000 grasps."""
@@ -26,6 +33,153 @@ MAX_MAGNITUDE = 1e12
 
 MAX_VALUE_CHARS = 40
 """Maximum characters of a wrong value in a message."""
+
+QUALITY_TOLERANCE = 1e-6
+"""Largest difference in quality of the same grasp."""
+
+When = Literal["before", "after"]
+"""Grasp of an entry: the input grasp, or the refined one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """Entry of a document on one grasp."""
+
+    file: str
+    """Name of the file that was validated; empty where it is not specified."""
+    row: int
+    """Row of the grasp in the file that the command read."""
+    object: str
+    """Name of the object."""
+    quality: float
+    """`Quality.value` after refinement, or of the input grasp; NaN where unknown."""
+    trials: Mapping[When, TrialResult]
+    """Simulation results."""
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationFile:
+    """Document on all grasps."""
+
+    path: Path
+    """The document."""
+    command: str
+    """Command that wrote it, one of `COMMANDS`."""
+    files: Mapping[str, str]
+    """sha256 of the files that were validated, as `fingerprint` -> their names; empty: not known."""
+    entries: tuple[Entry, ...]
+    """Entries of the grasps, in the requested order."""
+
+    def of(self, collection: Collection) -> dict[int, TrialResult]:
+        """Return the simulation results of the open grasps by number.
+
+        Results of `validate` are of the file that was validated. Results of `run` are, before refinement, of the file
+        that it read, and after it of the files that it wrote, of which each has the grasps of one object.
+
+        Raises:
+            GraspFileError: the document is about other grasps.
+        """
+        file = None
+        if self.files and not collection.problem.sampled:
+            opened = fingerprint(collection.problem.files[0])
+            file = self.files.get(opened["sha256"])
+            if file is None:
+                raise self._error(f"is about another file than {opened['path']}, or it was changed since then")
+        written = self.command == "run" and STATUS.key in collection.columns
+        when: When = "after" if written or self.command == "validate" else "before"
+        matched = self._matched(collection, file, written=written)
+        found = {number: entry.trials[when] for number, entry in matched if when in entry.trials}
+        if not found:
+            simulated = any(entry.trials for entry in self.entries)
+            raise self._error(
+                f"none of its {len(self.entries)} grasps is among those that are open"
+                if simulated
+                else "nothing was simulated: `run` needs --validate, and `validate` no --no-simulate"
+            )
+        return found
+
+    def _matched(self, collection: Collection, file: str | None, *, written: bool) -> list[tuple[int, Entry]]:
+        """Return the numbers of open grasps, with their entries."""
+        problem = collection.problem
+        rows = np.concatenate([group.rows for group in problem.groups])[problem.order]
+        places: dict[tuple[str, int], Entry] = {}
+        count: dict[str, int] = {}
+        for entry in self.entries:
+            if file is not None and entry.file not in ("", file):
+                continue
+            at = count.get(entry.object, 0) if written else entry.row
+            count[entry.object] = at + 1
+            places[entry.object, at] = entry
+        quality = collection.columns.get("quality_after")
+        pairs = []
+        for number, (name, row) in enumerate(zip(collection.objects.tolist(), rows.tolist(), strict=True)):
+            if (name, row) not in places:
+                continue
+            entry = places[name, row]
+            known = nan if not written or quality is None else float(quality.values[number])
+            if abs(known - entry.quality) > QUALITY_TOLERANCE:
+                raise self._error(
+                    f"is of another refinement: it has quality {entry.quality:.6g} for {collection.label(number)}, "
+                    f"whose file has {known:.6g}"
+                )
+            pairs.append((number, entry))
+        return pairs
+
+    def _error(self, message: str) -> GraspFileError:
+        return GraspFileError(f"{self.path}: {message}")
+
+
+@dataclass(frozen=True)
+class _Json:
+    """Value in a document, with its place for messages; its methods check the type."""
+
+    path: Path
+    value: Any
+    where: str = ""
+
+    def error(self, needed: str) -> GraspFileError:
+        """Return the error of a wrong value."""
+        shown = json.dumps(self.value)
+        shown = shown if len(shown) < MAX_VALUE_CHARS else f"{shown[: MAX_VALUE_CHARS - 4]} ..."
+        return GraspFileError(f"{self.path}: {self.where or 'the document'} must be {needed}, got {shown}")
+
+    def __getitem__(self, key: str) -> _Json:
+        """Return an entry of an object; null where it has none."""
+        if not isinstance(self.value, dict):
+            raise self.error("an object")
+        return _Json(self.path, self.value.get(key), f"{self.where}.{key}" if self.where else key)
+
+    def or_empty(self, empty: Any) -> _Json:
+        """Return another value instead of null."""
+        return self if self.value is not None else _Json(self.path, empty, self.where)
+
+    def list(self) -> list[_Json]:
+        """Return the values of a list."""
+        if not isinstance(self.value, list):
+            raise self.error("a list")
+        return [_Json(self.path, one, f"{self.where}[{i}]") for i, one in enumerate(self.value)]
+
+    def text(self) -> str:
+        """Return a text."""
+        if not isinstance(self.value, str):
+            raise self.error("a text")
+        return self.value
+
+    def choice(self, choices: Iterable[str]) -> str:
+        """Return one of some texts."""
+        choices = tuple(choices)
+        if not isinstance(self.value, str) or self.value not in choices:
+            raise self.error(f"among {', '.join(choices)}")
+        return self.value
+
+    def number(self) -> float:
+        """Return a number; NaN for null."""
+        if self.value is None:
+            return nan
+        known = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
+        if not known or not abs(self.value) < MAX_MAGNITUDE:
+            raise self.error(f"a number below {MAX_MAGNITUDE:g}, or null")
+        return float(self.value)
 
 
 def read_validation(path: Path) -> ValidationFile:
@@ -37,162 +191,98 @@ def read_validation(path: Path) -> ValidationFile:
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise GraspFileError(f"{path}: has more than {MAX_FILE_BYTES // 2**20} MiB")
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = _Json(path, json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise GraspFileError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (ValueError, RecursionError) as error:
         raise GraspFileError(f"{path}: is no JSON document ({' '.join(str(error).split())[:80]})") from None
-    return _Reader(path).document(document)
+    command, schema, config = document["command"].value, document["schema"], document["config"]
+    if command not in COMMANDS:
+        raise GraspFileError(f"{path}: is no document that {' or '.join(COMMANDS)} wrote with --json")
+    if schema.value != SCHEMA:
+        raise schema.error(f"{SCHEMA}, which this version reads")
+    protocol = None if config["protocol"].value is None else _protocol(config["protocol"])
+    files = config["files"].or_empty([]).list()
+    # `run` does not write the source of the stages that were simulated before refinement.
+    closing: dict[When, Mapping[str, str]] = {"after": dict.fromkeys(OTHER_STAGES, "own")}
+    if command == "validate":
+        closing = {"after": _closing(files[0]["closing"]) if len(files) == 1 else {}}
+    return ValidationFile(
+        path=path,
+        command=command,
+        files={file["sha256"].text(): file["path"].text() for file in files},
+        entries=tuple(_entry(grasp, protocol, closing) for grasp in document["grasps"].list()),
+    )
 
 
-@dataclass(frozen=True)
-class _Reader:
-    """Reader of the parts of a document, each with its place for messages."""
+def _entry(grasp: _Json, protocol: Protocol | None, closing: Mapping[When, Mapping[str, str]]) -> Entry:
+    """Read one grasp."""
+    row = grasp["row"].value
+    if not isinstance(row, int) or isinstance(row, bool) or row < 0:
+        raise grasp["row"].error("an integer of at least 0")
+    simulation = grasp["simulation"].or_empty({})
+    whens: tuple[When, ...] = get_args(When)
+    return Entry(
+        file=grasp["file"].or_empty("").text(),
+        row=row,
+        object=grasp["object"].text(),
+        quality=grasp["quality"].or_empty({})["after"].number(),
+        trials={
+            when: _trial(simulation[when], protocol, closing.get(when, {}))
+            for when in whens
+            if simulation[when].value is not None
+        },
+    )
 
-    path: Path
 
-    def error(self, where: str, needed: str, value: Any) -> GraspFileError:
-        """Return the error of a wrong value, with its place."""
-        shown = json.dumps(value)
-        shown = shown if len(shown) < MAX_VALUE_CHARS else f"{shown[: MAX_VALUE_CHARS - 4]} ..."
-        return GraspFileError(f"{self.path}: {where} must be {needed}, got {shown}")
+def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, str]) -> TrialResult:
+    """Read the simulation result of one grasp."""
+    directions, closed = simulation["directions"], simulation["closing"].or_empty({})
+    if directions.value == []:
+        raise directions.error("a list that is not empty")
+    return TrialResult(
+        protocol=protocol or SETTINGS[simulation["setting"].choice(SETTINGS)],
+        results=tuple(map(_direction, directions.list())),
+        closing=closing,
+        closing_m=closed["displacement_m"].number(),
+        closing_rad=closed["angle_rad"].number(),
+        penetration_m=closed["pregrasp_penetration_m"].number(),
+    )
 
-    def document(self, value: Any) -> ValidationFile:
-        """Read the whole document."""
-        whole = self.mapping(value, "the document")
-        if whole.get("command") not in COMMANDS:
-            raise GraspFileError(f"{self.path}: is no document that {' or '.join(COMMANDS)} wrote with --json")
-        if whole.get("schema") != SCHEMA:
-            raise self.error("schema", f"{SCHEMA}, which this version reads", whole.get("schema"))
-        config = self.mapping(whole.get("config"), "config")
-        protocol = None if config.get("protocol") is None else self.protocol(config["protocol"])
-        files = [self.mapping(file, "config.files") for file in self.list(config.get("files", []), "config.files")]
-        # `run` does not write the source of the stages that were simulated before refinement.
-        closing: dict[When, Mapping[str, str]] = {"after": dict.fromkeys(OTHER_STAGES, "own")}
-        if whole["command"] == "validate":
-            closing = {"after": self.closing(files[0].get("closing")) if len(files) == 1 else {}}
-        grasps = self.list(whole.get("grasps"), "grasps")
-        return ValidationFile(
-            path=self.path,
-            command=whole["command"],
-            files={
-                self.text(file.get("sha256"), "config.files sha256"): self.text(file.get("path"), "config.files path")
-                for file in files
-            },
-            entries=tuple(self.entry(grasp, f"grasps[{i}]", protocol, closing) for i, grasp in enumerate(grasps)),
-        )
 
-    def entry(self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[When, Any]) -> Entry:
-        """Read one grasp."""
-        grasp = self.mapping(value, where)
-        simulation = self.mapping(grasp.get("simulation") or {}, f"{where}.simulation")
-        trials: dict[When, TrialResult] = {}
-        for when in ("before", "after"):
-            if simulation.get(when) is not None:
-                at = f"{where}.simulation.{when}"
-                trials[when] = self.trial_result(simulation[when], at, protocol, closing.get(when, {}))
-        row = grasp.get("row")
-        if not isinstance(row, int) or isinstance(row, bool) or row < 0:
-            raise self.error(f"{where}.row", "an integer of at least 0", row)
-        quality = self.mapping(grasp.get("quality") or {}, f"{where}.quality")
-        return Entry(
-            file=self.text(grasp.get("file", ""), f"{where}.file"),
-            row=row,
-            object=self.text(grasp.get("object"), f"{where}.object"),
-            quality=self.number(quality.get("after"), f"{where}.quality.after"),
-            trials=trials,
-        )
+def _direction(result: _Json) -> DirectionResult:
+    """Read the result of one direction."""
+    reasons = {reason.label: reason for reason in Reason}
+    numbers = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
+    return DirectionResult(
+        direction=result["direction"].choice((*AXES, *LIFT)),
+        reason=reasons[result["reason"].choice(reasons)],
+        links=tuple(link.text() for link in result["contacts"].list()),
+        **{name: result[name].number() for name in numbers},
+    )
 
-    def trial_result(
-        self, value: Any, where: str, protocol: Protocol | None, closing: Mapping[str, str]
-    ) -> TrialResult:
-        """Read the simulation result of one grasp."""
-        simulation = self.mapping(value, where)
-        setting = simulation.get("setting")
-        protocol = protocol or (SETTINGS.get(setting) if isinstance(setting, str) else None)
-        if protocol is None:
-            raise self.error(f"{where}.setting", f"among {', '.join(SETTINGS)}", setting)
-        directions = self.list(simulation.get("directions"), f"{where}.directions")
-        if not directions:
-            raise self.error(f"{where}.directions", "a list that is not empty", directions)
-        closed = self.mapping(simulation.get("closing") or {}, f"{where}.closing")
-        return TrialResult(
-            protocol=protocol,
-            results=tuple(self.direction_result(one, f"{where}.directions[{i}]") for i, one in enumerate(directions)),
-            closing=closing,
-            closing_m=self.number(closed.get("displacement_m"), f"{where}.closing.displacement_m"),
-            closing_rad=self.number(closed.get("angle_rad"), f"{where}.closing.angle_rad"),
-            penetration_m=self.number(closed.get("pregrasp_penetration_m"), f"{where}.closing.pregrasp_penetration_m"),
-        )
 
-    def direction_result(self, value: Any, where: str) -> DirectionResult:
-        """Read the result of one direction."""
-        one = self.mapping(value, where)
-        names, reasons = (*AXES, *LIFT), {reason.label: reason for reason in Reason}
-        if one.get("direction") not in names:
-            raise self.error(f"{where}.direction", f"among {', '.join(names)}", one.get("direction"))
-        if not isinstance(one.get("reason"), str) or one["reason"] not in reasons:
-            raise self.error(f"{where}.reason", f"among {', '.join(reasons)}", one.get("reason"))
-        columns = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
-        links = self.list(one.get("contacts"), f"{where}.contacts")
-        return DirectionResult(
-            direction=one["direction"],
-            reason=reasons[one["reason"]],
-            links=tuple(self.text(link, f"{where}.contacts") for link in links),
-            **{name: self.number(one.get(name), f"{where}.{name}") for name in columns},
-        )
+def _protocol(given: _Json) -> Protocol:
+    """Read the protocol of all simulations."""
+    found: dict[str, Any] = {}
+    for field in fields(Protocol):
+        value = given[field.name]
+        if field.name == "name":
+            found[field.name] = value.text()
+        elif field.name == "directions":
+            found[field.name] = tuple(direction.choice(AXES) for direction in value.list())
+        else:
+            number = value.number()
+            if not number > 0:
+                raise value.error("a number above 0")
+            found[field.name] = int(number) if isinstance(field.default, int) else number
+    return Protocol(**found)
 
-    def protocol(self, value: Any) -> Protocol:
-        """Read the protocol of all simulations."""
-        given = self.mapping(value, "config.protocol")
-        found: dict[str, Any] = {}
-        for field in fields(Protocol):
-            where, one = f"config.protocol.{field.name}", given.get(field.name)
-            if field.name == "name":
-                found[field.name] = self.text(one, where)
-            elif field.name == "directions":
-                found[field.name] = tuple(self.list(one, where))
-                if not set(map(str, found[field.name])) <= set(AXES):
-                    raise self.error(where, f"among {', '.join(AXES)}", one)
-            else:
-                number = self.number(one, where)
-                if not number > 0:
-                    raise self.error(where, "a number above 0", one)
-                found[field.name] = int(number) if isinstance(field.default, int) else number
-        return Protocol(**found)
 
-    def closing(self, value: Any) -> dict[str, str]:
-        """Read the source of the simulated pregrasps and squeezes."""
-        given = {} if value is None else self.mapping(value, "config.files closing")
-        if not given:
-            return {}
-        if set(given) != set(OTHER_STAGES) or not {"file", "own"} >= set(map(str, given.values())):
-            raise self.error("config.files closing", f"file or own for {' and '.join(OTHER_STAGES)}", value)
-        return dict(given)
-
-    def mapping(self, value: Any, where: str) -> dict[str, Any]:
-        """Check a JSON object."""
-        if not isinstance(value, dict):
-            raise self.error(where, "an object", value)
-        return value
-
-    def list(self, value: Any, where: str) -> Sequence[Any]:
-        """Check a list."""
-        if not isinstance(value, list):
-            raise self.error(where, "a list", value)
-        return value
-
-    def text(self, value: Any, where: str) -> str:
-        """Check a text."""
-        if not isinstance(value, str):
-            raise self.error(where, "a text", value)
-        return value
-
-    def number(self, value: Any, where: str) -> float:
-        """Check a number; null becomes NaN."""
-        if value is None:
-            return nan
-        known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < MAX_MAGNITUDE
-        if not known:
-            raise self.error(where, f"a number below {MAX_MAGNITUDE:g}, or null", value)
-        return float(value)
+def _closing(given: _Json) -> dict[str, str]:
+    """Read the source of the simulated pregrasps and squeezes."""
+    if given.value is None or given.value == {}:
+        return {}
+    if not isinstance(given.value, dict) or set(given.value) != set(OTHER_STAGES):
+        raise given.error(f"file or own for {' and '.join(OTHER_STAGES)}")
+    return {stage: given[stage].choice(("file", "own")) for stage in OTHER_STAGES}

@@ -21,10 +21,8 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.listing import NO_MARK
-from grasp_refine_apps.viewer.marks import marks_path
 from grasp_refine_apps.viewer.measuring import unmeasured
 from made_results import save_example_results
-from refusals import assert_names
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
@@ -196,17 +194,6 @@ def test_the_last_page_goes_when_its_last_grasp_leaves_the_list(
     assert "16 to 16" not in content and "1 to 15 of 15" in content and "16" in content.partition("1 to 15 of 15")[2]
 
 
-def test_marks_that_cannot_be_written_are_told_and_kept(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
-    path = save_example_results(tmp_path / "results.npz", 5)
-    shown = show(opened(path))
-    (marks_path(path) / "inside").mkdir(parents=True)
-    shown.controller.mark(2, "good")
-    state = shown.controller.state
-    assert state.collection.mark(2) == "good"
-    assert state.notice.bad
-    assert_names(state.notice.text, marks_path(path).name)
-
-
 def test_names_in_files_run_no_scripts(
     show: Callable[[Collection], Shown], open_page: Callable[..., ViserPage], tmp_path: Path
 ) -> None:
@@ -234,16 +221,3 @@ def test_raw_grasps_are_measured_on_request(
     page.wait_for_text("Quality")
     assert len(rows(page)[0]) == 5  # number, quality, gap, depth, mark
     until(lambda: not page.button("Measure all").is_visible(), "nothing left to measure")
-
-
-def test_a_table_of_five_hundred_is_opened(
-    show: Callable[[Collection], Shown], open_page: Callable[..., ViserPage], tmp_path: Path
-) -> None:
-    """From the file to the rows in the page: hand, object, collection and table; caches are warm."""
-    path = save_example_results(tmp_path / "results.npz", 500)
-    shown = show(opened(resource_dir("robots") / "allegro" / "example_mug.npz"))
-    page = open_page(shown.address)
-    page.wait_for_text("1 to 4 of 4")
-    shown.controller.change_collection(opened(path))
-    page.wait_for_text("1 to 15 of 500")
-    assert rows(page)[14][0] == "14"

@@ -16,12 +16,14 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.marks import marks_path
 from grasp_refine_apps.viewer.table import table_html
 from made_results import STATUSES, save_example_results, save_made_up
+from open_viewer import made_trial
 from refusals import refused
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
@@ -40,7 +42,6 @@ def test_a_grasp_file_is_what_it_holds() -> None:
     grasps, collection = load_grasps(EXAMPLE), opened(EXAMPLE)
     assert len(collection) == len(grasps) == 4
     assert not collection.columns
-    assert not collection.refined.any()
     for i in range(4):
         scene = collection.scene(i)
         assert len(scene.q) == len(scene.T_world_root) == 1
@@ -64,7 +65,6 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     collection = opened(results)
     with np.load(results, allow_pickle=False) as entries:
         pose, q = entries["initial_pose"], entries["initial_q"]
-    assert collection.refined.all()
     for i in (0, 7):
         T, joints = collection.initial(i)
         assert np.allclose(T, transform_from_pose(pose[i]), atol=1e-12)
@@ -77,7 +77,6 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
     assert "contact_distance_after" not in columns
-    assert (collection.motion(3, "file").q[0] == collection.scene(3).q[0]).all()
 
 
 def test_grasps_of_several_objects_keep_their_own_object_and_targets(tmp_path: Path) -> None:
@@ -156,21 +155,18 @@ def test_older_results_do_not_say_where_grasps_were(results: Path, tmp_path: Pat
     with np.load(results, allow_pickle=False) as entries:
         np.savez(path, **{key: entries[key] for key in entries.files if not key.startswith("initial")})
     collection = opened(path)
-    assert not collection.refined.any()
     assert (collection.initial(2)[1] == collection.scene(2).q[0]).all()
     assert collection.columns["quality_before"].known.all()
 
 
 def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:
-    collection = opened(results)
-    held, known = np.arange(20) % 2 == 0, np.arange(20) < 10
-    collection = collection.with_simulation(held, np.full(20, "slipped in +x"), known)
+    reasons = (Reason.HELD, Reason.TURNED)
+    collection = opened(results).with_trials({number: made_trial(reasons[number % 2]) for number in range(10)})
     assert collection.columns["held"].values[:3].tolist() == ["held", "failed", "held"]
-    assert collection.columns["reason"].values[:3].tolist() == ["", "slipped in +x", ""]
+    assert collection.columns["reason"].values[:3].tolist() == ["", "turned", ""]
     assert not collection.columns["held"].known[10:].any()
     # What is simulated later comes on top.
-    later = np.arange(20) == 12
-    collection = collection.with_simulation(later, np.full(20, ""), later)
+    collection = collection.with_trials({12: made_trial(Reason.HELD)})
     assert collection.columns["held"].known.nonzero()[0].tolist() == [*range(10), 12]
 
 
@@ -202,4 +198,3 @@ def test_files_that_are_no_grasp_files_record_nothing(results: Path, tmp_path: P
         assert collection.files == (path,)
         assert collection.row.tolist() == [3]
         assert not collection.columns
-        assert not collection.refined.any()

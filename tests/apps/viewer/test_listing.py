@@ -9,9 +9,11 @@ import pytest
 
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from made_results import save_example_results
+from open_viewer import made_trial
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +21,8 @@ def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
     """Eight grasps of quality 0, 7, 6, 5, 4, 3, 2, 1 eighths; 1 and 2 of 0 to 3 held; 2 is marked good, 5 bad."""
     path = save_example_results(tmp_path_factory.mktemp("listing") / "results.npz", 8)
     found = Collection.of(load_problem(ProblemSpec(grasps=path)))
-    number = np.arange(8)
-    found = found.with_simulation((number == 1) | (number == 2), np.full(8, "slipped"), number < 4)
+    held = {number: Reason.HELD if number in (1, 2) else Reason.MOVED for number in range(4)}
+    found = found.with_trials({number: made_trial(reason) for number, reason in held.items()})
     return found.with_mark(2, "good").with_mark(5, "bad")
 
 

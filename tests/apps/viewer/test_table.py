@@ -11,12 +11,14 @@ import pytest
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.verdict import HOLDS
+from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.columns import Column
+from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, REASON, Column
 from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.metrics_html import metrics_html
 from grasp_refine_apps.viewer.table import ROWS_PER_PAGE, page_of, pages, shown_columns, table_html
 from made_results import save_example_results
+from open_viewer import made_trial
 
 EVIL = "</td><script>alert(1)</script><img src=x onerror=alert(2)>\"' onclick=alert(3) x='"
 
@@ -98,8 +100,7 @@ def test_colours_say_what_holds(collection: Collection) -> None:
     good = ["gr-good" in row for row in rows]
     assert good == [value / 100 >= HOLDS for value in range(99, 99 - ROWS_PER_PAGE, -1)]
     assert 0 < sum(good) < ROWS_PER_PAGE
-    known = np.arange(100) < 2
-    simulated = collection.with_simulation(np.arange(100) == 0, np.full(100, "slipped"), known)
+    simulated = collection.with_trials({0: made_trial(Reason.HELD), 1: made_trial(Reason.MOVED)})
     page = table(simulated, Listing())
     assert page.cells[4:6] == ["held", ""]
     classes = [attributes.get("class") for tag, attributes in page.tags if tag == "td"]
@@ -123,7 +124,7 @@ def test_columns_without_any_value_are_left_out(collection: Collection) -> None:
 def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: str) -> None:
     evil = renamed(collection, EVIL)
     evil = evil.with_columns(Column(key, "Status", "", np.full(100, EVIL)))
-    evil = evil.with_simulation(np.zeros(100, bool), np.full(100, EVIL), np.arange(100) == 0)
+    evil = evil.with_columns(HELD.with_values(np.full(100, FAILED_TEXT)), REASON.with_values(np.full(100, EVIL)))
     for html in (table_html(evil, Listing(), np.arange(100), 0, 0, "w"), metrics_html(evil, 0)):
         page = Parsed(html)
         assert {tag for tag, _ in page.tags} <= {*"style div table thead tbody tr th td small span a b br".split()}
@@ -136,12 +137,10 @@ def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: 
 
 
 def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> None:
-    marked = collection.with_mark(13, "bad").with_simulation(
-        np.zeros(100, bool), np.full(100, "slipped in +x"), np.arange(100) == 13
-    )
+    marked = collection.with_mark(13, "bad").with_trials({13: made_trial(Reason.TURNED)})
     html = metrics_html(marked, 13)
     heading = html.partition("<table>")[0]
-    for told in ("<b>mug 13</b>", "converged", "slipped in +x", "bad"):
+    for told in ("<b>mug 13</b>", "converged", "turned", "bad"):
         assert told in heading
     # Quality 7 * 13 = 91 hundredths, and half of it before.
     assert Parsed(html).cells[:9] == [

@@ -20,9 +20,9 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import HELD, REASON
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import Validator, run_trial
+from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, run_trial
 from grasp_refine_apps.viewer.validation_file import read_validation
-from grasp_refine_apps.viewer.validations import with_trials
+from open_viewer import ignored
 from refusals import assert_names, refused
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
@@ -50,14 +50,15 @@ def test_what_validate_wrote_is_what_a_trial_finds(folder: Path) -> None:
     assert sorted(found) == [0, 1]
     for number, read in found.items():
         scene = collection.scene(number)
-        trial = run_trial(Validator(), scene, Pose(scene.T_world_root[0], scene.q[0]), read.protocol)
+        grasp = PosedGrasp(scene, Pose(scene.T_world_root[0], scene.q[0]))
+        trial = run_trial(Validator(), grasp, read.protocol, ignored())
         assert (trial.verdict, trial.conditions, trial.closed_by) == (read.verdict, read.conditions, read.closed_by)
         assert [trial.words(result) for result in trial.results] == [read.words(result) for result in read.results]
         for one, other in zip(trial.results, read.results, strict=True):
             assert (one.direction, one.reason, one.links) == (other.direction, other.reason, other.links)
             np.testing.assert_equal((one.peak_m, one.time_s), (other.peak_m, other.time_s))
         assert read.motion is None
-    table = with_trials(collection, found).columns
+    table = collection.with_trials(found).columns
     said = ["held" if found[number].held else "failed" for number in (0, 1)]
     assert table[HELD.key].values.tolist() == [*said, ""]
     reasons = [next((t.reason.label for t in found[n].results if not t.held), "") for n in (0, 1)]
