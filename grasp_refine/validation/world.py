@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
@@ -138,16 +137,11 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
 def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> None:
     body = spec.worldbody.add_body(name=OBJECT)
     body.add_freejoint(name=OBJECT)
-    volumes = np.array([volume(piece) for piece in obj.body.pieces])
+    volumes = np.array([Inertia.of([piece], density=1.0).mass for piece in obj.body.pieces])
     for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
         geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
         geom.mass = protocol.mass * share
         geom.contype = geom.conaffinity = ALL_COLLISION_BITS
-
-
-def volume(piece: Piece) -> float:
-    """Return the volume of a convex piece in cubic metres."""
-    return Inertia.of([piece], density=1.0).mass
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:

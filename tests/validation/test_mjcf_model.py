@@ -215,7 +215,8 @@ def test_joints_that_the_hand_lacks_are_fixed_with_what_moves_them(tmp_path: Pat
 def test_without_actuators_those_of_the_hand_are_added(tmp_path: Path) -> None:
     hand = ours(
         tmp_path,
-        toml="coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]\nactuator = { kp = 4, force_limit = 2 }",
+        toml="coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]\n"
+        "actuator = { kp = { default = 4, b1_j = 6 }, force_limit = 2 }",
     )
     made = mjcf_model(hand, written(tmp_path, sign=-1, rest=""))
     (note,) = made.notes
@@ -229,6 +230,8 @@ def test_without_actuators_those_of_the_hand_are_added(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.actuator_length, [0.01, 0.3 + 0.5 * 0.2], atol=1e-12)
     np.testing.assert_array_equal(model.actuator_forcerange, [[-2, 2], [-2, 2]])
+    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
+    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
 
 
 def test_mimic_joints_follow_in_the_file_or_it_says_that_they_do_not(tmp_path: Path) -> None:
@@ -243,6 +246,23 @@ def test_mimic_joints_follow_in_the_file_or_it_says_that_they_do_not(tmp_path: P
     np.testing.assert_array_equal(made.matrix, [[1, 0], [-0.5, 0], [0, 1]])
     np.testing.assert_array_equal(made.offset, [0, 0.2, 0])
     check_poses(hand, made, 1e-9)
+
+
+def test_a_mimic_joint_that_turns_the_other_way_has_its_offset_turned(tmp_path: Path) -> None:
+    hand = ours(tmp_path, '<mimic joint="a1_j" multiplier="-0.5" offset="0.2"/>')
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace('name="rh_a2_j" axis="1 0 0"', 'name="rh_a2_j" axis="-1 0 0"'))
+    made = mjcf_model(hand, path)
+    np.testing.assert_array_equal(made.matrix, [[1, 0], [0.5, 0], [0, 1]])
+    np.testing.assert_array_equal(made.offset, [0, -0.2, 0])
+    check_poses(hand, made, 1e-9)
+
+
+def test_inertia_follows_from_what_is_only_seen_where_the_file_says_so(tmp_path: Path) -> None:
+    path = written(tmp_path, root='<inertial pos="0 0 1" mass="9" diaginertia="1 1 1"/>')
+    path.write_text(path.read_text().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>'))
+    model = mjcf_model(ours(tmp_path), path).spec.compile()
+    assert model.body("palm").mass[0] == pytest.approx(0.4) and model.ngeom == 5
 
 
 @pytest.mark.parametrize(
@@ -321,13 +341,6 @@ def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
     wanted, q = 1.2 * np.array([1.0, 0.5, 0.0]), np.array([0.1, 0.2, 0.01])
     aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None])[0]
     np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
-
-
-def test_added_servos_are_those_of_the_hand(tmp_path: Path) -> None:
-    hand = ours(tmp_path, toml="actuator = { kp = { default = 4, a2_j = 6 }, force_limit = 2 }")
-    made = mjcf_model(hand, written(tmp_path, sign=-1, rest=""))
-    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
-    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.se3 import distances, exp_so3
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import Piece, box
-from grasp_refine.objects.object import Object
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.replay.record import record
@@ -18,7 +15,7 @@ from grasp_refine.validation.robustness import Noise, holds_at, holds_without_sq
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine.validation.world import World, build_world, volume
+from grasp_refine.validation.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
 PUSH = FORCE_CLOSURE.mass * FORCE_CLOSURE.acceleration
@@ -53,27 +50,6 @@ def test_a_push_along_the_plates_normal_is_carried_by_both_actuators(world: Worl
     # The plates are springs in parallel; the root's weld and the contacts give a little more.
     assert along == pytest.approx([PUSH / (2 * KP)] * 2, rel=0.3)
     assert trials.success.all()
-
-
-def test_a_free_object_moves_as_the_push_says(world: World) -> None:
-    trials = simulate(world, Motion(around(0.0).T_world_root, np.full((1, 3, 1), 2.0)))
-    dt, n = FORCE_CLOSURE.timestep, FORCE_CLOSURE.steps_per_check
-    # Velocity first, then position: x = a dt^2 (1 + 2 + ... + n).
-    expected = FORCE_CLOSURE.acceleration * dt**2 * n * (n + 1) / 2
-    assert (trials.reason == Reason.MOVED).all()
-    np.testing.assert_allclose(trials.displacement_m, expected, rtol=1e-9)
-    np.testing.assert_allclose(trials.time_s, n * dt)
-    np.testing.assert_allclose(trials.angle_rad, 0.0, atol=1e-9)
-    assert not trials.contacts.any() and not trials.contacts_squeeze.any()
-    np.testing.assert_allclose(trials.closing_m, 0.0, atol=1e-12)
-
-
-def test_an_object_that_is_pushed_off_its_middle_turns(world: World) -> None:
-    # One plate alone touches, off the middle: the object gets away.
-    T = around(1.0).T_world_root.copy()
-    T[..., 0, 3] += 0.02
-    trials = simulate(world, Motion(T, around(1.0).q))
-    assert not trials.success.any()
 
 
 def test_links_that_touch_are_told_by_stage(world: World) -> None:
@@ -295,15 +271,9 @@ def test_an_object_that_is_turned_while_the_hand_closes_is_not_lost_to_the_push(
 def test_a_failure_says_at_which_check(world: World) -> None:
     # A finger that slips slowly: later than at the first check, and earlier than at the end.
     forces = np.linspace(0.70, 0.86, 17)
-    trials = simulate(
-        world,
-        Motion(
-            *(
-                np.concatenate(parts)
-                for parts in zip(*((motion.T_world_root, motion.q) for motion in map(around, forces)), strict=True)
-            )
-        ),
-    )
+    motions = [around(force) for force in forces]
+    T, q = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("T_world_root", "q"))
+    trials = simulate(world, Motion(T, q))
     lost = trials.reason == Reason.MOVED
     check = FORCE_CLOSURE.steps_per_check * FORCE_CLOSURE.timestep
     assert (trials.time_s[lost] > 1.5 * check).any(), "none slips slowly"
@@ -314,17 +284,6 @@ def test_a_failure_says_at_which_check(world: World) -> None:
     assert np.isnan(trials.time_s[held]).all() and (trials.peak_m[held] >= trials.displacement_m[held]).all()
 
 
-@pytest.mark.parametrize(("torsion", "reason"), [(0.05, Reason.HELD), (0.0005, Reason.TURNED)])
-def test_torsional_friction_keeps_what_is_pushed_off_the_axis_from_turning(torsion: float, reason: Reason) -> None:
-    """A ball between two plates, with a smaller one at its side: the push has a lever, and only torsion carries it."""
-    none = np.zeros((0, 3), dtype=int)
-    pieces = [Piece(np.zeros((1, 3)), none, RADIUS), Piece(np.array([[0.0, 0.05, 0.0]]), none, 0.025)]
-    pair = Object("pair", ball().mesh, build_body("pair", pieces, candidates=16), convex=False, notes=())
-    world = build_world(gripper(), pair, replace(FORCE_CLOSURE, torsion=torsion))
-    trials = simulate(world, around(6.0))
-    assert trials.reason[0, trials.directions.index("+z")] == reason
-
-
 def test_the_object_has_its_mass_whatever_its_pieces() -> None:
     for thing in (ball(), two_balls()):
         world = build_world(gripper(), thing, replace(FORCE_CLOSURE, mass=0.25))
@@ -333,12 +292,12 @@ def test_the_object_has_its_mass_whatever_its_pieces() -> None:
     np.testing.assert_allclose(inertia, 0.4 * 0.1 * RADIUS**2, rtol=1e-6)
 
 
-def test_volumes() -> None:
-    none = np.zeros((0, 3), dtype=int)
-    assert volume(Piece(np.zeros((1, 3)), none, 2.0)) == pytest.approx(4 / 3 * np.pi * 8)
-    capsule = Piece(np.array([[0.0, 0, 0], [0, 0, 3.0]]), none, 1.0)
-    assert volume(capsule) == pytest.approx(np.pi * (4 / 3 + 3))
-    assert volume(box([1.0, 2.0, 3.0])) == pytest.approx(6.0)
+def test_trials_of_hands_with_other_links_are_joined_by_name(world: World) -> None:
+    held = holds(world, 4.0, 0.6)
+    other = replace(held, links=("palm", "right plate"), contacts=held.contacts * [True, False])
+    joined = Trials.join([held, other])
+    assert joined.links == ("left plate", "right plate", "palm") and len(joined) == 2
+    np.testing.assert_array_equal(joined.contacts[:, 0], [[True, True, False], [False, False, True]])
 
 
 def test_distances_of_poses_that_are_not_finite_are_not_known() -> None:
