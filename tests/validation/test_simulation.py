@@ -202,7 +202,7 @@ def test_noise_depends_on_the_seed_and_the_grasp_not_on_the_batch(world: World) 
     assert (far < score).any()
 
 
-def test_noise_on_a_table_leaves_the_object_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[np.ndarray] = []
 
     def spy(world: World, motion: Motion, conditions: Conditions, **others: object) -> Trials:
@@ -211,14 +211,15 @@ def test_noise_on_a_table_leaves_the_object_on_it(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
     world = build_world(gripper(), ball(), TABLETOP)
-    up, middle = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02])
-    noise_score(
-        world, raised(around(8.0), 0.015), Noise(3), middle=middle, numbers=np.array([0]), upright=up
-    )  # fmt: skip
-    (T,) = seen
-    np.testing.assert_allclose(T[:, 2, :3], np.tile(up, (3, 1)), atol=1e-15)
-    np.testing.assert_allclose(T[:, 2, 3], 0.0, atol=1e-15)
-    assert np.abs(T[:, :2, 3]).min() > 1e-5
+    up, middle, motion = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02]), raised(around(8.0), 0.015)
+    noise_score(world, motion, Noise(3), middle=middle, numbers=np.array([0]), upright=up)
+    noise_score(world, motion, Noise(3, offset=0.0, turn=0.5), middle=middle, numbers=np.array([0]))
+    on_table, turned = seen
+    np.testing.assert_allclose(on_table[:, 2, :3], np.tile(up, (3, 1)), atol=1e-15)
+    np.testing.assert_allclose(on_table[:, 2, 3], 0.0, atol=1e-15)
+    assert np.abs(on_table[:, :2, 3]).min() > 1e-5
+    np.testing.assert_allclose(turned[:, :3, :3] @ middle + turned[:, :3, 3], np.tile(middle, (3, 1)), atol=1e-12)
+    assert np.abs(turned[:, :3, 3]).max() > 1e-4
 
 
 def raised(motion: Motion, height: float) -> Motion:

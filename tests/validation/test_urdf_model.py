@@ -339,6 +339,12 @@ def test_nothing_is_excluded_twice(chain: Hand) -> None:
     assert len(set(pairs)) == len(pairs) == urdf_model(chain).spec.compile().nexclude
 
 
+def test_what_is_fixed_to_a_neighbour_is_a_neighbour(tmp_path: Path) -> None:
+    joints = joint("j", "a", "b"), joint("f", "a", "c", "fixed", ""), joint("k", "b", "d")
+    hand = build(tmp_path, dict.fromkeys("abcd", BALL), *joints)
+    assert excluded_pairs(hand, Parts.by_joints(hand)) == []
+
+
 def test_geometry_is_where_the_pieces_are() -> None:
     hand = load_hand("allegro", candidates=16)
     made = urdf_model(hand)
