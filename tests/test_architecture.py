@@ -25,6 +25,7 @@ ORDER = (
     "grasp_refine.forces",
     "grasp_refine.sampling",
     "grasp_refine.refinement.solvers",
+    "grasp_refine.refinement.terms",
     "grasp_refine.refinement",
     "grasp_refine.validation",
     "grasp_refine.validation.replay",

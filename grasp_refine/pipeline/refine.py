@@ -13,7 +13,7 @@ from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationCallback
 from grasp_refine.refinement.refine import refine
-from grasp_refine.refinement.solvers.least_squares import Progress
+from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject

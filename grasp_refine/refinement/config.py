@@ -6,11 +6,12 @@ from typing import Literal
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.losses import Scales, Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
@@ -67,7 +68,7 @@ class Config:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not self.seconds > 0.0:
             raise GraspRefineError(f"seconds must be above 0, got {self.seconds:g}")
-        if isinstance(self.solver, LevenbergMarquardt) and (self.dtype, self.device) != ("float64", "cpu"):
+        if not self.solver.needs_autograd and (self.dtype, self.device) != ("float64", "cpu"):
             raise GraspRefineError(
                 f"levenberg-marquardt runs in float64 on the cpu; {self.dtype} on {self.device} needs descent or adam"
             )
@@ -75,4 +76,4 @@ class Config:
     @property
     def holds(self) -> bool:
         """Whether grasps without targets should hold the object, and not only touch it."""
-        return isinstance(self.solver, LevenbergMarquardt) and self.weights.wrench > 0.0
+        return not self.solver.needs_autograd and self.weights.wrench > 0.0

@@ -17,16 +17,14 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP, quality
 from grasp_refine.forces.squeeze import CONTACTS
-from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
-from grasp_refine.refinement.losses import Weights
-from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Progress, minimise
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -214,11 +212,11 @@ class _Search:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = free.evaluate(everyone, point, None)
-        frames, T = Frames(known.T_link, known.axes), known.T_link
+        T = known.T_link
         witness = query(
             prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
         )
-        score = quality(scene.hand, scene.object, prepared.chain, frames, witness).score
+        score = quality(scene.hand, scene.object, prepared.chain, known.frames, witness).score
         score += free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
@@ -226,12 +224,11 @@ class _Search:
     def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """Return the grasps `rows`, which are those of the scene, after a phase, and its goal."""
         config, prepared = self.config, self.prepared
-        assert isinstance(config.solver, LevenbergMarquardt)
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, phase.touching(config.contact_selection), prepared)
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
-        solver = replace(config.solver, restarts=0, iterations=min(config.solver.iterations, phase.iterations))
+        solver = replace(config.solver, iterations=min(config.solver.iterations, phase.iterations))
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
         left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]
@@ -241,7 +238,6 @@ class _Search:
             solver,
             config.tolerance,
             status=status,
-            width=config.width,
             seconds=left,
             progress=self._report,
             on_iteration=with_callback(self.on_iteration, goal, phase.name, rows),

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.refinement.goal import Goal
-from grasp_refine.refinement.solvers import least_squares
-from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.refinement.solvers import iterate
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.scene.goal import Goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ IterationCallback = Callable[[IterationState], None]
 
 def with_callback(
     on_iteration: IterationCallback | None, goal: Goal, stage: str, rows: np.ndarray | None = None
-) -> least_squares.IterationCallback | None:
+) -> iterate.IterationCallback | None:
     """Return the callback of a solver that passes its members on to `on_iteration`.
 
     Args:

@@ -1,8 +1,4 @@
-"""Loss of a batch of grasps and its gradient: kinematics, witness points and loss terms put together.
-
-For first-order solvers, through autograd and with any derivative method. Levenberg-Marquardt has the same terms in
-`grasp_problem`.
-"""
+"""Loss of a batch of grasps and its gradient through autograd, with any derivative method of witness points."""
 
 from __future__ import annotations
 
@@ -12,23 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from grasp_refine.collision.culling import nothing_near
 from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import body_gradient, transform_points
+from grasp_refine.core.se3 import body_gradient
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal
-from grasp_refine.refinement.losses import (
-    below_plane,
-    contact_direction,
-    contact_gap,
-    contact_targets,
-    joint_limits,
-    penetration,
-    stay_near,
-)
-from grasp_refine.refinement.solvers.first_order import limits_within
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.terms.term import Setup, State
+from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.autograd import WitnessLayer
@@ -36,108 +24,103 @@ from grasp_refine.witness.transport import EquivalentTransport
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Results of the last queries, warm starts of the next."""
+class Slope:
+    """Losses of M grasps with their gradients, and query results, warm starts of the next."""
 
-    witness: Witness
-    """Witness points of links and object (batch, L)."""
-    self_witness: Witness | None
-    """Witness points of pairs of links (batch, S)."""
+    loss: np.ndarray
+    """Losses (M,) in m^2; NaN where a query could not be answered."""
+    gradient: np.ndarray
+    """Gradients (M, 6 + n) at the root, as a body twist (v, w), and in the joint values."""
     num_queries: np.ndarray
-    """Narrow-phase queries (batch,)."""
+    """Narrow-phase queries (M,)."""
+    number: np.ndarray
+    """Number (M,) of the evaluation, which methods that draw samples have as their key."""
+    witness: Witness
+    """Witness points of links and object (M, L)."""
+    self_witness: Witness
+    """Witness points of pairs of links (M, S)."""
 
 
 class Objective:
     """Loss of a batch of grasps and its gradient in root pose and joint values."""
 
+    restarts = False
+
     def __init__(self, scene: Scene, goal: Goal, config: Config, prepared: HandObject | None = None) -> None:
         """Set up kinematics and witness layers, with geometry that is `prepared` or built here."""
         prepared = prepared or HandObject.of(scene)
-        self.scene, self.goal, self.config = scene, goal, config
-        hand, self.links = scene.hand, scene.links
-        dtype = getattr(torch, config.dtype)
-        self.kinematics = Kinematics(hand, self.links, dtype=dtype, device=config.device)
+        self.goal, self.width = goal, max(len(scene.q), 1)
+        hand, dtype = scene.hand, getattr(torch, config.dtype)
+        self.kinematics = Kinematics(hand, scene.links, dtype=dtype, device=config.device)
+        setup = Setup(scene, goal, prepared, config.margin, config.scales)
+        terms = config.weights.terms(setup, autograd=True)
+        self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
         self.layer = WitnessLayer(prepared.pairs, config.derivative)
-        self_collision_pairs = prepared.self_collision_pairs if config.weights.self_penetration > 0 else None
-        self.own_layer = None if self_collision_pairs is None else WitnessLayer(self_collision_pairs, config.derivative)
-        self._own = () if self_collision_pairs is None else prepared.self_collision_links
+        self_pairs, self.self_links = prepared.self_collision_pairs, prepared.self_collision_links
+        self.self_layer = None if self_pairs is None else WitnessLayer(self_pairs, config.derivative)
         self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
-        steps = config.solver
-        assert not isinstance(steps, LevenbergMarquardt)
-        self._transport = EquivalentTransport(steps.step_translation, steps.step_rotation) if steps.transport else None
+        solver = config.solver
+        assert solver.needs_autograd
+        self._transport = None
+        if solver.transport:
+            self._transport = EquivalentTransport(solver.step_translation, solver.step_rotation)
 
     def tensor(self, array: np.ndarray) -> Tensor:
         """Return an array in the number type and on the device of the refinement."""
         return torch.as_tensor(array, dtype=self.lower.dtype, device=self.lower.device)
 
-    def evaluate(
-        self, member: np.ndarray, T_world_root: Tensor, q: Tensor, key: int, previous: Found | None
-    ) -> tuple[Tensor, Tensor, Found]:
-        """Return loss (batch,), gradient (batch, 6 + n) at the root (as a body twist) and in q, and query results.
-
-        The loss is NaN where a query could not be answered.
-        """
-        T_world_root = T_world_root.detach().requires_grad_()
-        q = q.detach().requires_grad_()
-        T_link = self.kinematics(T_world_root, q)
-        loss, witness = self._of_contacts(member, T_link, key, None if previous is None else previous.witness)
-        own = None
-        if self.own_layer is not None:
-            first, second = (T_link[:, side] for side in self._own)
-            own = self.own_layer(
-                first, second, cutoff=0.0, key=key, previous=None if previous is None else previous.self_witness
-            )
-            loss = loss + self.config.weights.self_penetration * penetration(own).square().sum(1)
-        loss = loss + self._of_posture(member, T_world_root, q)
-        with stage("derivative"):
-            G, q_gradient = torch.autograd.grad(loss.sum(), (T_world_root, q), allow_unused=True)
-        twist = body_gradient(T_world_root.detach(), torch.zeros_like(T_world_root) if G is None else G)
-        q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
-        # A pair whose query failed adds nothing above: the loss of the grasp is not known.
-        witnesses = [one.detached() for one in (witness, own) if one is not None]
-        unknown = np.logical_or.reduce([(one.status > QueryStatus.FAR).any(axis=1) for one in witnesses])
-        loss = loss.detach().masked_fill(torch.as_tensor(unknown, device=loss.device), torch.nan)
-        queries = sum(one.num_queries.sum(axis=1) for one in witnesses)
-        found = Found(witnesses[0], witnesses[1] if own is not None else None, queries)
-        return loss, torch.cat([twist, q_gradient], dim=1), found
-
-    def _of_contacts(
-        self, member: np.ndarray, T_link: Tensor, key: int, previous: Witness | None
-    ) -> tuple[Tensor, Witness]:
-        """Return the terms of links and object (batch,), and the witness points."""
-        goal, config, weights = self.goal, self.config, self.config.weights
+    def evaluate(self, member: np.ndarray, point: Point, previous: Slope | None) -> Slope:
+        """Return losses, gradients and query results."""
+        key = 0 if previous is None else int(previous.number.max()) + 1
+        T, q = (self.tensor(part).detach().requires_grad_() for part in (point.T, point.q))
+        T_link = T_moving = self.kinematics(T, q)
         T_object = torch.eye(4, dtype=T_link.dtype, device=T_link.device).expand(T_link.shape)
         if self._transport is not None:
-            T_object = T_object.clone().requires_grad_()
-            T_link, T_object = self._transport(T_link, T_object)
-        touching, aimed = goal.touching[member], goal.aimed[member]
-        target_link, target_object = (self.tensor(t[member]) for t in (goal.target_link, goal.target_object))
+            T_moving, T_object = self._transport(T_link, T_object.clone().requires_grad_())
+        targets = (self.tensor(target[member]) for target in (self.goal.target_link, self.goal.target_object))
         # Links that should not touch matter only where they penetrate.
         witness = self.layer(
-            T_link, T_object, target_link, target_object,
-            cutoff=np.where(touching, np.inf, 0.0), key=key, previous=previous,
+            T_moving, T_object, *targets,
+            cutoff=np.where(self.goal.touching[member], np.inf, 0.0), key=key,
+            previous=None if previous is None else previous.witness,
         )  # fmt: skip
-        contact = contact_targets(witness, T_link, T_object, target_link, target_object, config.margin)
-        gap = contact_gap(witness, torch.as_tensor(touching & ~aimed, device=T_link.device), config.margin)
-        loss = weights.contact * (contact.square().sum((1, 2)) + gap.square().sum(1))
-        loss = loss + weights.penetration * penetration(witness).square().sum(1)
-        table = self.scene.table
-        if table is not None:
-            lowest = table.lowest(self.layer.pairs.a, T_link.detach().double().cpu().numpy())
-            points = transform_points(T_link, self.tensor(lowest))
-            depth = below_plane(points, self.tensor(np.asarray(table.normal)), table.offset)
-            loss = loss + weights.table * depth.square().sum(1)
-        if goal.direction is not None:
-            turned = contact_direction(witness, self.tensor(goal.direction[member]))
-            loss = loss + weights.direction * turned.square().sum((1, 2))
-        return loss, witness
 
-    def _of_posture(self, member: np.ndarray, T_world_root: Tensor, q: Tensor) -> Tensor:
-        """Return the terms of root pose and joint values alone (batch,)."""
-        scene, weights = self.scene, self.config.weights
-        loss = weights.joint_limits * joint_limits(q, self.lower, self.upper).square().sum(1)
-        if weights.stay_near > 0:
-            first = self.tensor(scene.T_world_root[member]), self.tensor(scene.q[member])
-            away = stay_near(T_world_root, q, *first, self.config.scales)
-            loss = loss + weights.stay_near * away.square().sum(1)
-        return loss
+        def self_witness(rejected: np.ndarray) -> Witness:
+            """Return the witness points of the pairs of links; no grasp is rejected."""
+            assert self.self_layer is not None
+            first, second = (T_link[:, side] for side in self.self_links)
+            before = None if previous is None else previous.self_witness
+            return self.self_layer(first, second, cutoff=0.0, key=key, previous=before)
+
+        count = len(member)
+        none, loss = np.zeros(count, dtype=np.int64), T[:, 0, 0] * 0.0
+        no_pairs = nothing_near(np.zeros((count, 0)))
+        state = State(none, none, member, T, q, T_moving, None, witness, no_pairs, T_object=T_object)
+        for weight, term in self.terms:
+            state = term.complete(state, none.astype(bool), self_witness)
+            loss = loss + weight * term.loss(state)
+        with stage("derivative"):
+            G, q_gradient = torch.autograd.grad(loss.sum(), (T, q), allow_unused=True)
+        twist = body_gradient(T.detach(), G)
+        q_gradient = torch.zeros_like(q) if q_gradient is None else q_gradient
+        gradient = torch.cat([twist, q_gradient], dim=1)
+        # A pair whose query failed adds nothing above: the loss of the grasp is not known.
+        pairs = [state.witness.detached(), state.self_witness.detached()]
+        unknown = np.logical_or(*((found.status > QueryStatus.FAR).any(axis=1) for found in pairs))
+        value, slope = (found.detach().double().cpu().numpy() for found in (loss, gradient))
+        num_queries = sum(found.num_queries.sum(axis=1) for found in pairs)
+        return Slope(np.where(unknown, np.nan, value), slope, num_queries, none + key, *pairs)
+
+
+def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:
+    """Return joint limits (n,) as tensors, rounded inwards, so that they imply the given ones.
+
+    Where single precision has no number between the two, they are the nearest one.
+    """
+    low, high = (torch.as_tensor(limit, dtype=dtype, device=device) for limit in (lower, upper))
+    beyond = low.double().cpu().numpy() < lower, high.double().cpu().numpy() > upper
+    outside = [torch.as_tensor(mask, device=device) for mask in beyond]
+    inner_low = torch.where(outside[0], torch.nextafter(low, low.new_tensor(torch.inf)), low)
+    inner_high = torch.where(outside[1], torch.nextafter(high, high.new_tensor(-torch.inf)), high)
+    ordered = inner_low <= inner_high
+    return torch.where(ordered, inner_low, low), torch.where(ordered, inner_high, high)

@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal
 from grasp_refine.refinement.grasp_problem import GraspProblem
-from grasp_refine.refinement.solvers.least_squares import Point, Progress, minimise
+from grasp_refine.refinement.solvers.iterate import Point, Progress, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-SOLVER = LevenbergMarquardt(iterations=60, restarts=0)
+SOLVER = LevenbergMarquardt(iterations=60)
 """Solver of pregrasps; a hand opens in few iterations, or cannot open further."""
 
 TOLERANCE = 1e-6
@@ -41,11 +41,10 @@ def open_hand(
     prepared = prepared or HandObject.of(scene)
     goal = Goal.nothing(len(scene.q), len(scene.links))
     scene = replace(scene, target_link=None, target_object=None, direction=None)
-    config = Config(solver=SOLVER)
-    problem = GraspProblem(scene, goal, config, prepared.padded)
+    problem = GraspProblem(scene, goal, Config(solver=SOLVER), prepared.padded)
     start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     posed = scene.posed
     status = np.where(posed, Status.RUNNING, Status.INVALID)
-    found = minimise(problem, start, SOLVER, TOLERANCE, status=status, width=config.width, progress=progress).point
+    found = minimise(problem, start, SOLVER, TOLERANCE, status=status, progress=progress).point
     T, q = np.where(posed[:, None, None], found.T, np.nan), np.where(posed[:, None], found.q, np.nan)
     return T, q

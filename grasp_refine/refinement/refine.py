@@ -14,12 +14,11 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import labels, spread, tallied
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import search
-from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
-from grasp_refine.refinement.solvers.least_squares import Minimum, Point, Progress, minimise
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -114,8 +113,7 @@ def refine(
     else:
         goal = goal_of(scene, config.contact_selection, prepared, nearest=config.nearest)
         status[sound & ~goal.touching.any(axis=1)] = Status.NO_TARGET
-        solve = _least_squares if isinstance(config.solver, LevenbergMarquardt) else _first_order
-        found = solve(scene, prepared, goal, config, status, progress, on_iteration)
+        found = _solve(scene, prepared, goal, config, status, progress, on_iteration)
     unreachable = np.isin(found.status, (Status.STALLED, Status.BUDGET))
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE_LOSS_M2))] = Status.UNREACHABLE
@@ -148,7 +146,7 @@ SINGLE_STAGE = "to the contacts"
 """Value of `IterationState.stage` for refinements of one stage."""
 
 
-def _least_squares(
+def _solve(
     scene: Scene,
     prepared: HandObject,
     goal: Goal,
@@ -157,18 +155,21 @@ def _least_squares(
     progress: Progress | None,
     on_iteration: IterationCallback | None,
 ) -> Minimum:
-    """Refine by Levenberg-Marquardt; with targets, from the solution of inverse kinematics."""
-    problem, solver = GraspProblem(scene, goal, config, prepared), config.solver
-    assert isinstance(solver, LevenbergMarquardt)
-    rows = np.flatnonzero(status == Status.RUNNING)
-    hand = scene.hand
-    given = Point(scene.T_world_root, np.clip(scene.q, hand.lower, hand.upper))
-    limits: dict[str, Any] = {"width": config.width, "seconds": config.seconds, "progress": progress}
-    limits["on_iteration"] = with_callback(on_iteration, goal, SINGLE_STAGE)
+    """Refine in one stage: by gradients, or by least squares and, with targets, from inverse kinematics."""
+    given = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
+    settings: dict[str, Any] = {"seconds": config.seconds, "progress": progress}
+    settings["on_iteration"] = with_callback(on_iteration, goal, SINGLE_STAGE)
+    if config.solver.needs_autograd:
+        # With pytorch-kinematics, which takes a second to load.
+        from grasp_refine.refinement.objective import Objective
+
+        objective = Objective(scene, goal, config, prepared)
+        return minimise(objective, given, config.solver, config.tolerance, status=status, **settings)
+    problem = GraspProblem(scene, goal, config, prepared)
     if not goal.aimed.any():
-        solver = replace(solver, restarts=0)
-        return minimise(problem, given, solver, config.tolerance, status=status, **limits)
+        return minimise(problem, given, config.solver, config.tolerance, status=status, **settings)
     before, num_queries = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
+    rows = np.flatnonzero(status == Status.RUNNING)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
         known = problem.evaluate(block, take(given, block), None)
         before[block], num_queries[block] = known.loss, known.num_queries
@@ -177,35 +178,9 @@ def _least_squares(
     start = Point(given.T.copy(), given.q.copy())
     reached = problem.solve_position_ik(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
-    found = minimise(problem, start, solver, config.tolerance, status=status, **limits)
+    found = minimise(problem, start, config.solver, config.tolerance, status=status, **settings)
     # The input grasp may still be the best.
     first = before <= found.loss[:, 1]
     found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED
     loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
     return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + num_queries)
-
-
-def _first_order(
-    scene: Scene,
-    prepared: HandObject,
-    goal: Goal,
-    config: Config,
-    status: np.ndarray,
-    progress: Progress | None,
-    on_iteration: IterationCallback | None,
-) -> Minimum:
-    """Refine by descent or Adam."""
-    # With pytorch-kinematics, which takes a second to load.
-    from grasp_refine.refinement.objective import Objective
-    from grasp_refine.refinement.solvers.first_order import descend
-
-    assert not isinstance(config.solver, LevenbergMarquardt)
-    return descend(
-        Objective(scene, goal, config, prepared),
-        Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper)),
-        config.solver,
-        config.tolerance,
-        status=status,
-        progress=progress,
-        on_iteration=with_callback(on_iteration, goal, SINGLE_STAGE),
-    )

@@ -13,7 +13,6 @@ from grasp_refine.core.plurals import whole
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_QUALITY
 from grasp_refine.refinement.max_move import MaxMove
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
@@ -45,7 +44,7 @@ def slip_advice(outcome: Outcome, config: Config) -> str:
         return f"try {', '.join(ways)}, or other grasps"
     if outcome.aimed.any():
         return "links touch at the targets; without targets, forces are balanced too"
-    if isinstance(config.solver, LevenbergMarquardt):
+    if not config.solver.needs_autograd:
         return "only their geometry was refined, forces were not balanced"
     return f"forces are balanced with --solver levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
 

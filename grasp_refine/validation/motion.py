@@ -16,7 +16,7 @@ from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.pregrasp import open_hand
-from grasp_refine.refinement.solvers.least_squares import Progress
+from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 

@@ -29,7 +29,8 @@ from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
-from grasp_refine.refinement.losses import Scales, Weights
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.objects.object import load_object

@@ -23,11 +23,11 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem, Known
-from grasp_refine.refinement.losses import Weights
-from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.commands.inputs import Sources

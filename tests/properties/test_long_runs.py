@@ -14,12 +14,12 @@ from claw import around, claw, objects
 from grasp_refine.core.se3 import exp_se3, retract
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 

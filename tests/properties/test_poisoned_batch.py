@@ -16,17 +16,18 @@ from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import goal_of
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.document import run_document
 from grasp_refine.results.outcome import compare
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.cli import main

@@ -23,13 +23,13 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationState
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene

@@ -14,10 +14,12 @@ from scipy.optimize import lsq_linear
 from exact_twists import DTYPES
 from grasp_refine.core.se3 import exp_se3, log_se3
 from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.first_order import descend, limits_within
-from grasp_refine.refinement.solvers.least_squares import Linear, Minimum, Point, minimise
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
 
 FEWEST = settings(max_examples=max(5, settings().max_examples // 6))

@@ -19,12 +19,12 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import goal_of
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics

@@ -12,10 +12,10 @@ from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 

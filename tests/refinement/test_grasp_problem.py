@@ -15,15 +15,15 @@ from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import MAX_STEP, RESTART_NOISE, GraspProblem, Known
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
-from grasp_refine.refinement.solvers.least_squares import Point, minimise
+from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 

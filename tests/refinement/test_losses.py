@@ -5,13 +5,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-
-from ellipsoids import Contact, at_gap, contact
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, exp_so3, hat, matvec, tangents, transform_points
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.refinement.losses import (
     Scales,
     below_plane,
@@ -29,6 +22,13 @@ from grasp_refine.refinement.losses import (
     stay_near,
     stay_near_jacobian,
 )
+
+from ellipsoids import Contact, at_gap, contact
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import exp_se3, exp_so3, hat, matvec, tangents, transform_points
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.finite_difference import FiniteDifference

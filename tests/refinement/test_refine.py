@@ -17,17 +17,19 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.goal import Goal, goal_of
 from grasp_refine.refinement.grasp_problem import GraspProblem
-from grasp_refine.refinement.losses import Scales, Weights, stay_near
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.least_squares import Point
+from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms import stay_near
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure, movement
@@ -161,7 +163,8 @@ def test_staying_near_shortens_the_movement_and_costs_little(scene: Scene) -> No
     free = refine(scene, replace(GEOMETRY, tolerance=0.0))
     held = refine(scene, Config(tolerance=0.0, weights=Weights(stay_near=1e-8, wrench=0.0)))
     away = [
-        (stay_near(f.T_world_root, f.q, scene.T_world_root, scene.q, Scales()) ** 2).sum(axis=1) for f in (free, held)
+        (stay_near.movement(f.T_world_root, f.q, scene.T_world_root, scene.q, Scales()) ** 2).sum(axis=1)
+        for f in (free, held)
     ]
     assert (away[1] < away[0]).all()
     assert (true_loss(scene, held.T_world_root, held.q, held, GEOMETRY) < 1e-6).all()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Config
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table

@@ -7,7 +7,7 @@ from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.se3 import inverse, matvec, tangents
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.refinement.losses import contact_direction_covectors
+from grasp_refine.refinement.terms.direction import normal_covectors
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.neighborhood import Adaptive
@@ -220,7 +220,7 @@ def test_a_ball_in_a_real_ring_is_told_to_move_the_right_way(gap: float) -> None
 
     def told(width: float, miss: float) -> np.ndarray:
         E, K_a, K_b = fit(pairs, T_a, T_b, w, width, miss)
-        return np.einsum("ri,rij,rj->r", across, contact_direction_covectors(w, E, K_a, K_b)[..., :3], across)
+        return np.einsum("ri,rij,rj->r", across, normal_covectors(w, E, K_a, K_b)[..., :3], across)
 
     fitted = told(1.0, 0.01)
     frozen = -1.0 / w.distance

@@ -22,7 +22,7 @@ from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
-from grasp_refine.refinement.solvers.least_squares import Progress
+from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine.validation.protocol import Protocol

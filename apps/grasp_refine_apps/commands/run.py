@@ -23,7 +23,7 @@ from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import NEAREST
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
-from grasp_refine.refinement.losses import Weights
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
 from grasp_refine.results.result_files import is_same_refinement, result_paths

@@ -11,11 +11,12 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Scales, Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics

@@ -13,9 +13,9 @@ from grasp_refine.pipeline.problem import Group
 from grasp_refine.pipeline.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
-from grasp_refine.refinement.goal import goal_of
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.pose import Pose, Target, posed_scene, targets_of

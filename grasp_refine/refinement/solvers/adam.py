@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.solvers.schedule import Schedule
+from grasp_refine.refinement.solvers.first_order import FirstOrder
 
 if TYPE_CHECKING:
     # It takes seconds to load, and options are made of this class.
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Adam(Schedule):
+class Adam(FirstOrder):
     """Steps along the averaged gradient, each component over the root of its averaged square.
 
     The root's components are those of its body twist. A component whose gradient keeps its sign moves by a whole
@@ -38,31 +40,12 @@ class Adam(Schedule):
                 f"adam: first and second must be at least 0 and below 1, got {self.first:g} and {self.second:g}"
             )
 
-    def memory(self, gradient: torch.Tensor) -> torch.Tensor:
-        """Return the initial memory: zero averages, zero steps."""
-        return gradient.new_zeros(len(gradient), 2 * gradient.shape[1] + 1)
+    def initial_memory(self, count: int, dof: int) -> np.ndarray:
+        """Return zero averages of gradient and squares, and zero steps."""
+        return np.zeros((count, 2 * dof + 1))
 
-    def step(
-        self,
-        T: torch.Tensor,
-        q: torch.Tensor,
-        gradient: torch.Tensor,
-        memory: torch.Tensor,
-        stage: torch.Tensor,
-        lower: torch.Tensor,
-        upper: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the next root poses, joint values and averages.
-
-        Args:
-            T: Root poses (batch, 4, 4).
-            q: Joint values (batch, n).
-            gradient: Gradient (batch, 6 + n): the root's as a body twist (v, w), then that of the joint values.
-            memory: Averages of gradient and squares, and the number of steps (batch, 2 (6 + n) + 1); zero at first.
-            stage: Stage of the schedule of each grasp (batch,).
-            lower: Lower joint limits (n,); a joint within its limits never leaves them.
-            upper: Upper joint limits (n,).
-        """
+    def direction(self, gradient: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the averaged gradient over the root of the averaged squares, and averages and number of steps."""
         import torch
 
         dof = gradient.shape[1]
@@ -72,5 +55,4 @@ class Adam(Schedule):
         mean = average / (1.0 - self.first**steps)
         size = (squares / (1.0 - self.second**steps)).sqrt()
         direction = torch.where(size > 0, mean / torch.where(size > 0, size, torch.ones_like(size)), 0.0)
-        moved = self.integrate(T, q, direction, stage, lower, upper)
-        return *moved, torch.cat([average, squares, steps], dim=1)
+        return direction, torch.cat([average, squares, steps], dim=1)

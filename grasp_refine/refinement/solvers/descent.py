@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.solvers.schedule import Schedule
+from grasp_refine.refinement.solvers.first_order import FirstOrder
 
 if TYPE_CHECKING:
     # It takes seconds to load, and options are made of this class.
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Descent(Schedule):
+class Descent(FirstOrder):
     """Fixed-length steps against the gradient: root translation, root rotation and joints each on their own.
 
     T <- T exp(-(v s_t, w s_r)) with the body twist (v, w) of the averaged gradient, v and w of unit length, and
@@ -35,36 +37,17 @@ class Descent(Schedule):
         if not 0.0 <= self.momentum < 1.0:
             raise GraspRefineError(f"descent: momentum must be at least 0 and below 1, got {self.momentum:g}")
 
-    def memory(self, gradient: torch.Tensor) -> torch.Tensor:
-        """Return the initial memory: a zero average."""
-        return gradient.new_zeros(gradient.shape)
+    def initial_memory(self, count: int, dof: int) -> np.ndarray:
+        """Return a zero average."""
+        return np.zeros((count, dof))
 
-    def step(
-        self,
-        T: torch.Tensor,
-        q: torch.Tensor,
-        gradient: torch.Tensor,
-        memory: torch.Tensor,
-        stage: torch.Tensor,
-        lower: torch.Tensor,
-        upper: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the next root poses, joint values and averaged gradients.
-
-        Args:
-            T: Root poses (batch, 4, 4).
-            q: Joint values (batch, n).
-            gradient: Gradient (batch, 6 + n): the root's as a body twist (v, w), then that of the joint values.
-            memory: Averaged gradient of the last step (batch, 6 + n); zero at first.
-            stage: Stage of the schedule of each grasp (batch,).
-            lower: Lower joint limits (n,); a joint within its limits never leaves them.
-            upper: Upper joint limits (n,).
-        """
+    def direction(self, gradient: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the averaged gradient, each of its three parts of unit length, and the average itself."""
         average = self.momentum * memory + (1.0 - self.momentum) * gradient
         unit = average.clone()
         for part in (slice(0, 3), slice(3, 6), slice(6, None)):
             unit[:, part] = _unit(average[:, part])
-        return *self.integrate(T, q, unit, stage, lower, upper), average
+        return unit, average
 
 
 def _unit(vector: torch.Tensor) -> torch.Tensor:

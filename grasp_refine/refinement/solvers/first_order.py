@@ -1,159 +1,143 @@
-"""Loop of first-order solvers over a batch: the paper's descent, and Adam."""
+"""First-order solvers: steps against the gradient, of lengths that shrink."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from grasp_refine.core.array_records import take
-from grasp_refine.core.profiling import stage
-from grasp_refine.refinement.solvers.adam import Adam
-from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.least_squares import IterationCallback, Minimum, Point
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import retract
+from grasp_refine.refinement.solvers.iterate import Point, Problem, Record, Slots, Solver
 from grasp_refine.refinement.solvers.status import Status
 
+if TYPE_CHECKING:
+    # It takes seconds to load, and options are made of this class.
+    import torch
 
-@runtime_checkable
-class Differentiable(Protocol):
-    """Losses of a batch of members with their gradients."""
 
-    lower: Tensor
-    """Lower joint limits (n,), within the true ones (see `limits_within`)."""
-    upper: Tensor
+class Differentiable(Problem, Protocol):
+    """Losses of a batch of members with their gradients: evaluations have a `gradient` (batch, 6 + n).
+
+    It is that of the root as a body twist (v, w), then that of the joint values.
+    """
+
+    lower: torch.Tensor
+    """Lower joint limits (n,), in the number type of the problem and within the true ones."""
+    upper: torch.Tensor
     """Upper joint limits (n,), likewise."""
 
-    def evaluate(
-        self, member: np.ndarray, T: Tensor, q: Tensor, key: int, previous: Any | None
-    ) -> tuple[Tensor, Tensor, Any]:
-        """Return losses (batch,), gradients (batch, 6 + n), and warm starts: a record with `num_queries` (batch,)."""
-        ...
-
-    def tensor(self, array: np.ndarray) -> Tensor:
+    def tensor(self, array: np.ndarray) -> torch.Tensor:
         """Return an array in the number type and on the device of the problem."""
         ...
 
 
-def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:
-    """Return joint limits (n,) as tensors, rounded inwards, so that they imply the given ones.
+@dataclass(frozen=True, eq=False)
+class Descending:
+    """State of a first-order solver."""
 
-    Where single precision has no number between the two, they are the nearest one.
+    phase: np.ndarray
+    """Phase of the schedule (batch,): the number of factors that have had their turn."""
+    memory: np.ndarray
+    """Averages that the solver keeps (batch, m)."""
+
+
+@dataclass(frozen=True)
+class FirstOrder(Solver):
+    """Step lengths that shrink by the `factors` after the given `shares` of the iterations.
+
+    A grasp whose loss no longer falls goes to the next factor earlier.
     """
-    low, high = (torch.as_tensor(limit, dtype=dtype, device=device) for limit in (lower, upper))
-    beyond = low.double().cpu().numpy() < lower, high.double().cpu().numpy() > upper
-    outside = [torch.as_tensor(mask, device=device) for mask in beyond]
-    inner_low = torch.where(outside[0], torch.nextafter(low, low.new_tensor(torch.inf)), low)
-    inner_high = torch.where(outside[1], torch.nextafter(high, high.new_tensor(-torch.inf)), high)
-    ordered = inner_low <= inner_high
-    return torch.where(ordered, inner_low, low), torch.where(ordered, inner_high, high)
 
+    needs_autograd: ClassVar[Literal[True]] = True
 
-@stage("solver")
-def descend(
-    problem: Differentiable,
-    start: Point,
-    solver: Descent | Adam,
-    tolerance: float,
-    *,
-    status: np.ndarray,
-    progress: Callable[[int, int, float], None] | None = None,
-    on_iteration: IterationCallback | None = None,
-) -> Minimum:
-    """Minimise the losses of all members; arguments and result are those of `least_squares.minimise`."""
-    run = _Run(problem, start, solver, tolerance, status, on_iteration)
-    iteration = 0
-    while len(run.active) and iteration < solver.iterations:
-        mean_loss = run.iterate(iteration)
-        iteration += 1
-        if progress is not None:
-            progress(len(start.q) - len(run.active), iteration, mean_loss)
-    loss = np.stack([run.first, run.best], axis=1)
-    return Minimum(Point(run.best_T, run.best_q), loss, run.status, run.iterations, run.queries, run.cpu, run.wall)
+    iterations: int = 2000
+    """Largest number of iterations per grasp."""
+    step_translation: float = 1e-3
+    """Step length s_t of the root translation in metres."""
+    step_rotation: float = 1e-2
+    """Step length s_r of the root rotation in radians (the paper takes 0.002)."""
+    step_joints: float = 2e-2
+    """Step length s_q of the joints in radians, metres for prismatic joints (the paper takes 0.01)."""
+    shares: tuple[float, ...] = (0.5, 0.8)
+    """Shares of the iterations after which the steps shrink."""
+    factors: tuple[float, ...] = (0.1, 0.01)
+    """Factors of the step lengths from then on."""
+    patience: int = 200
+    """Iterations without progress after which a grasp continues with shorter steps, or ends after the last factor."""
+    progress: float = 0.01
+    """Smallest relative fall of the loss that counts as progress."""
+    transport: bool = False
+    """Equivalent gradient transport: the object's gradient acts through the links (no longer a gradient)."""
 
+    def __post_init__(self) -> None:
+        """Refuse a schedule that cannot run.
 
-class _Run:
-    """State of the loop: members that still run, the best iterate of each member, and their cost."""
+        Raises:
+            GraspRefineError: a field of another type, or not one factor per share.
+        """
+        check_fields(self)
+        if len(self.shares) != len(self.factors):
+            name = type(self).__name__.lower().removesuffix("options")
+            raise GraspRefineError(
+                f"{name}: shares and factors must match, got {len(self.shares)} and {len(self.factors)} numbers"
+            )
 
-    def __init__(
-        self,
-        problem: Differentiable,
-        start: Point,
-        solver: Descent | Adam,
-        tolerance: float,
-        status: np.ndarray,
-        on_iteration: IterationCallback | None,
-    ) -> None:
-        count = len(start.q)
-        self.problem, self.solver, self.tolerance, self.status = problem, solver, tolerance, status.copy()
-        self.on_iteration = on_iteration
-        self.best_T, self.best_q = start.T.copy(), start.q.copy()
-        self.best, self.first = np.full(count, np.inf), np.full(count, np.nan)
-        self.iterations, self.queries = np.zeros((2, count), dtype=np.int64)
-        self.wall, self.cpu = np.zeros((2, count))
-        self.stage, self.since = np.zeros((2, count), dtype=np.int64)
-        self.mark = np.full(count, np.inf)
-        self.active = np.flatnonzero(status == Status.RUNNING)
-        self.T = problem.tensor(start.T[self.active])
+    @abstractmethod
+    def initial_memory(self, count: int, dof: int) -> np.ndarray:
+        """Return the averages (count, m) before the first step."""
+
+    @abstractmethod
+    def direction(self, gradient: torch.Tensor, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return directions (batch, 6 + n) to step against, in units of the step lengths, and the next averages.
+
+        Args:
+            gradient: Gradient (batch, 6 + n): the root's as a body twist (v, w), then that of the joint values.
+            memory: Averages (batch, m) after the last step.
+        """
+
+    def start(self, problem: Differentiable, point: Point) -> tuple[Point, Descending]:
+        """Return the points in the number type of the problem, and the initial state."""
         # A joint at its limit is not beyond it because its value was rounded.
-        self.q = problem.tensor(start.q[self.active]).clamp(problem.lower, problem.upper)
-        self.memory: Tensor | None = None
-        self.previous: Any | None = None
+        q = problem.tensor(point.q).clamp(problem.lower, problem.upper)
+        count = len(point.T)
+        state = Descending(np.zeros(count, dtype=np.int64), self.initial_memory(count, 6 + point.q.shape[1]))
+        return Point(_array(problem.tensor(point.T)), _array(q)), state
 
-    def iterate(self, iteration: int) -> float:
-        """Evaluate and step all running members; return their mean loss."""
-        wall, cpu = time.perf_counter(), time.process_time()
-        active, problem = self.active, self.problem
-        loss, gradient, known = problem.evaluate(active, self.T, self.q, iteration, self.previous)
-        value = loss.double().cpu().numpy()
-        if self.on_iteration is not None:
-            self.on_iteration(active, Point(self.T.double().cpu().numpy(), self.q.double().cpu().numpy()), value)
-        ended = self._judge(value, iteration)
-        stage = torch.as_tensor(self.stage[active], device=self.T.device)
-        memory = self.solver.memory(gradient) if self.memory is None else self.memory
-        T, q, memory = self.solver.step(self.T, self.q, gradient, memory, stage, problem.lower, problem.upper)
-        self.iterations[active] += 1
-        self.queries[active] += known.num_queries
-        if ended.any():
-            keep = np.flatnonzero(~ended)
-            rows = torch.as_tensor(keep, device=self.T.device)
-            T, q, memory = T[rows], q[rows], memory[rows]
-            self.active, known = active[keep], take(known, keep)
-        self.T, self.q, self.memory, self.previous = T, q, memory, known
-        share = 1.0 / len(active)
-        self.wall[active] += (time.perf_counter() - wall) * share
-        self.cpu[active] += (time.process_time() - cpu) * share
-        finite = value[np.isfinite(value)]
-        return float(finite.mean()) if len(finite) else 0.0
+    def accept(self, slots: Slots, known: Any) -> tuple[np.ndarray, Descending]:
+        """Return that all trials are accepted, and the state as it is."""
+        return np.ones(len(slots.member), dtype=bool), slots.state
 
-    def _judge(self, value: np.ndarray, iteration: int) -> np.ndarray:
-        """Keep the best iterates, advance the schedule, and return which members end here (active,)."""
-        solver, active = self.solver, self.active
-        if iteration == 0:
-            self.first[active] = value
-        better = value < self.best[active]
-        index = active[better]
-        self.best[index] = value[better]
-        self.best_T[index] = self.T.double().cpu().numpy()[better]
-        self.best_q[index] = self.q.double().cpu().numpy()[better]
-        progressed = value < (1.0 - solver.progress) * self.mark[active]
-        self.mark[active] = np.where(progressed, value, self.mark[active])
-        self.since[active] = np.where(progressed, 0, self.since[active] + 1)
-        stuck = self.since[active] >= solver.patience
-        last = self.stage[active] == len(solver.factors)
-        self.stage[active] = np.maximum(self.stage[active] + (stuck & ~last), solver.first_stage(iteration))
-        self.since[active] = np.where(stuck, 0, self.since[active])
-        converged, failed = value < self.tolerance, ~np.isfinite(value)
-        out_of_budget = np.full(len(active), iteration + 1 >= solver.iterations)
-        ends = (
-            (out_of_budget, Status.BUDGET),
-            (stuck & last, Status.STALLED),
-            (converged, Status.CONVERGED),
-            (failed, Status.NOT_FINITE),
-        )
-        for mask, status in ends:
-            self.status[active[mask]] = status
-        return np.logical_or.reduce([mask for mask, _ in ends])
+    def assess(self, problem: Differentiable, slots: Slots, record: Record) -> tuple[Slots, np.ndarray, np.ndarray]:
+        """Return the slots with their phases, the status of each member, and that none should restart."""
+        state = slots.state
+        stuck, last = slots.since >= self.patience, state.phase == len(self.factors)
+        phase = np.maximum(state.phase + (stuck & ~last), self.first_phase(record.iterations - 1))
+        status = np.where(stuck & last, Status.STALLED, Status.RUNNING)
+        status[~np.isfinite(slots.loss)] = Status.NOT_FINITE
+        slots = replace(slots, since=np.where(stuck, 0, slots.since), state=replace(state, phase=phase))
+        return slots, status, np.zeros(len(status), dtype=bool)
+
+    def step(self, problem: Differentiable, slots: Slots) -> tuple[Point, Descending]:
+        """Return the points after a step against the direction, and the next averages."""
+        state, lower, upper = slots.state, problem.lower, problem.upper
+        T, q, gradient, memory = map(problem.tensor, (slots.point.T, slots.point.q, slots.known.gradient, state.memory))
+        direction, memory = self.direction(gradient, memory)
+        scale = T.new_tensor((1.0, *self.factors))[state.phase.tolist()][:, None]
+        length = T.new_tensor([self.step_translation] * 3 + [self.step_rotation] * 3)
+        moved = q - direction[:, 6:] * self.step_joints * scale
+        # A joint within its limits never leaves them.
+        moved = moved.maximum(q.minimum(lower)).minimum(q.maximum(upper))
+        T = retract(T, -direction[:, :6] * length * scale)
+        return Point(_array(T), _array(moved)), replace(state, memory=_array(memory))
+
+    def first_phase(self, iteration: np.ndarray) -> np.ndarray:
+        """Return the earliest phase of the schedule at iterations (batch,), the first one being 0."""
+        return (iteration[:, None] >= np.array(self.shares) * self.iterations).sum(axis=1)
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.double().cpu().numpy()

@@ -1,17 +1,54 @@
 """Levenberg-Marquardt: damped Gauss-Newton steps within bounds, accepted only where the true loss falls."""
 
-from contextlib import suppress
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import Array, array_namespace, matvec
+from grasp_refine.refinement.solvers.bounded_step import bounded_step
+from grasp_refine.refinement.solvers.iterate import Point, Problem, Record, Slots, Solver
+from grasp_refine.refinement.solvers.rows import Linear
+from grasp_refine.refinement.solvers.status import Status
+
+
+class LeastSquares(Problem, Protocol):
+    """Independent least-squares problems of the same form, one for each member."""
+
+    def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
+        """Return residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""
+        ...
+
+    def metric(self, member: np.ndarray) -> np.ndarray:
+        """Return the diagonals of W (batch, dof): the squared movement of a unit of each unknown."""
+        ...
+
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper bounds of a step (batch, dof)."""
+        ...
+
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        """Return the points after steps (batch, dof)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """State of the solver (batch,)."""
+
+    damping: np.ndarray
+    """Damping lambda."""
+    rejections: np.ndarray
+    """Rejected trials of this start."""
+    predicted: np.ndarray
+    """Predicted fall of the loss at the trial."""
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt:
+class LevenbergMarquardt(Solver):
     """Damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963) for a sum of squared residuals r(x).
 
     A step solves (J^T J + lambda W) dx = -J^T r within bounds on dx, W the metric of the unknowns, so that lambda
@@ -20,6 +57,8 @@ class LevenbergMarquardt:
     Where it is rejected lambda grows, and the derivative is taken again with another width of the neighbourhoods. A
     member that stalls restarts elsewhere.
     """
+
+    needs_autograd: ClassVar[Literal[False]] = False
 
     iterations: int = 200
     """Largest number of iterations per grasp, each one collision query."""
@@ -69,121 +108,42 @@ class LevenbergMarquardt:
                 f"levenberg-marquardt: shrink must be in (0, 1) and grow above 1, got {self.shrink:g} and {self.grow:g}"
             )
 
-    def updated_damping(self, damping: Array, accepted: Array, ratio: Array) -> Array:
+    def start(self, problem: LeastSquares, point: Point) -> tuple[Point, Damping]:
+        """Return the points themselves, and the initial state."""
+        count = len(point.T)
+        return point, Damping(np.full(count, self.damping), np.zeros(count, dtype=np.int64), np.zeros(count))
+
+    def accept(self, slots: Slots, known: Any) -> tuple[np.ndarray, Damping]:
+        """Return which trials are accepted, those whose loss fell, and the state with their new lambda."""
+        starting, state = np.isinf(slots.loss), slots.state
+        accepted = known.loss < slots.loss
+        fall = np.where(starting, 0.0, slots.loss) - known.loss
+        # A start has no prediction; a floor at the smallest number would overflow.
+        ratio = fall / np.maximum(state.predicted, 1e-200)
+        damping = np.where(starting, state.damping, self.updated_damping(state.damping, accepted, ratio))
+        return accepted, Damping(damping, np.where(starting, 0, state.rejections + ~accepted), state.predicted)
+
+    def assess(self, problem: LeastSquares, slots: Slots, record: Record) -> tuple[Slots, np.ndarray, np.ndarray]:
+        """Return the slots, the status of each member, and which should restart."""
+        restarts = self.restarts if problem.restarts else 0
+        more = (slots.starts <= restarts) & (record.best_loss >= self.good)
+        patience = np.where(more, self.patience, self.last_patience)
+        stuck = (slots.since >= patience) | (slots.state.damping > self.largest) | np.isinf(slots.loss)
+        stalled = (stuck & ~more) | (record.spent & (record.idle >= self.last_patience))
+        return slots, np.where(stalled, Status.STALLED, Status.RUNNING), stuck & more
+
+    def step(self, problem: LeastSquares, slots: Slots) -> tuple[Point, Damping]:
+        """Return the points after damped steps within bounds, and the state with the predicted falls."""
+        member, state = slots.member, slots.state
+        width = np.array(self.widths)[state.rejections % len(self.widths)]
+        linear = problem.linearize(member, slots.point, slots.known, width)
+        lower, upper = problem.step_bounds(member, slots.point)
+        dx, predicted = bounded_step(
+            linear.jacobian, linear.residual, state.damping, problem.metric(member), lower, upper, linear.unilateral
+        )
+        return problem.integrate(member, slots.point, dx), replace(state, predicted=predicted)
+
+    def updated_damping(self, damping: np.ndarray, accepted: np.ndarray, ratio: np.ndarray) -> np.ndarray:
         """Return lambda (batch,) after a step, given acceptance and the ratio of its fall to the predicted one."""
-        xp = array_namespace(damping)
-        shrunk = xp.where(ratio > self.gain, self.shrink * damping, damping)
-        return xp.where(accepted, xp.maximum(shrunk, xp.full_like(damping, self.smallest)), self.grow * damping)
-
-
-def bounded_step(
-    J: Array,
-    r: Array,
-    damping: Array,
-    metric: Array,
-    lower: Array,
-    upper: Array,
-    unilateral: Array | None = None,
-    passes: int = 4,
-) -> tuple[Array, Array]:
-    """Return steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
-
-    Unilateral rows count only where they are positive. Which of them will be after the step is found by
-    solving again with those that the last solution made so (semismooth Newton), so that a step neither runs into what
-    is near nor is held back by what it leaves.
-
-    Args:
-        J: Jacobians (batch, m, n).
-        r: Residuals (batch, m).
-        damping: lambda (batch,).
-        metric: Diagonals of W (batch, n).
-        lower: Lower bounds of dx (batch, n), at most 0.
-        upper: Upper bounds, at least 0.
-        unilateral: Rows (batch, m) that count only where they are positive; None: none.
-        passes: Largest number of passes that choose the active rows and bounds.
-    """
-    xp = array_namespace(J)
-    if unilateral is None:
-        dx = _solve_within_bounds(J, r, damping, metric, lower, upper)
-        after = r + matvec(J, dx)
-        return dx, xp.sum(r * r - after * after, axis=-1)
-    counts = ~unilateral | (r > 0)
-    before = xp.where(counts, r, xp.zeros_like(r))
-    dx = xp.zeros_like(lower)
-    some = xp.ones_like(damping, dtype=xp.bool)
-    for _ in range(passes):
-        counted = xp.where(counts[some][..., None], J[some], 0.0)
-        dx[some] = _solve_within_bounds(counted, r[some], damping[some], metric[some], lower[some], upper[some])
-        after = r + matvec(J, dx)
-        now = ~unilateral | (after > 0)
-        some = xp.any(now != counts, axis=-1)
-        counts = now
-        if not bool(xp.any(some)):
-            break
-    after = xp.where(counts, after, xp.zeros_like(after))
-    return dx, xp.sum(before * before - after * after, axis=-1)
-
-
-def _solve_within_bounds(
-    J: Array, r: Array, damping: Array, metric: Array, lower: Array, upper: Array, passes: int = 10
-) -> Array:
-    """Return steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx.
-
-    A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
-    there, held ones that would come back are released, and the others are solved for again. That mostly settles
-    within five passes. It may cycle, though: the last three passes release nothing, and unknowns that are still
-    outside then are clipped.
-    """
-    xp = array_namespace(J)
-    J_transposed = xp.matrix_transpose(J)
-    damped, g = J_transposed @ J + _diagonal(damping[:, None] * metric), matvec(J_transposed, r)
-    dx = _solve(damped, -g)
-    if not bool(xp.any((dx < lower) | (dx > upper))):
-        return dx
-    held = xp.zeros_like(dx, dtype=xp.bool)
-    for number in range(passes - 1):
-        kept = held if number > passes - 4 else xp.zeros_like(held)
-        # A held unknown is released if the slope points back into its bounds.
-        slope = xp.where(held & ~kept, matvec(damped, dx) + g, xp.zeros_like(dx))
-        wanted = dx - slope / xp.linalg.diagonal(damped)
-        limited = xp.minimum(xp.maximum(wanted, lower), upper)
-        outside = (limited != wanted) | kept
-        (rows,) = xp.nonzero(xp.any((outside != held) | (outside & (limited != dx)), axis=-1))
-        if not len(rows):
-            break
-        held = outside
-        dx[rows] = _solve_free(damped[rows], g[rows], held[rows], limited[rows])
-    return xp.minimum(xp.maximum(dx, lower), upper)
-
-
-def _solve_free(damped: Array, g: Array, held: Array, value: Array) -> Array:
-    """Return solutions (batch, n) of damped dx = -g in the free unknowns, the held ones fixed at a value."""
-    xp = array_namespace(damped)
-    fixed = xp.where(held, xp.ones_like(value), xp.zeros_like(value))
-    free, value = 1.0 - fixed, fixed * value
-    # Held unknowns move to the right-hand side; its own rows become those of the unit matrix.
-    right = free * (-g - matvec(damped, value)) + value
-    system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
-    return xp.where(held, value, _solve(system, right))
-
-
-def _solve(A: Array, b: Array) -> Array:
-    """Return solutions (batch, n) of A x = b; zero, which is no step, for a matrix that rounding has made singular."""
-    xp = array_namespace(A)
-    try:
-        return xp.linalg.solve(A, b[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        found = xp.zeros_like(b)
-        for row in range(len(A)):
-            with suppress(np.linalg.LinAlgError):
-                found[row] = xp.linalg.solve(A[row], b[row])
-        return found
-
-
-def _diagonal(values: Array) -> Array:
-    """Return diagonal matrices (batch, n, n) of values (batch, n)."""
-    xp = array_namespace(values)
-    n = values.shape[-1]
-    result = xp.zeros_like(values[:, :, None] + values[:, None, :])
-    result[:, range(n), range(n)] = values
-    return result
+        shrunk = np.where(ratio > self.gain, self.shrink * damping, damping)
+        return np.where(accepted, np.maximum(shrunk, self.smallest), self.grow * damping)

@@ -1,76 +1,115 @@
-"""Rows of a least-squares problem: residuals with their covectors on the twists of links, stacked."""
+"""Rows of a least-squares problem: residuals with their derivatives, stacked."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import numpy as np
 
+from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.chain import Chain, Frames
-from grasp_refine.refinement.solvers.least_squares import Linear
 
 NEAR_DISTANCE_M = 0.006
 """Bodies nearer than this (metres) may penetrate within a step and have a row."""
 
 
-class Rows:
-    """Residuals of M grasps with their covectors on the twists of links, stacked."""
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals of members and their derivatives."""
 
-    def __init__(self, count: int) -> None:
-        """Begin without rows, for `count` grasps."""
-        self.residuals = [np.zeros((count, 0))]
-        self.covectors = [np.zeros((count, 0, 6))]
-        self.links = [np.zeros((count, 0), dtype=np.int64)]
-        self.minus = [np.zeros((count, 0), dtype=np.int64)]
-        self.unilateral = [np.zeros((count, 0), dtype=bool)]
-        self.relative = False
+    residual: np.ndarray
+    """Residuals (batch, m) that have a derivative."""
+    jacobian: np.ndarray
+    """Derivatives (batch, m, dof) of the residuals in the unknowns of a step."""
+    unilateral: np.ndarray | None = None
+    """Rows (batch, m) that count only where they are positive; None: none."""
 
-    def add(self, residual: np.ndarray, covector: np.ndarray, weight: float, link: np.ndarray) -> None:
-        """Add residuals (M, C, k) of the links (C,), with their covectors (M, C, k, 6)."""
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class LinkRows:
+    """Residuals (M, R) of M grasps whose derivatives are linear in the twists of links."""
+
+    residual: np.ndarray
+    """Residuals (M, R)."""
+    covector: np.ndarray
+    """Covectors (M, R, 6): the residual changes by covector . (v, w), the spatial twist of its link."""
+    link: np.ndarray
+    """Index of each row's link, (R,) or (M, R)."""
+    minus: np.ndarray | None = None
+    """Index of the link whose twist is subtracted, likewise; None: none."""
+    unilateral: bool = False
+    """Whether they count only where they are positive."""
+
+    @staticmethod
+    def of(residual: np.ndarray, covector: np.ndarray, link: np.ndarray) -> LinkRows:
+        """Return rows of residuals (M, C, k) of the links (C,), with their covectors (M, C, k, 6)."""
         M, C, k = residual.shape
-        scale = np.sqrt(weight)
-        self.residuals.append(scale * residual.reshape(M, C * k))
-        self.covectors.append(scale * covector.reshape(M, C * k, 6))
-        self.links.append(np.broadcast_to(np.repeat(link, k), (M, C * k)))
-        self.minus.append(np.full((M, C * k), -1))
-        self.unilateral.append(np.zeros((M, C * k), dtype=bool))
+        return LinkRows(residual.reshape(M, C * k), covector.reshape(M, C * k, 6), np.repeat(link, k))
 
-    def add_unilateral(
-        self,
-        depth: np.ndarray,
-        covector: np.ndarray,
-        weight: float,
-        link: np.ndarray | None = None,
-        minus: np.ndarray | None = None,
-    ) -> None:
-        """Add depths (M, P) with covectors (M, P, 6) that count where positive, in as few rows as the near ones need.
+    @staticmethod
+    def near(
+        depth: np.ndarray, covector: np.ndarray, link: np.ndarray | None = None, minus: np.ndarray | None = None
+    ) -> LinkRows:
+        """Return depths (M, P) with covectors (M, P, 6) that count where positive, in as few rows as needed.
 
         Args:
             depth: Depths in metres; negative: distance that is left; -inf where there is no row.
             covector: Their covectors on the twists of the links.
-            weight: Weight of their squares.
             link: Indices (P,) of the links; None: 0 to P - 1.
             minus: Indices (P,) of the links whose twists are subtracted.
         """
         near = depth > -NEAR_DISTANCE_M
-        most = int(near.sum(axis=1).max(initial=0))
-        if not most:
-            return
-        place = np.argsort(~near, axis=1, kind="stable")[:, :most]
+        place = np.argsort(~near, axis=1, kind="stable")[:, : int(near.sum(axis=1).max(initial=0))]
         chosen = np.take_along_axis(near, place, axis=1)
-        scale = np.sqrt(weight)
-        picked = np.take_along_axis(depth, place, axis=1)
-        self.residuals.append(scale * np.where(chosen, picked, -NEAR_DISTANCE_M))
-        picked = np.take_along_axis(covector, place[..., None], axis=1)
-        self.covectors.append(scale * np.where(chosen[..., None], picked, 0.0))
-        self.links.append(place if link is None else link[place])
-        self.minus.append(np.full(place.shape, -1) if minus is None else minus[place])
-        self.unilateral.append(np.ones(place.shape, dtype=bool))
-        self.relative |= minus is not None
+        residual = np.where(chosen, np.take_along_axis(depth, place, axis=1), -NEAR_DISTANCE_M)
+        covector = np.where(chosen[..., None], np.take_along_axis(covector, place[..., None], axis=1), 0.0)
+        first, second = (side if side is None else side[place] for side in (link, minus))
+        return LinkRows(residual, covector, place if first is None else first, second, unilateral=True)
 
-    def joint_covectors(self, chain: Chain, frames: Frames) -> Linear:
-        """Return all rows as functions of root twist and joint values."""
-        parts = self.residuals, self.covectors, self.links, self.minus, self.unilateral
-        residual, covector, link, minus, unilateral = (np.concatenate(part, axis=1) for part in parts)
-        J = chain.to_joint_space(frames, covector, link)
-        if self.relative:
-            J -= chain.to_joint_space(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
-        return Linear(residual, J, unilateral if unilateral.any() else None)
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Residuals (M, R) of M grasps with their derivatives (M, R, 6 + n) in root twist and joint values."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+
+
+def stack(rows: Iterable[tuple[float, LinkRows | JointRows]], count: int, chain: Chain, frames: Frames) -> Linear:
+    """Return all rows of `count` grasps, weighted by their squares, in root twist and joint values; links' rows first.
+
+    Args:
+        rows: Weights with the rows of which they multiply the squares.
+        count: Number of grasps.
+        chain: Kinematics of the links.
+        frames: Poses of the links.
+    """
+    of_links = [(1.0, LinkRows(np.zeros((count, 0)), np.zeros((count, 0, 6)), np.zeros(0, dtype=np.int64)))]
+    of_joints: list[tuple[float, JointRows]] = []
+    for weight, part in rows:
+        if isinstance(part, LinkRows):
+            of_links.append((weight, part))
+        else:
+            of_joints.append((weight, part))
+
+    def joined(values: list[np.ndarray]) -> np.ndarray:
+        return np.concatenate(values, axis=1)
+
+    covector = joined([np.sqrt(weight) * part.covector for weight, part in of_links])
+    link = joined([np.broadcast_to(part.link, part.residual.shape) for _, part in of_links])
+    J = chain.to_joint_space(frames, covector, link)
+    if any(part.minus is not None for _, part in of_links):
+        none = (np.full(part.residual.shape, -1) if part.minus is None else part.minus for _, part in of_links)
+        minus = joined([*none])
+        J -= chain.to_joint_space(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
+    parts: list[tuple[float, LinkRows | JointRows]] = [*of_links, *of_joints]
+    one_sided = [np.full(part.residual.shape, isinstance(part, LinkRows) and part.unilateral) for _, part in parts]
+    unilateral = joined(one_sided)
+    return Linear(
+        joined([np.sqrt(weight) * part.residual for weight, part in parts]),
+        joined([J, *(np.sqrt(weight) * part.jacobian for weight, part in of_joints)]),
+        unilateral if unilateral.any() else None,
+    )

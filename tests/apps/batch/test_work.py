@@ -9,8 +9,8 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.validation.protocol import SETTINGS
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner

@@ -11,8 +11,9 @@ import pytest
 from tyro.conf import Suppress, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.losses import Scales, Weights
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.form import (
     Entry,

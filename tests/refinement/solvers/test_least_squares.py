@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from grasp_refine.refinement.solvers.least_squares import Linear, Minimum, Point, minimise
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
 
 SOLVER = LevenbergMarquardt(iterations=200, restarts=0)

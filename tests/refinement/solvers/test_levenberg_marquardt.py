@@ -6,7 +6,8 @@ import torch
 from scipy.optimize import lsq_linear
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt, bounded_step
+from grasp_refine.refinement.solvers.bounded_step import bounded_step
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from refusals import refused
 
 

@@ -6,8 +6,7 @@ import pytest
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.refinement.solvers.least_squares import Linear
-from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Rows
+from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Linear, Rows
 
 
 @pytest.fixture(scope="module")

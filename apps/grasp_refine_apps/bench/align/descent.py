@@ -22,7 +22,7 @@ from torch import Tensor
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import body_gradient, retract
-from grasp_refine.refinement.losses import contact_targets
+from grasp_refine.refinement.terms.contact import contact_targets
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.patch import Patch

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.refinement.solvers.least_squares import WIDTH, Point, minimise
+from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
@@ -62,7 +62,7 @@ def run_levenberg_marquardt(
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
     # Caches built at the first call are not part of the loop's time.
     problem.evaluate(first, Point(start.T[first], start.q[first]), None)
-    most = solver.iterations * -(-counts.sum() // WIDTH)
+    most = solver.iterations * -(-counts.sum() // problem.width)
 
     def told(done: int, iteration: int, loss: float) -> None:
         if iteration % 10 == 0:

@@ -13,7 +13,8 @@ from grasp_refine.core.array_records import choose, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.refinement.solvers.least_squares import Linear, Point
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 from grasp_refine.witness.patch import Patch
@@ -53,6 +54,8 @@ class Known:
 
 class AlignProblem:
     """The tasks of P pairs of bodies; bodies a are fixed."""
+
+    width, restarts = 2048, True
 
     def __init__(
         self,

@@ -9,10 +9,10 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative

@@ -12,9 +12,9 @@ import numpy as np
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.grasp.measures import measure_grasps

@@ -12,8 +12,8 @@ import numpy as np
 
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.losses import Weights
 from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure, movement

@@ -11,8 +11,8 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
-from grasp_refine.refinement.solvers.least_squares import Point
-from grasp_refine.refinement.solvers.levenberg_marquardt import bounded_step
+from grasp_refine.refinement.solvers.bounded_step import bounded_step
+from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised

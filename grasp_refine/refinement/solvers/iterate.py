@@ -1,0 +1,320 @@
+"""The loop over iterations, for all solvers: evaluate, accept, restart, remove finished members, add waiting ones.
+
+Finished members leave the batch at once, and waiting ones take their places, so that stragglers seldom run alone. The
+result of a member does not depend on the others: random numbers are those of the member.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any, ClassVar, Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.short_repr import brief
+from grasp_refine.refinement.solvers.status import Status
+
+Progress = Callable[[int, int, float], None]
+"""Called with the number of finished members, the iteration, and the mean loss of the members still running."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Poses and joint values of members."""
+
+    T: np.ndarray
+    """Poses (batch, 4, 4) of the moving body."""
+    q: np.ndarray
+    """Joint values (batch, n); n may be 0."""
+
+    __repr__ = brief
+
+
+IterationCallback = Callable[[np.ndarray, Point, np.ndarray], None]
+"""Called with members (M,), their points after an iteration, and their losses (M,); may raise to end the run."""
+
+
+@runtime_checkable
+class Evaluated(Protocol):
+    """Evaluation of members at a point, rows of arrays."""
+
+    loss: np.ndarray
+    """Sum of the squares of all residuals (batch,); NaN where it is not known."""
+    num_queries: np.ndarray
+    """Narrow-phase queries (batch,)."""
+
+
+@runtime_checkable
+class Problem(Protocol):
+    """Independent minimisation problems of the same form, one for each member."""
+
+    width: int
+    """Largest number of members that are evaluated at once."""
+    restarts: bool
+    """Whether a stalled member may start elsewhere."""
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
+        """Return the evaluation at a point (an `Evaluated`); `previous` is one nearby, a warm start.
+
+        For solvers that compare losses, a point whose loss is not below `previous.loss` will be rejected: as soon as
+        that is certain, the returned loss may be any value between the two. `previous.loss` is infinite where a member
+        restarts.
+        """
+        ...
+
+
+@runtime_checkable
+class Restarting(Problem, Protocol):
+    """A problem whose stalled members may start elsewhere."""
+
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        """Return new starts of stalled members, the `start`-th (batch,) of each, by member and number only."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Slots:
+    """Active members, one row each."""
+
+    member: np.ndarray
+    point: Point
+    """Last accepted points."""
+    known: Any
+    """Evaluation at these."""
+    loss: np.ndarray
+    """Loss at these; infinite before a start is evaluated."""
+    trial: Point
+    """The points that are evaluated next."""
+    mark: np.ndarray
+    """Loss at the last progress."""
+    since: np.ndarray
+    """Iterations since the last progress."""
+    starts: np.ndarray
+    """Starts so far."""
+    state: Any
+    """Numbers of the solver, a record of arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Past of active members (batch,)."""
+
+    best_loss: np.ndarray
+    """Best loss of all iterates."""
+    iterations: np.ndarray
+    """Iterations so far."""
+    idle: np.ndarray
+    """Iterations since the best loss last fell notably."""
+    spent: np.ndarray
+    """Whether the iterations or the time of the member are used up."""
+
+
+class Solver(ABC):
+    """Settings of a solver and the parts of an iteration that are its own."""
+
+    needs_autograd: ClassVar[bool]
+    """Whether it follows gradients of torch graphs; otherwise it solves linear problems of residuals."""
+    iterations: int
+    """Largest number of iterations of a member."""
+    progress: float
+    """Smallest relative fall of the loss that counts as progress."""
+
+    @abstractmethod
+    def start(self, problem: Any, point: Point) -> tuple[Point, Any]:
+        """Return the points at which members start, near the given ones, and the initial state."""
+
+    @abstractmethod
+    def accept(self, slots: Slots, known: Any) -> tuple[np.ndarray, Any]:
+        """Return which trials, evaluated as `known`, are accepted (batch,), and the next state."""
+
+    @abstractmethod
+    def assess(self, problem: Any, slots: Slots, record: Record) -> tuple[Slots, np.ndarray, np.ndarray]:
+        """Return the slots with an updated state, the `Status` of each member (batch,), and which should restart."""
+
+    @abstractmethod
+    def step(self, problem: Any, slots: Slots) -> tuple[Point, Any]:
+        """Return the next trials and state."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Result of N members."""
+
+    point: Point
+    """Best iterate of each by true loss."""
+    loss: np.ndarray
+    """Loss at the start and at the best iterate (N, 2)."""
+    status: np.ndarray
+    """A `Status` for each (N,)."""
+    iterations: np.ndarray
+    """Iterations (N,), each one collision query."""
+    queries: np.ndarray
+    """Narrow-phase queries (N,)."""
+    cpu_s: np.ndarray
+    """Share of the CPU time (N,), seconds."""
+    wall_s: np.ndarray
+    """Share of the wall time (N,), seconds."""
+
+    __repr__ = brief
+
+
+@stage("solver")
+def minimise(
+    problem: Problem,
+    start: Point,
+    solver: Solver,
+    tolerance: float,
+    *,
+    status: np.ndarray | None = None,
+    seconds: float | np.ndarray = inf,
+    progress: Progress | None = None,
+    on_iteration: IterationCallback | None = None,
+) -> Minimum:
+    """Minimise the losses of all members.
+
+    Args:
+        problem: Problems of the N members, such as the solver can solve.
+        start: Initial points of the N members.
+        solver: Solver with its settings.
+        tolerance: A member has converged when its loss is below this.
+        status: Members (N,) with another status than RUNNING are left out.
+        seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
+        progress: Called after each iteration with the number of finished members, the iteration, and the mean
+            best loss of those still running.
+        on_iteration: Called with members at their start and after each of their iterations.
+    """
+    count, width = len(start.T), problem.width
+    status = np.full(count, Status.RUNNING) if status is None else status.copy()
+    run = _Run(problem, solver, tolerance, np.broadcast_to(seconds, count), start, status, on_iteration)
+    waiting = np.flatnonzero(run.status == Status.RUNNING)
+    slots: Slots | None = None
+    iteration = 0
+    while len(waiting) or (slots is not None and len(slots.member)):
+        wall, cpu = time.perf_counter(), time.process_time()
+        members = np.zeros(0, dtype=np.int64) if slots is None else slots.member
+        if slots is not None and len(members):
+            slots = run.judge(slots, problem.evaluate(members, slots.trial, slots.known))
+        free = width - (0 if slots is None else len(slots.member))
+        # A few free places are not worth the copying.
+        if len(waiting) and free >= max(1, min(len(waiting), width // 8)):
+            entering, waiting = waiting[:free], waiting[free:]
+            members = np.concatenate([members, entering])
+            new = run.enter(entering)
+            slots = new if slots is None or not len(slots.member) else join(slots, new)
+        assert slots is not None  # it had members, or some have entered
+        if len(slots.member):
+            slots = run.step(slots)
+        share = 1.0 / len(members)
+        run.wall_s[members] += (time.perf_counter() - wall) * share
+        run.cpu_s[members] += (time.process_time() - cpu) * share
+        iteration += 1
+        if progress is not None:
+            known = run.best_loss[members]
+            known = known[np.isfinite(known)]
+            done = count - len(slots.member) - len(waiting)
+            progress(done, iteration, float(known.mean()) if len(known) else 0.0)
+    loss = np.stack([run.first_loss, run.best_loss], axis=1)
+    return Minimum(run.best, loss, run.status, run.iterations, run.queries, run.cpu_s, run.wall_s)
+
+
+class _Run:
+    """Best iterates and cost of all members, and the parts of an iteration."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        solver: Solver,
+        tolerance: float,
+        seconds: np.ndarray,
+        start: Point,
+        status: np.ndarray,
+        on_iteration: IterationCallback | None,
+    ) -> None:
+        count = len(start.T)
+        self.problem, self.solver, self.status, self.on_iteration = problem, solver, status, on_iteration
+        self.tolerance, self.seconds = tolerance, seconds
+        self.best = Point(start.T.copy(), start.q.copy())
+        self.best_loss, self.first_loss = np.full(count, np.inf), np.full(count, np.nan)
+        self.iterations, self.queries = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        self.cpu_s, self.wall_s = np.zeros(count), np.zeros(count)
+        # Best loss when it last fell notably, and the iteration of that.
+        self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
+
+    def enter(self, member: np.ndarray) -> Slots:
+        """Return slots of the members that begin, without those that end at once."""
+        point, state = self.solver.start(self.problem, take(self.best, member))
+        known = self.problem.evaluate(member, point, None)
+        self.first_loss[member] = known.loss
+        never, none = np.full(len(member), np.inf), np.zeros(len(member), dtype=np.int64)
+        return self.judge(Slots(member, point, known, never, point, never, none, none, state), known)
+
+    def judge(self, slots: Slots, known: Any) -> Slots:
+        """Accept or reject evaluated trials; return the slots without those that end, stalled ones restarted."""
+        member, progress = slots.member, self.solver.progress
+        self.iterations[member] += 1
+        self.queries[member] += known.num_queries
+        accepted, state = self.solver.accept(slots, known)
+        loss = np.where(accepted, known.loss, slots.loss)
+        better = np.flatnonzero(loss < self.best_loss[member])
+        self.best_loss[member[better]] = loss[better]
+        self.best.T[member[better]], self.best.q[member[better]] = slots.trial.T[better], slots.trial.q[better]
+        progressed = loss < (1.0 - progress) * slots.mark
+        slots = Slots(
+            member,
+            choose(accepted, slots.trial, slots.point),
+            known if accepted.all() else choose(accepted, known, slots.known),
+            loss,
+            slots.trial,
+            np.where(progressed, loss, slots.mark),
+            np.where(progressed, 0, slots.since + 1),
+            slots.starts + np.isinf(slots.loss),
+            state,
+        )
+        if self.on_iteration is not None:
+            self.on_iteration(member, slots.point, loss)
+        best, iterations = self.best_loss[member], self.iterations[member]
+        fell = best < (1.0 - progress) * self.best_mark[member]
+        self.best_mark[member[fell]], self.best_at[member[fell]] = best[fell], iterations[fell]
+        spent = (iterations >= self.solver.iterations) | (self.cpu_s[member] >= self.seconds[member])
+        record = Record(best, iterations, iterations - self.best_at[member], spent)
+        slots, status, again = self.solver.assess(self.problem, slots, record)
+        status[(status == Status.RUNNING) & spent] = Status.BUDGET
+        status[np.isinf(best)] = Status.NOT_FINITE
+        status[best < self.tolerance] = Status.CONVERGED
+        self.status[member] = status
+        running = status == Status.RUNNING
+        again = np.flatnonzero(again & running)
+        if len(again):
+            slots = self._restart(slots, again)
+        return slots if running.all() else take(slots, running)
+
+    def _restart(self, slots: Slots, rows: np.ndarray) -> Slots:
+        """Return the slots with new starts in some rows."""
+        problem, member = cast(Restarting, self.problem), slots.member[rows]
+        trial = problem.restart(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
+        trial, state = self.solver.start(problem, trial)
+        place = np.arange(len(slots.member))
+        place[rows] = len(place) + np.arange(len(rows))
+        never = np.isin(place, place[rows])
+        loss = np.where(never, np.inf, slots.loss)
+        return replace(
+            slots,
+            known=replace(slots.known, loss=np.where(never, np.inf, slots.known.loss)),
+            loss=loss,
+            trial=take(join(slots.trial, trial), place),
+            mark=np.where(never, np.inf, slots.mark),
+            since=np.where(never, 0, slots.since),
+            state=take(join(slots.state, state), place),
+        )
+
+    def step(self, slots: Slots) -> Slots:
+        """Return the slots with their next trials; members that start are evaluated where they start."""
+        trial, state = self.solver.step(self.problem, slots)
+        starting = np.isinf(slots.loss)
+        return replace(slots, trial=choose(starting, slots.trial, trial) if starting.any() else trial, state=state)

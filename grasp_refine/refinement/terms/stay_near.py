@@ -1,0 +1,64 @@
+"""Staying near: the grasp moves little from where it began."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_refine.core.se3 import Array, array_namespace, hat, log_so3
+from grasp_refine.refinement.solvers.rows import JointRows
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.term import Setup, State, Term
+
+
+@dataclass(frozen=True, eq=False)
+class StayNear(Term):
+    """Movements of root and joints from the initial grasp, in units of `Scales`."""
+
+    T_first: np.ndarray
+    """Initial poses (N, 4, 4) of the base link."""
+    q_first: np.ndarray
+    """Initial joint values (N, n)."""
+    scales: Scales
+
+    @classmethod
+    def of(cls, setup: Setup) -> StayNear:
+        """Return the term of any refinement."""
+        return cls(setup.scene.T_world_root, setup.scene.q, setup.scales)
+
+    def residuals(self, state: State) -> tuple[Array, ...]:
+        """Return the movements (M, 6 + n)."""
+        T_first, q_first = (state.like(values[state.member]) for values in (self.T_first, self.q_first))
+        return (movement(state.T, state.q, T_first, q_first, self.scales),)
+
+    def rows(self, state: State, width: np.ndarray) -> Iterator[JointRows]:
+        """Return rows of all movements."""
+        (away,) = self.residuals(state)
+        yield JointRows(away, movement_jacobian(away, self.scales))
+
+
+def movement(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales) -> Array:
+    """Return the movement (..., 6 + n) from the initial root pose and joint values, in units of `scales`.
+
+    [(p - p_0) / s_t, log(R R_0^T) / s_r, (q - q_0) / s_q], world frame.
+    """
+    xp = array_namespace(q)
+    turned = log_so3(T[..., :3, :3] @ xp.matrix_transpose(T_first[..., :3, :3]))
+    moved = T[..., :3, 3] - T_first[..., :3, 3]
+    return xp.concat([moved / scales.translation, turned / scales.rotation, (q - q_first) / scales.joints], axis=-1)
+
+
+def movement_jacobian(residual: np.ndarray, scales: Scales) -> np.ndarray:
+    """Return the derivative (..., 6 + n, 6 + n) of `movement` in (v, w, q), the root turning about its own origin.
+
+    Exact except for the rotation, d log = J_l^-1(log) w, taken to second order of the angle: I - [w] / 2 + [w]^2 / 12.
+    """
+    n = residual.shape[-1] - 6
+    each = np.repeat([scales.translation, scales.rotation, scales.joints], [3, 3, n])
+    jacobian = np.zeros((*residual.shape, 6 + n)) + np.diag(1.0 / each)
+    w = residual[..., 3:6] * scales.rotation
+    W = hat(w)
+    jacobian[..., 3:6, 3:6] += (-0.5 * W + W @ W / 12.0) / scales.rotation
+    return jacobian

@@ -1,0 +1,124 @@
+"""Terms of the loss of a grasp: residuals, and the rows of their Jacobian, as functions of the same state.
+
+A loss is the sum over the terms of weight times squared residuals, without a factor of one half, in square metres.
+Residuals are written against the array API: on torch tensors they keep their graph, which first-order solvers follow;
+least squares takes the rows.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from grasp_refine.collision.query import Witness
+from grasp_refine.core.se3 import Array, array_namespace
+from grasp_refine.forces.equilibrium import Balance
+from grasp_refine.hands.chain import Frames
+from grasp_refine.refinement.solvers.rows import JointRows, LinkRows
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.scene.goal import Goal
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """M grasps at a point, as NumPy arrays, or as tensors with a graph; the object rests at the world's origin."""
+
+    loss: np.ndarray
+    """Losses (M,) in m^2; NaN where a query could not be answered."""
+    num_queries: np.ndarray
+    """Narrow-phase queries (M,) of this evaluation."""
+    member: np.ndarray
+    """Rows (M,) of the grasps in their scene."""
+    T: Array
+    """Poses (M, 4, 4) of the base link."""
+    q: Array
+    """Joint values (M, n)."""
+    T_link: Array
+    """Poses (M, L, 4, 4) of the links."""
+    axes: np.ndarray | None
+    """Unit twists (M, 6, 6 + m) of root and joints; None: not needed by gradients."""
+    witness: Witness
+    """Witness points (M, L) of links and object."""
+    self_witness: Witness
+    """Witness points (M, S) of pairs of links; no pairs where no term has asked for them."""
+    forces: Balance | None = None
+    """Optimal contact forces, where a term needs them."""
+    T_object: Array | None = None
+    """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
+
+    @property
+    def frames(self) -> Frames:
+        """Poses of the links with the twists of the joints."""
+        assert self.axes is not None
+        return Frames(self.T_link, self.axes)
+
+    def like(self, values: np.ndarray) -> Any:
+        """Return an array in the library and number type, and on the device, of the state."""
+        if isinstance(self.q, np.ndarray):
+            return values
+        xp = array_namespace(self.q)
+        return xp.asarray(values, dtype=self.q.dtype if values.dtype.kind == "f" else None, device=self.q.device)
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Givens of a refinement, of which terms are made."""
+
+    scene: Scene
+    goal: Goal
+    prepared: HandObject
+    """Geometry of hand and object."""
+    margin: float
+    """Contact margin in metres."""
+    scales: Scales
+    """Movements of equal cost."""
+
+
+class Term(ABC):
+    """A term of the loss."""
+
+    autograd: ClassVar[bool] = True
+    """Whether first-order solvers have the term."""
+    least_squares: ClassVar[bool] = True
+    """Whether least squares has the term, which then has `rows`."""
+    cost: ClassVar[int] = 0
+    """Terms of a higher cost are evaluated later, and only for members that the others do not reject."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, setup: Setup) -> Self | None:
+        """Return the term of a refinement; None where it has no part in it."""
+
+    @abstractmethod
+    def residuals(self, state: State) -> tuple[Array, ...]:
+        """Return arrays of residuals (M, ...), whose squares are summed."""
+
+    def rows(self, state: State, width: np.ndarray) -> Iterable[LinkRows | JointRows]:
+        """Return the residuals that have a derivative, with it; `width` (M,) multiplies radii of neighbourhoods."""
+        raise NotImplementedError
+
+    def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
+        """Return the state with what only this term needs, except for members that will be `rejected` (M,) anyway.
+
+        Args:
+            state: State.
+            rejected: Mask (M,).
+            self_witness: Returns the witness points of the pairs of links, given that mask.
+        """
+        return state
+
+    def loss(self, state: State) -> Array:
+        """Return the sum of the squared residuals (M,)."""
+        return reduce(add, (_sum_of_squares(residual) for residual in self.residuals(state)))
+
+
+def _sum_of_squares(residual: Array) -> Array:
+    return array_namespace(residual).sum(residual * residual, axis=tuple(range(1, residual.ndim)))

@@ -1,0 +1,73 @@
+"""Weights of the terms of the loss: the list of all terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from math import inf
+from typing import Annotated, get_type_hints
+
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.refinement.terms.contact import Contact
+from grasp_refine.refinement.terms.direction import Direction
+from grasp_refine.refinement.terms.joint_limits import JointLimits
+from grasp_refine.refinement.terms.penetration import Penetration
+from grasp_refine.refinement.terms.self_penetration import SelfPenetration
+from grasp_refine.refinement.terms.stay_near import StayNear
+from grasp_refine.refinement.terms.table import Table
+from grasp_refine.refinement.terms.term import Setup, Term
+from grasp_refine.refinement.terms.wrench import Wrench
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the terms in the sum of squares, each with its term."""
+
+    contact: Annotated[float, Contact] = 1.0
+    """Weight of gaps and of target misses (metres) of the links that should touch."""
+    penetration: Annotated[float, Penetration] = 100.0
+    """Weight of the depth of every link in the object (metres); descent and adam are faster with 10."""
+    self_penetration: Annotated[float, SelfPenetration] = 100.0
+    """Weight of the depth of links in each other (metres); likewise."""
+    table: Annotated[float, Table] = 100.0
+    """Weight of the depth of every link below the table, where there is one (metres)."""
+    joint_limits: Annotated[float, JointLimits] = 0.01
+    """Weight of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
+    levenberg-marquardt, limits hold exactly and it has no effect."""
+    stay_near: Annotated[float, StayNear] = 0.0
+    """Weight of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
+    wrench: Annotated[float, Wrench] = 1.6e-3
+    """Weight of the wrench that the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
+    levenberg-marquardt and without targets only."""
+    direction: Annotated[float, Direction] = 1e-3
+    """Weight of contact normals that differ from target normals (1 - their cosine is half the square), in m^2."""
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are negative or not finite.
+
+        Raises:
+            GraspRefineError: names the weight that is below 0 or not a finite number.
+        """
+        check_fields(self)
+        for field in fields(self):
+            if not 0.0 <= getattr(self, field.name) < inf:
+                raise GraspRefineError(
+                    f"weights: {field.name} must be at least 0 and finite, got {getattr(self, field.name):g}"
+                )
+
+    def terms(self, setup: Setup, *, autograd: bool) -> tuple[tuple[float, Term], ...]:
+        """Return the terms of a refinement with their weights above 0, those of gradients or those of least squares."""
+        found = []
+        for name, kind in _kinds():
+            weight = getattr(self, name)
+            if weight > 0.0 and (kind.autograd if autograd else kind.least_squares):
+                term = kind.of(setup)
+                found += [] if term is None else [(weight, term)]
+        return tuple(found)
+
+
+@lru_cache
+def _kinds() -> tuple[tuple[str, type[Term]], ...]:
+    hints = get_type_hints(Weights, include_extras=True)
+    return tuple((name, hint.__metadata__[0]) for name, hint in hints.items())
