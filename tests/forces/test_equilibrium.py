@@ -8,7 +8,7 @@ import pytest
 
 from claw import TIPS, around, claw, objects
 from grasp_refine.core.se3 import exp_se3
-from grasp_refine.forces.equilibrium import COUPLING_LEVER_M, UNSOLVED_VALUE
+from grasp_refine.forces.equilibrium import COUPLING_LEVER_M, UNSOLVED_VALUE, Equilibrium
 from grasp_refine.forces.wrench import (
     LEVER_M,
     MAX_PRESSURE_SHARE,
@@ -18,14 +18,16 @@ from grasp_refine.forces.wrench import (
     contact_forces,
     grasp_map,
 )
-from grasp_refine.hands.chain import Frames, integrate
+from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.grasp_problem import GraspProblem, Known
+from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.terms.term import State
 from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.refinement.terms.wrench import Wrench
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
@@ -72,6 +74,11 @@ def problem_of(scene: Scene, touching: ContactSelection | Goal = ALL_TIPS, weigh
     return GraspProblem(scene, goal, Config(weights=weights))
 
 
+def equilibrium_of(problem: GraspProblem) -> Equilibrium:
+    (term,) = (term for _, term in problem.terms if isinstance(term, Wrench))
+    return term.equilibrium
+
+
 def stepped(point: Point, dx: np.ndarray) -> Point:
     """Points after steps (M, 6 + n)."""
     return Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:])
@@ -81,7 +88,7 @@ def loss_at(problem: GraspProblem, point: Point) -> np.ndarray:
     return problem.evaluate(np.arange(len(point.q)), point, None).loss
 
 
-def rows(problem: GraspProblem, point: Point, known: Known, width: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def rows(problem: GraspProblem, point: Point, known: State, width: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     linear = problem.linearize(np.arange(len(point.q)), point, known, np.full(len(point.q), width))
     return linear.residual, linear.jacobian
 
@@ -116,9 +123,9 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
     scene = around(hand, bodies[body], 8, 1)
     problem = problem_of(scene)
     known = problem.evaluate(every(scene), at(scene), None)
-    w, frames = known.witness, Frames(known.T_link, known.axes)
+    w, frames = known.witness, known.frames
     expected = np.zeros(8)
-    for p, load in enumerate(problem.equilibrium.loads):
+    for p, load in enumerate(equilibrium_of(problem).loads):
         f = known.forces.force[:, p]
         x = np.where(f.any(axis=-1, keepdims=True), w.point_b, 0.0)
         total = np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1) / LEVER_M], axis=1) + load
@@ -131,7 +138,7 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
             ratio = np.array(group.ratio) / np.linalg.norm(group.ratio)
             expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / COUPLING_LEVER_M**2
         expected += (total**2).sum(axis=1) + RIDGE * (f**2).sum(axis=(1, 2))
-    np.testing.assert_allclose(known.loss, expected / len(problem.equilibrium.loads), rtol=1e-9)
+    np.testing.assert_allclose(known.loss, expected / len(equilibrium_of(problem).loads), rtol=1e-9)
 
 
 def test_no_other_allowed_forces_are_better(coupled: Hand, bodies: dict[str, Object]) -> None:
@@ -140,7 +147,7 @@ def test_no_other_allowed_forces_are_better(coupled: Hand, bodies: dict[str, Obj
     problem = problem_of(scene)
     known = problem.evaluate(every(scene), at(scene), None)
     G = problem_map(problem, at(scene), known.forces.local.any(axis=1)[..., 0])
-    for p, load in enumerate(problem.equilibrium.loads):
+    for p, load in enumerate(equilibrium_of(problem).loads):
         local, outer = known.forces.local[:, p], np.zeros((6, G.shape[2]))
         outer[:, :6] = load
 
@@ -170,11 +177,11 @@ def test_a_hand_without_tendons_has_the_value_of_its_contact_forces(bodies: dict
     known = problem.evaluate(every(scene), at(scene), None)
     point, normal = known.witness.point_b[:, :4], known.witness.normal[:, :4]
     expected = np.zeros(6)
-    for load in problem.equilibrium.loads:
-        found = contact_forces(point, normal, problem.equilibrium.center, load=load)
+    for load in equilibrium_of(problem).loads:
+        found = contact_forces(point, normal, equilibrium_of(problem).center, load=load)
         unbalanced = (found.unbalanced**2).sum(axis=1)
         expected += unbalanced + RIDGE * (found.force**2).sum(axis=(1, 2))
-    np.testing.assert_allclose(known.loss, expected / len(problem.equilibrium.loads), rtol=1e-9)
+    np.testing.assert_allclose(known.loss, expected / len(equilibrium_of(problem).loads), rtol=1e-9)
 
 
 # the derivative
@@ -240,8 +247,8 @@ def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.
     known = problem.evaluate(np.arange(len(point.q)), point, None)
     there = (pushing & known.witness.valid)[..., None]
     p, n = (np.where(there, side, np.nan) for side in (known.witness.point_b, known.witness.normal))
-    forms = problem.equilibrium.torque_forms(np.where(there, p, 0.0), Frames(known.T_link, known.axes))
-    return grasp_map(p, n, problem.equilibrium.center, forms)[0]
+    forms = equilibrium_of(problem).torque_forms(np.where(there, p, 0.0), known.frames)
+    return grasp_map(p, n, equilibrium_of(problem).center, forms)[0]
 
 
 def active_rows(local: np.ndarray) -> np.ndarray:
@@ -278,7 +285,7 @@ def test_the_rows_tell_the_best_forces_of_the_linear_problem(hand: Hand, bodies:
             problem, stepped(at(scene), -h * dx), pushing
         )
         before, after = np.zeros((2, 6))
-        for p in range(len(problem.equilibrium.loads)):
+        for p in range(len(equilibrium_of(problem).loads)):
             local = known.forces.local[:, p]
             v = np.einsum("mcij,mcj->mi", dG, local) / (2.0 * h)
             for m in range(6):
@@ -291,7 +298,7 @@ def test_the_rows_tell_the_best_forces_of_the_linear_problem(hand: Hand, bodies:
                 d = np.linalg.lstsq(kkt, right, rcond=1e-13)[0][: len(f)]
                 before[m] += (u**2).sum() + RIDGE * (f**2).sum()
                 after[m] += ((u + v[m] + g @ d) ** 2).sum() + RIDGE * ((f + d) ** 2).sum()
-        share = 1.0 / len(problem.equilibrium.loads)
+        share = 1.0 / len(equilibrium_of(problem).loads)
         predicted = ((residual + np.einsum("mrk,mk->mr", J, dx)) ** 2).sum(axis=1) - (residual**2).sum(axis=1)
         change = share * (after - before)
         np.testing.assert_allclose(predicted, change, atol=tolerance * np.abs(change).max())
@@ -357,7 +364,7 @@ def test_a_single_contact_pushes_for_nothing(coupled: Hand, bodies: dict[str, Ob
     scene = replace(around(coupled, bodies["sphere"], 3, 12), hand=replace(coupled, coupled=()))
     problem = problem_of(scene, ContactSelection(links=("thumb",)))
     known = problem.evaluate(every(scene), at(scene), None)
-    loads = problem.equilibrium.loads
+    loads = equilibrium_of(problem).loads
     np.testing.assert_allclose(loads.mean(axis=0), 0.0, atol=1e-12)
     # At most, friction takes some of the loads.
     pushed = (loads**2).sum(axis=1).mean()

@@ -1,7 +1,7 @@
 """Steps and loops of the solvers on made-up problems: limits, falling losses, and members that are on their own."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from exact_twists import DTYPES
+from first_order_steps import first_state, one_step
 from grasp_refine.core.se3 import exp_se3, log_se3
+from grasp_refine.refinement.objective import limits_within
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.first_order import descend, limits_within
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import Linear
@@ -78,10 +79,8 @@ So many are taken together that chance hardly takes them below that share."""
 
 @given(steps)
 def test_no_step_leaves_its_bounds(problem: Steps) -> None:
-    for library in (np.asarray, torch.from_numpy):
-        arguments = (None if array is None else library(array) for array in problem.rows(slice(None)))
-        dx = np.asarray(bounded_step(*arguments)[0])
-        assert (dx >= problem.lower).all() and (dx <= problem.upper).all()
+    dx, _ = bounded_step(*problem.rows(slice(None)))
+    assert (dx >= problem.lower).all() and (dx <= problem.upper).all()
 
 
 def optimum(problem: Steps) -> np.ndarray:
@@ -151,6 +150,8 @@ class Hills:
     count: int
     n: int
     wrong: float
+    width: int = 2048
+    restarts: bool = True
     seen: dict[int, list[np.ndarray]] = field(default_factory=lambda: defaultdict(list))
     """Where each member was evaluated."""
     begun: dict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
@@ -229,7 +230,8 @@ def test_losses_only_fall_within_a_start_and_the_best_of_all_is_kept(
         for m, value in zip(member.tolist(), loss.tolist(), strict=True):
             told[m].append(value)
 
-    found = minimise(problem, problem.start, solver, 1e-8, width=width, on_iteration=watch)
+    problem.width = width
+    found = minimise(problem, problem.start, solver, 1e-8, on_iteration=watch)
     for m in range(problem.count):
         asked = np.array(problem.seen[m])
         assert (asked >= problem.lower).all() and (asked <= problem.upper).all()
@@ -265,7 +267,7 @@ def test_members_do_not_see_each_other(problem: Hills, options: dict[str, Any], 
     solver = LevenbergMarquardt(**options)
     whole = minimise(problem, problem.start, solver, 1e-8)
     members = np.arange(problem.count)
-    assert_same(minimise(problem, problem.start, solver, 1e-8, width=width), members, whole)
+    assert_same(minimise(replace(problem, width=width), problem.start, solver, 1e-8), members, whole)
     alone = np.random.default_rng(seed).integers(problem.count)
     status = np.where(members == alone, Status.RUNNING, Status.NO_TARGET)
     one = minimise(problem, problem.start, solver, 1e-8, status=status)
@@ -296,20 +298,18 @@ def test_first_order_steps_have_their_lengths_and_keep_to_the_limits(
     """However large or small the gradient: descent by exactly its lengths, Adam by no more than 1/sqrt of its rates."""
     solver, rng = kind(**options), np.random.default_rng(seed)
     eps = float(np.finfo(dtype).eps)
-    lower, upper = (torch.from_numpy(side * rng.random(n).astype(dtype)) for side in (-1, 1))
-    T = torch.from_numpy(exp_se3(rng.normal(size=(count, 6))).astype(dtype))
-    q = lower + (upper - lower) * torch.from_numpy(rng.random((count, n)).astype(dtype)).round(decimals=1)
-    q = q.clamp(lower, upper)
-    gradient = torch.from_numpy((10.0**power * rng.normal(size=(count, 6 + n))).astype(dtype))
-    stage = torch.from_numpy(rng.integers(0, 3, count))
-    memory = solver.memory(gradient)
-    moved_T, moved_q, memory = solver.step(T, q, gradient, memory, stage, lower, upper)
-    assert moved_T.dtype == moved_q.dtype == T.dtype
-    assert ((moved_q >= lower) & (moved_q <= upper)).all()
-    R = moved_T[:, :3, :3].double()
-    assert (R.mT @ R - torch.eye(3)).abs().max() < 8 * eps
-    twist = log_se3(np.linalg.inv(T.double().numpy()) @ moved_T.double().numpy())
-    scale = np.array((1.0, *solver.factors))[stage.numpy()][:, None]
+    lower, upper = (side * rng.random(n).astype(dtype).astype(np.float64) for side in (-1, 1))
+    T = exp_se3(rng.normal(size=(count, 6))).astype(dtype).astype(np.float64)
+    share = rng.random((count, n)).round(1)
+    q = np.clip((lower + (upper - lower) * share).astype(dtype).astype(np.float64), lower, upper)
+    gradient = (10.0**power * rng.normal(size=(count, 6 + n))).astype(dtype).astype(np.float64)
+    point, phase = Point(T, q), rng.integers(0, 3, count)
+    moved, _ = one_step(solver, point, gradient, first_state(solver, point, phase), lower, upper, getattr(torch, dtype))
+    assert ((moved.q >= lower) & (moved.q <= upper)).all()
+    R = moved.T[:, :3, :3]
+    assert np.abs(R.mT @ R - np.eye(3)).max() < 8 * eps
+    twist = log_se3(np.linalg.inv(T) @ moved.T)
+    scale = np.array((1.0, *solver.factors))[phase][:, None]
     lengths = scale * [solver.step_translation, solver.step_rotation]
     if isinstance(solver, Descent):
         found = np.stack([np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)], axis=1)
@@ -318,20 +318,24 @@ def test_first_order_steps_have_their_lengths_and_keep_to_the_limits(
         np.testing.assert_allclose(np.abs(twist), np.repeat(lengths, 3, axis=1), rtol=1e-3, atol=40 * eps)
     # A member alone takes the same step.
     for k in range(count):
-        alone = solver.step(
-            T[[k]], q[[k]], gradient[[k]], solver.memory(gradient[[k]]), stage[[k]], lower, upper
-        )  # fmt: skip
-        torch.testing.assert_close(alone[0][0], moved_T[k], rtol=0, atol=8 * eps)
-        torch.testing.assert_close(alone[1][0], moved_q[k], rtol=0, atol=8 * eps)
+        one = Point(T[[k]], q[[k]])
+        state = first_state(solver, one, phase[[k]])
+        alone, _ = one_step(solver, one, gradient[[k]], state, lower, upper, getattr(torch, dtype))
+        np.testing.assert_allclose(alone.T[0], moved.T[k], rtol=0, atol=8 * eps)
+        np.testing.assert_allclose(alone.q[0], moved.q[k], rtol=0, atol=8 * eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class Slope:
+    loss: np.ndarray
+    gradient: np.ndarray
     num_queries: np.ndarray
 
 
 class Slopes:
     """The losses of `Hills` and their gradients, for descent; what moves the root counts as well."""
+
+    width, restarts = 2048, False
 
     def __init__(self, hills: Hills, dtype: str) -> None:
         self.hills, self.dtype = hills, getattr(torch, dtype)
@@ -341,21 +345,14 @@ class Slopes:
     def tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.dtype)
 
-    def evaluate(
-        self, member: np.ndarray, T: torch.Tensor, q: torch.Tensor, key: int, previous: Asked | None
-    ) -> tuple[torch.Tensor, torch.Tensor, Asked]:
-        q_array = q.double().numpy()
-        for m, row in zip(member.tolist(), q_array, strict=True):
+    def evaluate(self, member: np.ndarray, point: Point, previous: Slope | None) -> Slope:
+        for m, row in zip(member.tolist(), point.q, strict=True):
             self.seen[m].append(row.copy())
-        linear = self.hills.linearize(member, Point(T.double().numpy(), q_array), None, np.ones(len(member)))
-        gradient = np.concatenate(
-            [T[:, :3, 3].double().numpy(), np.zeros((len(member), 3)), 2 * np.einsum("bi,bij->bj", *_parts(linear))],
-            axis=1,
-        )
-        return self.tensor(self.loss(member, T, q_array)), self.tensor(gradient), Asked(np.ones(len(member), dtype=int))
-
-    def loss(self, member: np.ndarray, T: torch.Tensor, q: np.ndarray) -> np.ndarray:
-        return self.hills.loss(member, q) + 0.5 * (T[:, :3, 3].double().numpy() ** 2).sum(axis=1)
+        linear = self.hills.linearize(member, point, None, np.ones(len(member)))
+        by_q = 2 * np.einsum("bi,bij->bj", *_parts(linear))
+        gradient = np.concatenate([point.T[:, :3, 3], np.zeros((len(member), 3)), by_q], axis=1)
+        loss = self.hills.loss(member, point.q) + 0.5 * (point.T[:, :3, 3] ** 2).sum(axis=1)
+        return Slope(loss.astype(str(self.dtype).removeprefix("torch.")), gradient, np.ones(len(member), dtype=int))
 
 
 def _parts(linear: Linear) -> tuple[np.ndarray, np.ndarray]:
@@ -389,7 +386,7 @@ def test_descent_keeps_the_best_within_the_limits(
     """The best of what was evaluated is what comes out, and every member has its own way."""
     solver = kind(**options)
     slopes, running = Slopes(problem, dtype), np.full(problem.count, Status.RUNNING)
-    found = descend(slopes, problem.start, solver, 1e-12, status=running)
+    found = minimise(slopes, problem.start, solver, 1e-12, status=running)
     for m in range(problem.count):
         asked = np.array(slopes.seen[m])
         assert (asked >= problem.lower).all() and (asked <= problem.upper).all()
@@ -397,7 +394,7 @@ def test_descent_keeps_the_best_within_the_limits(
         if found.status[m] != Status.NOT_FINITE:
             assert (found.point.q[m] == asked).all(axis=1).any() and found.loss[m, 1] <= found.loss[m, 0]
     alone = int(np.random.default_rng(seed).integers(problem.count))
-    one = descend(
+    one = minimise(
         Slopes(problem, dtype), problem.start, solver, 1e-12,
         status=np.where(np.arange(problem.count) == alone, Status.RUNNING, Status.NO_TARGET),
     )  # fmt: skip

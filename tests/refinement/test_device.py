@@ -23,7 +23,7 @@ from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.analytical import Analytical
@@ -68,22 +68,19 @@ def test_losses_and_gradients_leave_no_tensor_elsewhere(
 ):
     config = Config(solver=Descent(transport=True), derivative=method, nearest=nearest)
     of = objective(scene, config)
-    start = torch.as_tensor(scene.T_world_root), torch.as_tensor(scene.q)
-    expected = of.evaluate(np.arange(2), *start, 0, None)
+    start = Point(scene.T_world_root, scene.q)
+    expected = of.evaluate(np.arange(2), start, None)
     request.getfixturevalue("elsewhere")
-    loss, gradient, _ = of.evaluate(np.arange(2), *start, 0, None)
-    assert loss.device.type == gradient.device.type == "cpu"
-    torch.testing.assert_close(loss, expected[0])
-    torch.testing.assert_close(gradient, expected[1])
+    found = of.evaluate(np.arange(2), start, None)
+    np.testing.assert_allclose(found.loss, expected.loss)
+    np.testing.assert_allclose(found.gradient, expected.gradient)
 
 
 @pytest.mark.parametrize("solver", [Descent(iterations=3), Adam(iterations=3)], ids=["descent", "adam"])
 def test_steps_leave_no_tensor_elsewhere(scene: Scene, solver: Descent | Adam, request: pytest.FixtureRequest):
-    from grasp_refine.refinement.solvers.first_order import descend
-
     of = objective(scene, Config(solver=solver, nearest=True))
     request.getfixturevalue("elsewhere")
-    found = descend(of, Point(scene.T_world_root, scene.q), solver, 0.0, status=np.zeros(2, dtype=np.int64))
+    found = minimise(of, Point(scene.T_world_root, scene.q), solver, 0.0, status=np.zeros(2, dtype=np.int64))
     assert (found.loss[:, 1] < found.loss[:, 0]).all()
 
 

@@ -4,77 +4,41 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import QueryStatus
 from grasp_refine.core.array_records import take
-from grasp_refine.core.se3 import exp_se3, matvec, tangents, transform_from_pose, transform_points
+from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.grasp_problem import MAX_STEP, RESTART_NOISE, GraspProblem, Known
+from grasp_refine.refinement.grasp_problem import MAX_STEP, RESTART_NOISE, GraspProblem
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M
+from grasp_refine.refinement.terms import contact, direction, motion, wrench
+from grasp_refine.refinement.terms.term import State
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-
-GRIPPER = """<robot name="gripper">
-  <link name="base"><collision><origin xyz="0 0 -0.03"/><geometry><sphere radius="0.02"/></geometry></collision></link>
-  <link name="left"><collision><geometry><sphere radius="0.012"/></geometry></collision></link>
-  <link name="right"><collision><geometry><sphere radius="0.011"/></geometry></collision></link>
-  <link name="thumb"><collision><origin xyz="0 0 0.06"/><geometry><sphere radius="0.01"/></geometry></collision></link>
-  <joint name="left_slide" type="prismatic">
-    <parent link="base"/><child link="left"/><origin xyz="0.02 0 0.04" rpy="0 0.1 0"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.05" effort="3" velocity="1"/>
-  </joint>
-  <joint name="right_slide" type="prismatic">
-    <parent link="base"/><child link="right"/><origin xyz="-0.02 0 0.04"/><axis xyz="-1 0 0"/>
-    <mimic joint="left_slide" multiplier="0.8" offset="0.002"/><limit lower="0" upper="0.05" effort="3" velocity="1"/>
-  </joint>
-  <joint name="thumb_turn" type="revolute">
-    <parent link="base"/><child link="thumb"/><origin xyz="0 0.04 -0.01"/><axis xyz="1 0 0"/>
-    <limit lower="-0.5" upper="1.2" effort="3" velocity="1"/>
-  </joint>
-</robot>"""
-"""Balls on slides, one of which follows the other, and on a hinge: curvatures are known everywhere."""
-
-
-HALF_WAY = 0.015
-"""Links that are deeper in the object's ball than half its radius are followed only in direction."""
+from grasp_refine.witness.pair_curvature import PairCurvatures
+from sliding_gripper import around_object, sliding_gripper
 
 
 @pytest.fixture(scope="module")
 def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
-    path.write_text(GRIPPER)
-    return load_hand(path, candidates=8192)
+    return sliding_gripper(tmp_path_factory.mktemp("gripper"))
 
 
 @pytest.fixture(scope="module")
 def allegro() -> Hand:
     return load_hand("allegro", candidates=256)
-
-
-def around_ball(hand: Hand, count: int, seed: int, source: str = "sphere:0.03") -> Scene:
-    """Random hands of which some links are in the object or in each other."""
-    rng = np.random.default_rng(seed)
-    T = exp_se3(rng.normal(size=(count, 6)) * [0.01, 0.01, 0.01, 0.3, 0.3, 0.3])
-    if hand.name == "allegro":
-        T[:, :3, 3] += [-0.075, 0.0, -0.03]
-    else:
-        T[:, :3, 3] += [0.0, 0.0, -0.04]
-    q = rng.uniform(hand.lower, hand.upper, (count, len(hand.lower)))
-    candidates = len(hand.links_by_name[hand.contacts[0].link].body.candidates.points)
-    return Scene(hand, load_object(source, candidates=candidates), T, q)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +103,7 @@ def slopes(value: object, point: Point, h: float) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-def linearized(problem: GraspProblem, at: Point, known: Known, width: float) -> tuple[np.ndarray, np.ndarray]:
+def linearized(problem: GraspProblem, at: Point, known: State, width: float) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (M, m) and Jacobians (M, m, 6 + n); one-sided rows that are not positive are zero."""
     count = len(at.q)
     linear = problem.linearize(np.arange(count), at, known, np.full(count, width))
@@ -154,106 +118,6 @@ def every(scene: Scene) -> np.ndarray:
 
 
 # the Jacobian
-
-
-@pytest.mark.parametrize("weights", [
-    Weights(penetration=0.0, self_penetration=0.0, wrench=0.0),
-    Weights(contact=0.0, penetration=70.0, self_penetration=0.0, wrench=0.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=40.0, wrench=0.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=30.0, wrench=0.0),
-    Weights(contact=0.0, penetration=0.0, self_penetration=0.0, table=0.0, stay_near=1e-3, wrench=0.0),
-    ALL,
-], ids=["gap", "penetration", "self-penetration", "table", "stay near", "all"])  # fmt: skip
-@pytest.mark.parametrize("which", ["allegro", "gripper"])
-def test_the_gradient_of_exact_terms_is_that_of_the_loss(
-    which: str, weights: Weights, request: pytest.FixtureRequest
-) -> None:
-    """2 J^T r against finite differences of the true loss: gaps and depths need no curvature."""
-    hand = request.getfixturevalue(which)
-    scene = replace(around_ball(hand, 6, 1), table=Plane((0.0, 0.6, 0.8), -0.01))
-    goal = goal_of(scene, ContactSelection(links=scene.links[:2]))
-    problem = GraspProblem(scene, goal, Config(weights=weights, margin=1e-3))
-    at = point_of(scene)
-    # Not where the hand began, so that there is something to stay near to.
-    at = stepped(at, np.concatenate([[0.003, -0.002, 0.001, 0.05, -0.03, 0.02], np.full(at.q.shape[1], 1e-3)]))
-    rows = every(scene)
-    known = problem.evaluate(rows, at, None)
-    residual, J = linearized(problem, at, known, 1.0)
-    np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
-    expected = slopes(lambda p: problem.evaluate(rows, p, None).loss, at, 1e-7)
-    found = 2.0 * np.einsum("brk,br->bk", J, residual)
-    scale = np.abs(expected).max(axis=1, keepdims=True)
-    assert (scale > 1e-9).sum() >= 2
-    # A polytope's deepest face may change within a step, in a grasp or two.
-    error = (np.abs(found - expected) / (scale + 1e-9)).max(axis=1)
-    assert (np.sort(error)[:5] < 1e-4).all(), error
-
-
-def hands_own_frame(problem: GraspProblem, at: Point, known: Known, columns: int) -> object:
-    """Gap and misses along the tangents of the first links, as each body sees them (see `losses`)."""
-    w = known.witness.pairs(slice(0, columns))
-    E = tangents(w.normal)
-    on_link = known.T_link[:, :columns, :3, :3].mT @ E
-    goal = problem.goal
-
-    def seen(point: Point) -> np.ndarray:
-        now = problem.evaluate(np.arange(len(point.q)), point, None)
-        found, T = now.witness.pairs(slice(0, columns)), now.T_link[:, :columns]
-        local = matvec(T[..., :3, :3].mT, found.point_a - transform_points(T, goal.target_link[:, :columns]))
-        own, other = matvec(on_link.mT, local), matvec(E.mT, found.point_b - goal.target_object[:, :columns])
-        return np.concatenate([found.distance[..., None], own, other], axis=-1).reshape(len(point.q), -1)
-
-    return seen
-
-
-@pytest.mark.parametrize("width", [0.0, 1.0], ids=["exact features", "fitted"])
-def test_rows_of_targets_are_the_slopes_of_the_misses(gripper: Hand, width: float) -> None:
-    """On balls: those of round features are exact, fitted ones as good as the curvatures."""
-    scene = aimed_at(around_ball(gripper, 6, 2), 4, 3)
-    problem = GraspProblem(
-        scene,
-        goal_of(scene, ContactSelection()),
-        Config(weights=Weights(penetration=0.0, self_penetration=0.0, wrench=0.0)),
-    )
-    rows, at = every(scene), point_of(scene)
-    known = problem.evaluate(rows, at, None)
-    assert known.witness.valid.all() and (known.witness.distance < 0).any() and (known.witness.distance > 0).any()
-    residual, J = linearized(problem, at, known, width)
-    links = len(scene.links)
-    # Rows are those of gap, two misses on the link, two on the object, link by link.
-    seen = hands_own_frame(problem, at, known, links)
-    np.testing.assert_allclose(residual, seen(at), atol=1e-12)
-    expected = slopes(seen, at, 1e-6)
-    error = np.abs(J - expected).reshape(6, links, 5, -1)
-    np.testing.assert_allclose(error[:, :, 0], 0.0, atol=1e-6)
-    shallow = known.witness.distance > -HALF_WAY
-    assert 0 < (~shallow).sum() < 6
-    if width == 0.0:
-        np.testing.assert_allclose(error[shallow], 0.0, atol=2e-3)
-        # Deeper, rows are shorter than what happens, and still go the same way.
-        deep = (J * expected).reshape(6, links, -1).sum(axis=-1)[~shallow]
-        assert (deep > 0).all()
-    else:
-        # Deep in a ball, near its centre, points slide far for little, and so does the error.
-        assert np.median(error.max(axis=(2, 3))) < 0.1 and np.quantile(error.max(axis=(2, 3)), 0.9) < 0.5
-
-
-def test_rows_of_directions_are_the_slopes_of_the_normals(gripper: Hand) -> None:
-    scene = with_directions(around_ball(gripper, 6, 4), 3, 5)
-    weights = Weights(contact=0.0, penetration=0.0, self_penetration=0.0, direction=4e-3, wrench=0.0)
-    goal = goal_of(scene, ContactSelection(links=scene.links))
-    problem = GraspProblem(scene, goal, Config(weights=weights))
-    rows, at = every(scene), point_of(scene)
-    known = problem.evaluate(rows, at, None)
-    residual, J = linearized(problem, at, known, 0.0)
-    np.testing.assert_allclose((residual**2).sum(axis=1), known.loss, rtol=1e-12)
-    expected = slopes(lambda p: problem.evaluate(rows, p, None).witness.normal[:, :3].reshape(6, -1), at, 1e-6)
-    # The rows of gap and misses of the same links come first; here they weigh nothing.
-    found, others = J[:, 15:24] / np.sqrt(4e-3), np.delete(J, np.arange(15, 24), axis=1)
-    shallow = np.repeat(known.witness.distance[:, :3] > -HALF_WAY, 3, axis=1)
-    assert shallow.sum() >= 45
-    np.testing.assert_allclose(found[shallow], expected[shallow], rtol=1e-3, atol=1e-2)
-    assert not others.any()
 
 
 def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(examples: Scene) -> None:
@@ -298,30 +162,11 @@ def with_forces(weight: float) -> Weights:
     return Weights(1.0, 50.0, 30.0, table=20.0, stay_near=1e-4, direction=0.0, wrench=weight)
 
 
-def test_forces_that_balance_are_one_term_among_the_others(gripper: Hand) -> None:
-    """The gradient of the whole sum is that of the loss, whatever the weight, and the rows are its square root long."""
-    scene = replace(around_ball(gripper, 8, 23), table=Plane((0.0, 0.6, 0.8), -0.03))
-    goal = goal_of(scene, ContactSelection(links=scene.links[:3]))
-    rows, at, gradients = every(scene), point_of(scene), []
-    for weight in (0.0, 1e-3, 4e-3):
-        problem = GraspProblem(scene, goal, Config(weights=with_forces(weight)))
-        known = problem.evaluate(rows, at, None)
-        shallow = (known.witness.distance[:, :3] > -0.005).all(axis=1)
-        residual, J = linearized(problem, at, known, 0.0)
-        found = 2.0 * np.einsum("brk,br->bk", J, residual)
-        expected = slopes(lambda p, problem=problem: problem.evaluate(rows, p, None).loss, at, 1e-7)
-        cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
-        assert shallow.sum() >= 3 and (np.sort(cosine[shallow])[1:] >= 0.999).all()
-        gradients.append(found)
-    np.testing.assert_allclose(gradients[2] - gradients[0], 4.0 * (gradients[1] - gradients[0]), atol=1e-9)
-    assert np.abs(gradients[1] - gradients[0]).max() > 1e-5
-
-
 @pytest.mark.parametrize("kind", ["forces", "some targets", "directions"])
 def test_curvatures_are_fitted_only_where_a_term_looks_and_nothing_else_changes(
     examples: Scene, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, weights = examples, with_forces(1e-3)
+    scene, weights = examples, replace(ALL, direction=0.0, wrench=1e-3)
     if kind != "forces":
         scene, weights = aimed_at(examples, 3, 6), ALL
         scene.target_link[2:, 0] = scene.target_object[2:, 0] = np.nan
@@ -332,19 +177,25 @@ def test_curvatures_are_fitted_only_where_a_term_looks_and_nothing_else_changes(
     goal.touching[2:, without] = False
     problem = GraspProblem(scene, goal, Config(weights=weights))
     known = problem.evaluate(every(scene), at := point_of(scene), None)
-    fit, counts = problem.curvatures.fit, []
+    fit, counts, module = PairCurvatures.fit, [], motion
 
-    def counted(pair: np.ndarray, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        counts.append(len(pair))
-        return fit(pair, *arguments)
+    def counted(curvatures: PairCurvatures, pair: np.ndarray, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        counts[-1] += len(pair)
+        return fit(curvatures, pair, *arguments)
 
-    monkeypatch.setattr(type(problem.curvatures), "fit", lambda self, *arguments: counted(*arguments))
-    found = linearized(problem, at, known, 1.0)
-    plain = GraspProblem._curvatures
-    monkeypatch.setattr(
-        GraspProblem, "_curvatures", lambda self, looked, *rest: plain(self, np.ones_like(looked), *rest)
-    )
-    for one, other in zip(found, linearized(problem, at, known, 1.0), strict=True):
+    def linearized_anew() -> tuple[np.ndarray, np.ndarray]:
+        counts.append(0)
+        return linearized(problem, at, known, 1.0)
+
+    monkeypatch.setattr(PairCurvatures, "fit", counted)
+    found, plain = linearized_anew(), module.contact_curvatures
+    for term in (contact, direction, wrench):
+        monkeypatch.setattr(
+            term, "contact_curvatures", lambda K, state, columns, needed, *rest: plain(
+                K, state, columns, np.ones_like(needed), *rest
+            )
+        )  # fmt: skip
+    for one, other in zip(found, linearized_anew(), strict=True):
         np.testing.assert_array_equal(one, other)
     few, all_of_them = counts
     # With a direction there, a link is looked at all the same.
@@ -383,9 +234,9 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
         dx = size * rng.normal(size=22) * np.concatenate([np.ones(3), np.full(19, 10.0)])
         now = stepped(point_of(scene), dx)
         now = Point(now.T, np.clip(now.q, scene.hand.lower, scene.hand.upper))
-        expected = objective.evaluate(every(scene), torch.from_numpy(now.T), torch.from_numpy(now.q), 0, None)[0]
+        expected = objective.evaluate(every(scene), now, None).loss
         found = problem.evaluate(every(scene), now, None)
-        np.testing.assert_allclose(found.loss, expected.numpy(), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.loss, expected, rtol=1e-9, atol=1e-12)
         assert (found.num_queries >= 0).all() and (found.loss > 0).all()
 
 
@@ -437,7 +288,7 @@ def test_a_pose_that_is_not_finite_has_no_loss_and_spoils_no_other(examples: Sce
 
 def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     """Hands that begin at their limits, on the way to targets that they cannot reach within them."""
-    scene = aimed_at(around_ball(allegro, 6, 14), 4, 15)
+    scene = aimed_at(around_object(allegro, 6, 14), 4, 15)
     rng = np.random.default_rng(16)
     q = np.where(rng.random(scene.q.shape) < 0.5, allegro.lower, allegro.upper)
     scene = replace(scene, q=q)
@@ -464,7 +315,7 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
 
 
 def test_room_is_what_the_limits_leave_of_the_box(gripper: Hand) -> None:
-    scene = around_ball(gripper, 4, 17)
+    scene = around_object(gripper, 4, 17)
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))
     lower, upper = problem.step_bounds(every(scene), at)
@@ -518,7 +369,7 @@ def test_new_starts_are_keyed_by_the_grasp_not_by_its_place(examples: Scene) -> 
 
 def test_new_starts_are_as_far_away_as_their_noise_each_in_its_unit(gripper: Hand) -> None:
     """A slide once moved by 0.1 m, which was meant for radians: from one limit to the other."""
-    scene = around_ball(gripper, 400, 22)
+    scene = around_object(gripper, 400, 22)
     scene = replace(scene, q=np.tile([0.025, 0.35], (400, 1)))
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = point_of(scene)
@@ -561,7 +412,7 @@ def test_without_targets_there_is_nothing_to_reach(examples: Scene) -> None:
 
 @pytest.mark.parametrize("kind", ["gaps", "targets"])
 def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, kind: str) -> None:
-    scene = around_ball(gripper, 6, 20)
+    scene = around_object(gripper, 6, 20)
     goal = goal_of(scene, ContactSelection(links=("left", "right", "thumb")), nearest=kind == "targets")
     problem = GraspProblem(scene, goal, Config(weights=NO_FORCES))
     found = minimise(problem, point_of(scene), LevenbergMarquardt(restarts=0), 1e-10)

@@ -503,8 +503,7 @@ def grasped(on_ball: Scene) -> Refinement:
 
 def loss_at(scene: Scene, T: np.ndarray, q: np.ndarray, goal: Goal) -> np.ndarray:
     """The loss by fresh queries."""
-    poses, values = (torch.from_numpy(np.ascontiguousarray(x)) for x in (T, q))
-    return Objective(scene, goal, BALL).evaluate(np.arange(len(q)), poses, values, 0, None)[0].numpy()
+    return Objective(scene, goal, BALL).evaluate(np.arange(len(q)), Point(T, q), None).loss
 
 
 def test_the_loss_is_the_sum_of_its_terms(on_ball: Scene) -> None:

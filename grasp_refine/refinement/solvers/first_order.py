@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import retract
-from grasp_refine.refinement.solvers.iterate import Point, Problem, Record, Slots, Solver
+from grasp_refine.refinement.solvers.iterate import Point, Record, Slots, Solver
 from grasp_refine.refinement.solvers.status import Status
 
 if TYPE_CHECKING:
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import torch
 
 
-class Differentiable(Problem, Protocol):
-    """Losses of a batch of members with their gradients: evaluations have a `gradient` (batch, 6 + n).
+@runtime_checkable
+class Differentiable(Protocol):
+    """What a first-order solver needs of a problem, whose evaluations have a `gradient` (batch, 6 + n).
 
     It is that of the root as a body twist (v, w), then that of the joint values.
     """

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
-from grasp_refine.refinement.solvers.iterate import Point, Problem, Record, Slots, Solver
+from grasp_refine.refinement.solvers.iterate import Point, Record, Slots, Solver
 from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
 
 
-class LeastSquares(Problem, Protocol):
-    """Independent least-squares problems of the same form, one for each member."""
+@runtime_checkable
+class LeastSquares(Protocol):
+    """What Levenberg-Marquardt needs of a problem, beside its evaluation."""
+
+    restarts: bool
+    """Whether a stalled member may start elsewhere."""
 
     def linearize(self, member: np.ndarray, point: Point, known: Any, width: np.ndarray) -> Linear:
         """Return residuals and derivatives; `width` (batch,) multiplies the radii of neighbourhoods."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,7 +94,7 @@ class Term(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, setup: Setup) -> Self | None:
+    def of(cls, setup: Setup) -> Term | None:
         """Return the term of a refinement; None where it has no part in it."""
 
     @abstractmethod

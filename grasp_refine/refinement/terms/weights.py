@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cache
 from math import inf
+from types import MappingProxyType
 from typing import Annotated, get_type_hints
 
 from grasp_refine.core.arguments import check_fields
@@ -59,7 +61,7 @@ class Weights:
     def terms(self, setup: Setup, *, autograd: bool) -> tuple[tuple[float, Term], ...]:
         """Return the terms of a refinement with their weights above 0, those of gradients or those of least squares."""
         found = []
-        for name, kind in _kinds():
+        for name, kind in term_kinds().items():
             weight = getattr(self, name)
             if weight > 0.0 and (kind.autograd if autograd else kind.least_squares):
                 term = kind.of(setup)
@@ -67,7 +69,8 @@ class Weights:
         return tuple(found)
 
 
-@lru_cache
-def _kinds() -> tuple[tuple[str, type[Term]], ...]:
+@cache
+def term_kinds() -> Mapping[str, type[Term]]:
+    """Return the terms by the names of their weights."""
     hints = get_type_hints(Weights, include_extras=True)
-    return tuple((name, hint.__metadata__[0]) for name, hint in hints.items())
+    return MappingProxyType({name: hint.__metadata__[0] for name, hint in hints.items()})

@@ -1,4 +1,4 @@
-"""The loop of Levenberg-Marquardt on problems in closed form: ends, true losses, restarts, and members on their own."""
+"""The loop over iterations, on problems in closed form: ends, true losses, restarts, and members on their own."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -28,6 +28,8 @@ class Valley:
     a: np.ndarray
     rest: float = 0.0
     """What no step takes away: another residual."""
+    width: int = 2048
+    restarts: bool = True
     box: float = 0.5
     """Longest step of each unknown."""
     seen: dict[int, list[tuple[np.ndarray, float]]] = field(default_factory=lambda: defaultdict(list))
@@ -154,7 +156,8 @@ def test_who_is_there_already_stays_there() -> None:
 
 def test_every_evaluation_is_an_iteration_and_its_queries_are_counted() -> None:
     problem = Waves(np.zeros(6), rest=0.0)
-    found = minimise(problem, start_of(6), replace(SOLVER, restarts=5), 1e-20, width=2)
+    problem.width = 2
+    found = minimise(problem, start_of(6), replace(SOLVER, restarts=5), 1e-20)
     for m in range(6):
         assert found.iterations[m] == len(problem.seen[m])
         assert found.queries[m] == (2 + m % 3) * len(problem.seen[m])
@@ -259,8 +262,8 @@ def test_a_member_does_not_depend_on_who_else_is_there_nor_on_their_number(width
     problem = Waves(a)
     together = minimise(problem, start, solver, 1e-16)
     assert problem.most == 20 and len(np.unique(together.iterations)) > 3
-    narrow = Waves(a)
-    found = minimise(narrow, start, solver, 1e-16, width=width)
+    narrow = Waves(a, width=width)
+    found = minimise(narrow, start, solver, 1e-16)
     equal(found, together)
     assert narrow.most == min(width, 20)
     assert len({*together.status}) > 1
@@ -291,7 +294,7 @@ def test_one_bad_member_changes_nothing_for_the_others(width: int) -> None:
     a, start = np.zeros(8), start_of(8, 5)
     start.q[3], start.q[5] = np.nan, [0.95, 0.3]
     solver = replace(SOLVER, restarts=4)
-    found, clean = (minimise(of(a), start, solver, 1e-16, width=width) for of in (Spoilt, Waves))
+    found, clean = (minimise(of(a, width=width), start, solver, 1e-16) for of in (Spoilt, Waves))
     others = np.array([0, 1, 2, 4, 6, 7])
     equal(found, clean, others, others)
     assert found.status[3] == Status.NOT_FINITE and found.iterations[3] == 1
@@ -316,7 +319,7 @@ def test_progress_counts_the_finished_and_the_costs_are_shared_out() -> None:
     status = np.full(9, Status.RUNNING)
     status[4] = Status.NO_TARGET
     found = minimise(
-        Valley(np.linspace(-2, 2, 9)), start_of(9), SOLVER, 1e-20, status=status, width=3,
+        Valley(np.linspace(-2, 2, 9), width=3), start_of(9), SOLVER, 1e-20, status=status,
         progress=lambda *now: said.append(now),
     )  # fmt: skip
     done, iterations, loss = (np.array(column) for column in zip(*said, strict=True))

@@ -1,39 +1,28 @@
-"""Loss terms: closed forms in NumPy and torch, their derivatives against finite differences of the real query."""
+"""Values of the terms of the loss: closed forms in NumPy and torch, and the way in which contacts move."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
-from grasp_refine.refinement.losses import (
-    Scales,
-    below_plane,
-    contact_direction,
-    contact_direction_covectors,
-    contact_gap,
-    contact_targets,
-    contact_targets_covectors,
-    gap_covectors,
-    joint_limits,
-    joint_limits_jacobian,
-    penetration,
-    plane_covectors,
-    plane_depth,
-    stay_near,
-    stay_near_jacobian,
-)
 
 from ellipsoids import Contact, at_gap, contact
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, exp_so3, hat, matvec, tangents, transform_points
+from grasp_refine.core.se3 import exp_se3, exp_so3, hat, tangents, transform_points
 from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
+from grasp_refine.geometry.pieces import hull, sphere
+from grasp_refine.refinement.terms.contact import contact_gap, contact_targets, contact_targets_covectors
+from grasp_refine.refinement.terms.direction import normal_covectors, normal_difference
+from grasp_refine.refinement.terms.joint_limits import beyond_limits
+from grasp_refine.refinement.terms.penetration import depths
+from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.stay_near import movement, movement_jacobian
+from grasp_refine.refinement.terms.table import plane_depth
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.finite_difference import FiniteDifference
 from refusals import refused
-from twists import gradient_along_twists, poses_at_gap, slopes_along_twists
+from twists import poses_at_gap
 
 H = 1e-5
 """Step of finite differences."""
@@ -119,12 +108,12 @@ def test_terms_of_contacts_in_closed_form_on_arrays_and_tensors(margin: float) -
     touching = rng.random((4, 3)) < 0.7
     found = in_both(contact_gap, w, touching, margin)
     np.testing.assert_allclose(found, np.where(valid[..., 0] & touching, w.distance - margin, 0.0), atol=1e-15)
-    depth = in_both(penetration, w)
+    depth = in_both(depths, w)
     np.testing.assert_array_equal(depth, np.where(w.status == QueryStatus.PENETRATING, -w.distance, 0.0))
     # FAR pairs carry a bound as their distance, which is no gap and no depth.
     assert (w.status == QueryStatus.FAR).any() and np.isfinite(found).all() and (depth >= 0).all()
 
-    found = in_both(contact_direction, w, wanted)
+    found = in_both(normal_difference, w, wanted)
     some = valid & ~np.isnan(wanted).any(axis=-1, keepdims=True)
     np.testing.assert_allclose(found, np.where(some, w.normal - wanted, 0.0), atol=1e-15)
 
@@ -133,18 +122,16 @@ def test_the_square_of_the_direction_is_twice_one_minus_the_cosine() -> None:
     n, wanted = np.random.default_rng(2).normal(size=(2, 5, 1, 3))
     n, wanted = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (n, wanted))
     w = witness_of(n, n, n, np.ones((5, 1)), np.zeros((5, 1), dtype=int))
-    square = (in_both(contact_direction, w, wanted) ** 2).sum(axis=(1, 2))
+    square = (in_both(normal_difference, w, wanted) ** 2).sum(axis=(1, 2))
     np.testing.assert_allclose(square, 2.0 - 2.0 * (n * wanted).sum(axis=(1, 2)), atol=1e-14)
 
 
 def test_limits_and_plane_in_closed_form_on_arrays_and_tensors() -> None:
     lower, upper = np.array([-1.0, 0.0, 0.0, -np.inf]), np.array([1.0, 1.0, 1.0, np.inf])
     q = np.array([[-2.0, 0.5, 3.0, 1e9], [1.0, 0.0, -0.25, -1e9]])
-    np.testing.assert_array_equal(in_both(joint_limits, q, lower, upper), [[1, 0, 2, 0], [0, 0, 0.25, 0]])
-    np.testing.assert_array_equal(in_both(joint_limits_jacobian, q, lower, upper), [[-1, 0, 1, 0], [0, 0, -1, 0]])
+    np.testing.assert_array_equal(in_both(beyond_limits, q, lower, upper), [[1, 0, 2, 0], [0, 0, 0.25, 0]])
     normal = np.array([0.0, 0.6, 0.8])
     points = np.array([[0.0, 0.0, 0.0], [7.0, 0.6, 0.8], [-3.0, 0.06, 0.08]])
-    np.testing.assert_allclose(in_both(below_plane, points, normal, 0.3), [0.3, 0.0, 0.2], atol=1e-15)
     np.testing.assert_allclose(in_both(plane_depth, points, normal, 0.3), [0.3, -0.7, 0.2], atol=1e-15)
 
 
@@ -155,7 +142,7 @@ def test_staying_near_counts_scales_of_movement() -> None:
     w = np.array([[0.0, 0.0, 0.6], [0.0, 0.0, 0.0], [1e-9, 0.0, 0.0]])
     T[:, :3, :3] = exp_so3(w) @ T[:, :3, :3]
     T[:, :3, 3] += [0.02, -0.04, 0.0]
-    found = in_both(lambda *a: stay_near(*a, scales), T, q_first + 0.25, T_first, q_first)
+    found = in_both(lambda *a: movement(*a, scales), T, q_first + 0.25, T_first, q_first)
     expected = np.concatenate([np.tile([1.0, -2.0, 0.0], (3, 1)), w / 0.3, np.full((3, 4), 0.5)], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     # One scale of anything counts 1.
@@ -180,7 +167,7 @@ def test_penetration_and_gaps_are_those_of_the_query() -> None:
     T_a, T_b = poses_at_gap(witness_layer.pairs, 2, -0.003, seed=3)
     T_b[1, ..., 0, 3] += 1.0
     w = witness_layer(*(torch.from_numpy(T) for T in (T_a, T_b)))
-    np.testing.assert_allclose(penetration(w)[:, 0].numpy(), [0.003, 0.0], atol=1e-6)
+    np.testing.assert_allclose(depths(w)[:, 0].numpy(), [0.003, 0.0], atol=1e-6)
     np.testing.assert_allclose(contact_gap(w, torch.tensor([[True], [False]])).numpy(), [[-0.003], [0.0]], atol=1e-6)
 
 
@@ -197,140 +184,11 @@ def test_a_target_on_one_side_only_is_no_target(side: str) -> None:
         assert torch.isfinite(T.grad).all() and not T.grad[0].any() and T.grad[1].any()
 
 
-# derivatives by autograd
-
-
-@pytest.mark.parametrize("gap", [0.004, -0.002])
-def test_terms_have_the_gradients_of_finite_differences(gap: float) -> None:
-    """Balls, whose witness points are followed exactly; each residual on its own, with random weights."""
-    pairs = Pairs((build_body("a", [sphere(0.03, (0.01, 0, 0))]),), (build_body("b", [sphere(0.02)]),))
-    witness_layer = WitnessLayer(pairs, FiniteDifference(step=1e-4))
-    T_a, T_b = poses_at_gap(pairs, 3, gap, seed=5)
-    rng = np.random.default_rng(6)
-    t_a, t_b, wanted = torch.from_numpy(rng.normal(size=(3, 3, 1, 3)) * 0.03)
-    weight = torch.from_numpy(rng.normal(size=(1, 7)))
-
-    def loss(T_a: torch.Tensor, T_b: torch.Tensor) -> torch.Tensor:
-        w = witness_layer(T_a, T_b)
-        contacts = contact_targets(w, T_a, T_b, t_a, t_b, margin=1e-3) * weight
-        gaps = contact_gap(w, torch.ones(3, 1, dtype=torch.bool), margin=1e-3)
-        turned = 1e-2 * contact_direction(w, wanted).square().sum((1, 2))
-        return contacts.sum((1, 2)) + contacts.square().sum((1, 2)) + 3.0 * penetration(w).sum(1) + gaps.sum(1) + turned
-
-    tensors = [torch.from_numpy(T).requires_grad_() for T in (T_a, T_b)]
-    loss(*tensors).sum().backward()
-    found = np.concatenate([gradient_along_twists(t.grad.numpy(), t.detach().numpy()) for t in tensors])
-    expected = slopes_along_twists(lambda a, b: loss(*map(torch.from_numpy, (a, b))).numpy(), T_a, T_b, 1e-5)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 @pytest.mark.parametrize("value", [0.0, -0.1, np.nan])
 def test_scales_of_nothing_are_refused(name: str, value: float) -> None:
     with refused(GraspRefineError, name, f"{value:g}"):
         Scales(**{name: value})
-
-
-def test_joint_limits_push_back_with_unit_slope() -> None:
-    q = torch.tensor([[-1.5, 0.0, 0.7]], dtype=torch.float64, requires_grad=True)
-    lower, upper = torch.tensor([-1.0, -1.0, -torch.inf]), torch.tensor([1.0, torch.inf, 0.5])
-    joint_limits(q, lower, upper).sum().backward()
-    np.testing.assert_array_equal(q.grad.numpy(), [[-1.0, 0.0, 1.0]])
-    np.testing.assert_array_equal(joint_limits_jacobian(q.detach(), lower, upper), q.grad)
-
-
-# covectors, with the true curvatures of smooth bodies
-
-BALL = sphere(0.03, (0.01, 0, 0))
-SMOOTH = {
-    "balls": (BALL, sphere(0.02)),
-    "ball and capsule": (BALL, capsule(0.02, (0, 0, -0.02), (0, 0, 0.02))),
-    "capsule and ball": (capsule(0.015, (-0.05, 0, 0), (0.05, 0.02, 0)), sphere(0.04)),
-    "ball and box": (BALL, box([0.4, 0.4, 0.4])),
-}
-
-
-def true_curvature(piece: Piece, T: np.ndarray, x: np.ndarray, n: np.ndarray, E: np.ndarray) -> np.ndarray:
-    """Curvature (2, 2) of a ball, a capsule or a box's face at the point x with outward normal n, world frame."""
-    if piece.radius == 0.0:
-        return np.zeros((2, 2))
-    along = np.zeros((3, 3))
-    if len(piece.vertices) == 2:
-        start, stop = transform_points(T, piece.vertices)
-        axis, length = (stop - start) / np.linalg.norm(stop - start), np.linalg.norm(stop - start)
-        if abs((x - piece.radius * n - (start + stop) / 2) @ axis) < 0.49 * length:
-            along = np.outer(axis, axis)
-    return E.T @ (np.eye(3) - along) @ E / piece.radius
-
-
-def smooth_contact(
-    name: str, gap: float, count: int = 6
-) -> tuple[Pairs, np.ndarray, np.ndarray, Witness, np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs, poses, witness points, tangents and true curvatures of two smooth bodies at a gap."""
-    pieces = SMOOTH[name]
-    pairs = Pairs(*((build_body("body", [piece], candidates=64),) for piece in pieces))
-    T_a, T_b = poses_at_gap(pairs, count, gap, seed=7)
-    if name == "ball and box":
-        # Only over the middle of a face; the box's first pose decides which.
-        T_b[:] = np.eye(4)
-        T_a[..., :3, :3] = np.eye(3)
-        T_a[:, 0, :3, 3] = np.random.default_rng(8).uniform(-0.1, 0.1, (count, 3))
-        T_a[:, 0, 2, 3] = 0.2 + 0.03 + gap
-    w = query(pairs, T_a, T_b)
-    E = tangents(w.normal)
-    K_a, K_b = (
-        np.array([[true_curvature(piece, T[i, 0], x[i, 0], sign * w.normal[i, 0], E[i, 0])] for i in range(count)])
-        for piece, T, x, sign in ((pieces[0], T_a, w.point_a, 1.0), (pieces[1], T_b, w.point_b, -1.0))
-    )
-    return pairs, T_a, T_b, w, E, K_a, K_b
-
-
-def slopes(value: Callable[[np.ndarray], np.ndarray], T_a: np.ndarray, step: float = H) -> np.ndarray:
-    """Central differences (..., 6) of value(T_a) along the six spatial twists of body a."""
-    return np.moveaxis(slopes_along_twists(lambda a, _: value(a), T_a, T_a, step)[:6], 0, -1)
-
-
-@pytest.mark.parametrize("gap", [0.006, 0.0005, -0.004])
-@pytest.mark.parametrize("name", SMOOTH)
-def test_covectors_of_contacts_are_the_slopes_of_what_the_query_finds(name: str, gap: float) -> None:
-    pairs, T_a, T_b, w, E, K_a, K_b = smooth_contact(name, gap)
-    on_a = T_a[..., :3, :3].mT @ E
-
-    def seen(T: np.ndarray) -> np.ndarray:
-        """Gap, and the points along the tangents as seen from each body: a's tangents turn with a."""
-        found = query(pairs, T, T_b)
-        local = matvec(T[..., :3, :3].mT, found.point_a - T[..., :3, 3])
-        own, other = matvec(on_a.mT, local), matvec(E.mT, found.point_b)
-        return np.concatenate([found.distance[..., None], own, other], axis=-1)
-
-    found = in_both(contact_targets_covectors, w, E, K_a, K_b)
-    assert found.shape == (6, 1, 5, 6)
-    np.testing.assert_allclose(found, slopes(seen, T_a), atol=2e-4)
-    np.testing.assert_allclose(in_both(gap_covectors, w)[..., None, :], found[..., :1, :], atol=1e-15)
-    # Seen from its body, a witness point does not move along the normal.
-    across = slopes(lambda T: (w.normal * query(pairs, T, T_b).point_b).sum(axis=-1), T_a)
-    np.testing.assert_allclose(across, 0.0, atol=1e-4)
-
-    turn = slopes(lambda T: query(pairs, T, T_b).normal, T_a)
-    np.testing.assert_allclose(in_both(contact_direction_covectors, w, E, K_a, K_b), turn, rtol=1e-4, atol=2e-2)
-
-
-@pytest.mark.parametrize("gap", [0.004, -0.002])
-def test_covectors_of_gap_and_depth_are_exact_on_polytopes_too(gap: float) -> None:
-    bodies = [build_body("hull", [hull(np.random.default_rng(s).normal(size=(40, 3)) * 0.02)]) for s in (1, 2)]
-    pairs = Pairs((bodies[0],), (bodies[1],))
-    T_a, T_b = poses_at_gap(pairs, 8, gap, seed=9)
-    w = query(pairs, T_a, T_b)
-    for value, covectors in (
-        (lambda T: query(pairs, T, T_b).distance, gap_covectors(w)),
-        (lambda T: penetration(query(pairs, T, T_b)), np.where(w.distance[..., None] < 0, -gap_covectors(w), 0.0)),
-    ):
-        error = np.abs(slopes(value, T_a, 1e-7) - covectors).max(axis=(1, 2))
-        # In penetration another face may win within a step; no other place is allowed to differ.
-        assert np.sort(error)[5] < 1e-4
-    # Two links that both move: the covector acts on the twist of the first less that of the second.
-    both = slopes_along_twists(lambda a, b: query(pairs, a, b).distance, T_a, T_b, 1e-7)
-    np.testing.assert_allclose(both[:6], -both[6:], atol=1e-4)
 
 
 @pytest.mark.parametrize("gap", [0.01, 1e-9, 0.0, -1e-3, -0.005])
@@ -351,21 +209,7 @@ def test_covectors_of_ellipsoids_whose_curvatures_differ_all_round(gap: float) -
             rows.append((ends[0] - ends[1]) / (2 * H))
         expected = np.array(rows).T
         np.testing.assert_allclose(contact_targets_covectors(w, E, K_a, K_b), expected[:5], atol=1e-6)
-        np.testing.assert_allclose(contact_direction_covectors(w, E, K_a, K_b), expected[5:], rtol=1e-6, atol=1e-5)
-
-
-def test_depths_below_a_plane_and_their_covectors() -> None:
-    """Depths are signed, and have slopes on both sides; only what is below counts."""
-    rng = np.random.default_rng(10)
-    points, normal = rng.normal(size=(20, 3)), np.array([0.48, 0.6, 0.64])
-    depth = in_both(plane_depth, points, normal, 0.1)
-    np.testing.assert_allclose(depth, 0.1 - points @ normal, atol=1e-15)
-    assert 0 < (depth > 0).sum() < 20
-    np.testing.assert_array_equal(in_both(below_plane, points, normal, 0.1), np.where(depth > 0, depth, 0.0))
-    found = in_both(plane_covectors, points, normal)
-    for k in range(6):
-        ends = [plane_depth(transform_points(exp_se3(s * H * np.eye(6)[k]), points), normal, 0.1) for s in (1, -1)]
-        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2 * H), atol=1e-9)
+        np.testing.assert_allclose(normal_covectors(w, E, K_a, K_b), expected[5:], rtol=1e-6, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -381,7 +225,7 @@ def test_the_derivative_of_staying_near_is_a_series_in_the_angle(angle: float, e
     T[:, :3, :3] = exp_so3(w) @ T[:, :3, :3]
     T[:, :3, 3] += rng.normal(size=(5, 3)) * 0.05
     q = q_first + rng.normal(size=(5, 3))
-    found = in_both(lambda *a: stay_near_jacobian(stay_near(*a, scales), scales), T, q, T_first, q_first)
+    found = movement_jacobian(movement(T, q, T_first, q_first, scales), scales)
     expected = np.zeros((5, 9, 9))
     for k in range(9):
         ends = []
@@ -390,7 +234,7 @@ def test_the_derivative_of_staying_near_is_a_series_in_the_angle(angle: float, e
             moved = T.copy()
             moved[:, :3, :3] = exp_so3(dx[3:6]) @ T[:, :3, :3]
             moved[:, :3, 3] += dx[:3]
-            ends.append(stay_near(moved, q + dx[6:], T_first, q_first, scales))
+            ends.append(movement(moved, q + dx[6:], T_first, q_first, scales))
         expected[:, :, k] = (ends[0] - ends[1]) / 2e-6
     np.testing.assert_allclose(found[:, :3], expected[:, :3], atol=1e-7)
     np.testing.assert_allclose(found[:, 6:], expected[:, 6:], atol=1e-7)
@@ -417,7 +261,7 @@ def test_a_ball_in_a_socket_moves_the_right_way_and_frozen_points_the_wrong_way(
     center = (R - r - gap) * n
     w = ball_in_socket(center, r, R)
     E = tangents(n)
-    covectors = contact_direction_covectors(w, E, np.eye(2) / r, -np.eye(2) / R)
+    covectors = normal_covectors(w, E, np.eye(2) / r, -np.eye(2) / R)
     expected = np.zeros((3, 6))
     for k in range(6):
         ends = [
@@ -431,11 +275,11 @@ def test_a_ball_in_a_socket_moves_the_right_way_and_frozen_points_the_wrong_way(
 
     def miss(step: np.ndarray) -> float:
         at = ball_in_socket(center + step, r, R)
-        return float((contact_direction(at, wanted) ** 2).sum())
+        return float((normal_difference(at, wanted) ** 2).sum())
 
     def against(rows: np.ndarray) -> np.ndarray:
         """A small step of the ball against the gradient that some covectors give."""
-        gradient = (rows.T @ contact_direction(w, wanted))[:3]
+        gradient = (rows.T @ normal_difference(w, wanted))[:3]
         return -1e-4 * gradient / np.linalg.norm(gradient)
 
     right = against(covectors)
@@ -447,7 +291,7 @@ def test_a_ball_in_a_socket_moves_the_right_way_and_frozen_points_the_wrong_way(
         assert miss(frozen) > miss(np.zeros(3)) and frozen @ wanted < 0
         np.testing.assert_allclose(right, -frozen, atol=1e-9)
     # On a convex object it is the other way round: frozen points are right apart, and wrong in penetration.
-    convex = contact_direction_covectors(w, E, np.eye(2) / r, np.eye(2) / R)
+    convex = normal_covectors(w, E, np.eye(2) / r, np.eye(2) / R)
     assert (against(convex) @ frozen > 0) == (gap > 0)
 
 

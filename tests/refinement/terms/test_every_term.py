@@ -1,0 +1,108 @@
+"""Every term of the loss against finite differences, by least squares and by autograd, on slides and a mimic joint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.se3 import matvec
+from grasp_refine.hands.chain import integrate
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.grasp_problem import GraspProblem
+from grasp_refine.refinement.objective import Objective
+from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.terms.weights import Weights, term_kinds
+from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
+from grasp_refine.scene.scene import Scene
+from grasp_refine.witness.finite_difference import FiniteDifference
+from sliding_gripper import OBJECTS, around_object, shallow, sliding_gripper
+
+COUNT = 12
+"""Grasps of each case."""
+
+DEPTH = 0.006
+"""Largest depth of hands in the object, metres: half of a link's radius."""
+
+WEIGHT = 0.7
+
+STEP = 1e-6
+"""Step of finite differences, in m and rad."""
+
+EXACT, TOLERANCES = 1e-5, {"contact": 0.02, "wrench": 0.06, "direction": 0.02}
+"""Largest relative error of a gradient; curvatures at edges and vertices are those of small radii."""
+
+SMALLEST_GRADIENT = 1e-5
+"""Gradients below this, in m, count as zero."""
+
+CASES = [
+    (name, way)
+    for name, kind in term_kinds().items()
+    for way, has in (("least squares", kind.least_squares), ("autograd", kind.autograd))
+    if has
+]
+
+
+@pytest.fixture(scope="module", params=list(OBJECTS))
+def many(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Hands around an object, of spheres, boxes or meshes."""
+    hand = sliding_gripper(tmp_path_factory.mktemp(request.param), request.param, candidates=1024)
+    return around_object(hand, 600, 1, OBJECTS[request.param], table=True)
+
+
+def with_goal(scene: Scene, name: str) -> Goal:
+    """Three links touch, one of them along a normal; for the term of contacts, two of them at targets."""
+    rng, goal = np.random.default_rng(2), goal_of(scene, ContactSelection(links=scene.links[:3]))
+    targets = np.full((2, COUNT, len(scene.links), 3), np.nan)
+    direction = targets[0].copy()
+    n = rng.normal(size=(COUNT, 3))
+    direction[:, 0] = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    if name == "contact":
+        targets[:, :, :2] = rng.normal(size=(2, COUNT, 2, 3)) * [[[[0.02]]], [[[0.03]]]]
+    return replace(goal, target_link=targets[0], target_object=targets[1], direction=direction)
+
+
+def gradient(problem: GraspProblem | Objective, point: Point) -> np.ndarray:
+    """The gradient (M, 6 + n) of the loss in root, turning about its own origin in world axes, and joints."""
+    member = np.arange(COUNT)
+    known = problem.evaluate(member, point, None)
+    if isinstance(problem, Objective):
+        R = point.T[:, :3, :3]
+        v, w = (matvec(R, known.gradient[:, part]) for part in (slice(0, 3), slice(3, 6)))
+        # The body twist of a gradient has half of its derivative along a rotation.
+        return np.concatenate([v, 2.0 * w, known.gradient[:, 6:]], axis=1)
+    linear = problem.linearize(member, point, known, np.zeros(COUNT))
+    counts = np.ones(linear.residual.shape, dtype=bool)
+    if linear.unilateral is not None:
+        counts = ~linear.unilateral | (linear.residual > 0)
+    return 2.0 * np.einsum("brk,br->bk", linear.jacobian, np.where(counts, linear.residual, 0.0))
+
+
+@pytest.mark.parametrize(("name", "way"), CASES)
+def test_every_term_has_the_gradient_of_finite_differences(many: Scene, name: str, way: str) -> None:
+    itself = name == "self_penetration"
+    scene = shallow(many, COUNT, 5 * DEPTH if itself else DEPTH, itself=itself)
+    goal, nothing = with_goal(scene, name), dict.fromkeys(term_kinds(), 0.0)
+    weights = Weights(**{**nothing, name: WEIGHT})
+    config = Config(weights=weights, margin=1e-3, derivative=FiniteDifference(step=1e-4))
+    config = config if way == "least squares" else replace(config, solver=Adam())
+    problem = (GraspProblem if way == "least squares" else Objective)(scene, goal, config)
+    # Not where the hands began, so that there is something to stay near to.
+    dx = np.random.default_rng(3).normal(size=(COUNT, 8)) * [5e-4, 5e-4, 5e-4, 0.02, 0.02, 0.02, 5e-4, 0.02]
+    if name == "joint_limits":
+        dx[:, 6:] = [0.03, 0.7]
+    first = Point(integrate(scene.T_world_root, dx[:, :6]), scene.q + dx[:, 6:])
+
+    def loss(dx: np.ndarray) -> np.ndarray:
+        moved = Point(integrate(first.T, np.tile(dx[:6], (COUNT, 1))), first.q + dx[6:])
+        return problem.evaluate(np.arange(COUNT), moved, None).loss
+
+    expected = np.stack([loss(STEP * e) - loss(-STEP * e) for e in np.eye(8)], axis=1) / (2.0 * STEP)
+    scale = np.linalg.norm(expected, axis=1)
+    error = np.linalg.norm(gradient(problem, first) - expected, axis=1) / np.maximum(scale, SMALLEST_GRADIENT)
+    assert (scale > SMALLEST_GRADIENT).sum() >= 3
+    # A face or an edge may change within a step, or by a new query.
+    assert np.sort(error)[-2] < TOLERANCES.get(name, EXACT), error
