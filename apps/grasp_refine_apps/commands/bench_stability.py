@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from rich.console import Console
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.bench.stability.cases import DType, Kind, Method, Neighborhood, State
+from grasp_refine_apps.bench.stability.cases import DType, Kind, Method, Neighborhood, State, Task
 from grasp_refine_apps.bench.stability.cases import Engine as EngineName
-from grasp_refine_apps.bench.stability.page import page
 from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
-from grasp_refine_apps.bench.stability.study import Outcome, run_study
-from grasp_refine_apps.bench.stability.table import bench_tables
-from grasp_refine_apps.bench.stability.task import Task
-from grasp_refine_apps.commands.benchmark import check_comparison, run_old_benchmark
+from grasp_refine_apps.bench.stability.study import StabilityStudy
+from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["full", "quick", "smoke"]
-
-SOMETHING_WRONG = 1
-"""Exit code when a result is wrong, or a task crashed."""
 
 
 @dataclass(frozen=True)
@@ -94,24 +86,8 @@ class BenchStability:
         Raises:
             GraspRefineError: a number out of its range, or an engine that is not available.
         """
-        tasks = self.tasks()
-        found: list[Outcome] = []
-
-        def run(console: Console, progress: Callable[[float, str], None]) -> Outcome:
-            found.append(run_study(tasks, self.workers, progress))
-            return found[0]
-
-        code = run_old_benchmark(
-            "bench stability",
-            replace(self, json=None, html=None, overwrite=False),
-            self,
-            run,
-            lambda outcome: [
-                part for table in bench_tables(outcome.rows, self.seed, len(outcome.problems)) for part in (table, "")
-            ],
-            lambda document, outcome: page(document),
-        )
-        return code or (SOMETHING_WRONG if found[0].wrong else 0)
+        study = StabilityStudy(self.tasks(), self.seed, self.workers)
+        return run_benchmark("bench stability", replace(self, json=None, html=None, overwrite=False), self, study)
 
     def tasks(self) -> tuple[Task, ...]:
         """Return the tasks that the options define.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import Field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -149,86 +149,3 @@ def run_benchmark(command: str, invoked: Any, options: Options, study: Study) ->
     wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
     console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
     return SOMETHING_WRONG if report.failed else 0
-
-
-@runtime_checkable
-class Outcome(Protocol):
-    """Outcome of a study."""
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """Rows of the results."""
-        ...
-
-    @property
-    def problems(self) -> list[str]:
-        """Problems, one line each."""
-        ...
-
-
-Found = TypeVar("Found", bound=Outcome)
-
-
-def run_old_benchmark(
-    command: str,
-    invoked: Any,
-    options: Options,
-    run: Callable[[Console, Callable[[float, str], None]], Found],
-    tables: Callable[[Found], Iterable[RenderableType]],
-    page: Callable[[dict[str, Any], Found], str],
-    also: Sequence[Path] = (),
-) -> int:
-    """Run a study, write and show its results, and return the exit code.
-
-    Args:
-        command: Words of the command, such as "bench align".
-        invoked: Dataclass of the command, for the invocation and the settings.
-        options: Its part with the options common to all benchmarks.
-        run: Runs the study; gets the console of the progress bar, and the callback for the share of the work done.
-        tables: Tables to print of the results.
-        page: HTML report of the JSON document and the results.
-        also: Further files that `run` writes.
-
-    Raises:
-        GraspRefineError: files that cannot be written, or what `run` raises.
-    """
-    wall, cpu = time.perf_counter(), cpu_seconds()
-    files = [path for path in (options.json, options.html, *also) if path is not None]
-    check_writable(*files, overwrite=options.overwrite)
-    with progress_bar(screen(stderr=True)) as bar:
-        task = bar.add_task("loading", total=1.0)
-
-        def progress(share: float, what: str) -> None:
-            bar.update(task, completed=share, description=what)
-
-        outcome = run(bar.console, progress)
-    document = {
-        "schema": SCHEMA,
-        "command": command,
-        "invocation": invocation(command, invoked),
-        "versions": versions(),
-        "machine": machine(),
-        "engine": chosen("auto"),
-        "preset": options.preset,
-        "config": settings(invoked),
-        "seed": options.seed,
-        "wall_s": time.perf_counter() - wall,
-        "cpu_s": cpu_seconds() - cpu,
-        "problems": outcome.problems,
-        "rows": outcome.rows,
-    }
-    console = screen()
-    for problem in outcome.problems:
-        screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
-    if not outcome.rows:
-        console.print("no usable results; nothing was written")
-        return NOTHING_USABLE
-    if options.json is not None:
-        save_json(options.json, document)
-    if options.html is not None:
-        save_text(options.html, page(document, outcome))
-    for table in tables(outcome):
-        console.print(table)
-    wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
-    console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
-    return 0

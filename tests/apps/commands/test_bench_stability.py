@@ -16,9 +16,9 @@ from command_line import call, refused
 from grasp_refine.collision.engine import engines
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES, Derivative, Forward
-from grasp_refine_apps.bench.stability.counts import of_measure, total_counts
 from grasp_refine_apps.bench.stability.labels import again
 from grasp_refine_apps.bench.stability.presets import FAST
+from grasp_refine_apps.bench.stability.rows import of_measure, total
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.bench_stability import BenchStability
 from refusals import assert_names
@@ -34,9 +34,9 @@ def test_of_20000_queries_in_all_states_none_is_wrong():
     found = json.loads(Path("found.json").read_text())
     rows = found["rows"]
     queries, derivatives = of_measure(rows, "forward"), of_measure(rows, "derivative")
-    assert total_counts(rows).wrong == 0, done.stdout
+    assert total(rows)["wrong"] == 0, done.stdout
     assert (done.returncode, found["problems"], done.stderr) == (0, [], "")
-    assert total_counts(queries)["queries"] >= 20_000 and total_counts(queries)["points_compared"] > 2_000
+    assert total(queries)["queries"] >= 20_000 and total(queries)["points_compared"] > 2_000
     assert {row["kind"] for row in queries} == set(KINDS) and {row["kind"] for row in derivatives} == set(FAST)
     # One of four pairs of slivers cannot be built, and nothing else is refused.
     assert {row["kind"] for row in rows if row["refused"]} == {"slivers"}
@@ -77,7 +77,7 @@ def test_wrong_answers_are_counted_and_end_with_code_1(
     # A distance of the wrong sign is a wrong distance too, and not that of its points.
     names = ("wrong_distance", "wrong_sign", "failed", "not_finite")
     assert [row[name] for name in names] == [2, 1, 1, 1] and row["wrong_points"] >= 1
-    assert total_counts([row]).wrong == sum(row[name] for name in names) + row["wrong_points"]
+    assert total([row])["wrong"] == sum(row[name] for name in names) + row["wrong_points"]
     assert row["error_max"] > 100
     assert "--states near --measures forward --dtypes float64" in " ".join(out.replace("\\\n", " ").split())
     assert 'td class="wrong"' in Path("found.html").read_text(encoding="utf-8")

@@ -26,11 +26,11 @@ from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.zeroth_order import ZerothOrder
 from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.bench.stability.bodies import make_pairs
+from grasp_refine_apps.bench.stability.cases import Task
 from grasp_refine_apps.bench.stability.judging import tolerance
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.task import Task
 
 NEIGHBORHOODS: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType(
     {"adaptive": Adaptive(), "fixed": Fixed()}

@@ -14,12 +14,11 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine_apps.bench.stability.bodies import make_pairs
-from grasp_refine_apps.bench.stability.cases import Forward, State
+from grasp_refine_apps.bench.stability.cases import Forward, State, Task
 from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import PosedBodies, PoseSampler, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 from grasp_refine_apps.bench.stability.second import MUJOCO_TOLERANCE, SecondOpinion
-from grasp_refine_apps.bench.stability.task import Task
 
 
 def forward_cells(task: Task) -> Iterator[Cell]:

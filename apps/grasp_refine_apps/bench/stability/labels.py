@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.stability.cases import DTYPES, ENGINES, KINDS, METHODS, NEIGHBORHOODS, STATES
-from grasp_refine_apps.bench.stability.rows import WRONG, Row
+from grasp_refine_apps.bench.stability.rows import WRONG
 
 ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
     {

@@ -19,10 +19,10 @@ from grasp_refine_apps.bench.stability.cases import (
     STATE_DISTANCES_M,
     STATES,
     State,
+    Task,
 )
 from grasp_refine_apps.bench.stability.features import FEATURE, Feature, extreme
 from grasp_refine_apps.bench.stability.reference import Truth, Truths
-from grasp_refine_apps.bench.stability.task import Task
 
 MAX_ROTATIONS = 4
 """Largest number of relative rotations of a pair of bodies, of which the first is none."""

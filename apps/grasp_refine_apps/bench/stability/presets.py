@@ -24,10 +24,10 @@ from grasp_refine_apps.bench.stability.cases import (
     Method,
     Neighborhood,
     State,
+    Task,
     diagonals_of,
 )
 from grasp_refine_apps.bench.stability.rows import Measure
-from grasp_refine_apps.bench.stability.task import Task
 
 SMOOTHING: tuple[Method, ...] = ("contact-kinematics", "distance", "direction")
 """Methods that use candidates near a witness point; the others have no neighborhood."""

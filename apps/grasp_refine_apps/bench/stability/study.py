@@ -1,71 +1,309 @@
-"""A run of the benchmark: each task makes all its queries, and returns rows."""
+"""The benchmark of stability: wrong answers of witness queries and derivatives, by body, size, state and method."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from math import log10
+from textwrap import wrap
 from typing import Any
 
-from grasp_refine_apps.bench.jobs import Job, run_jobs
-from grasp_refine_apps.bench.stability.counts import wrong
+from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.jobs import Job, Progress
+from grasp_refine_apps.bench.report import Column, Note, Report, Shade, Table
+from grasp_refine_apps.bench.stability.cases import DTYPES, Task
 from grasp_refine_apps.bench.stability.derivative import derivative_cells
 from grasp_refine_apps.bench.stability.forward import forward_cells
-from grasp_refine_apps.bench.stability.labels import length
-from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.task import Task
+from grasp_refine_apps.bench.stability.labels import FAULT_LABELS, again, faults, length, ordered, words
+from grasp_refine_apps.bench.stability.rows import WRONG, Cell, error_of, group_rows, of_measure, total, worst
+
+PALEST_ERROR = 1e-8
+"""Error over tolerance of the palest square; the darkest one that is not wrong has 1."""
+
+PRINTED_CELLS, LISTED_CELLS = (5, 2), (40, 10)
+"""Largest number of cells that are printed, and that are on a page: wrong ones, or nearest ones of each precision."""
+
+MAX_REASONS = 20
+"""Largest number of different reasons of refusal that are listed."""
+
+LINE_CHARACTERS = 78
+"""Characters of a line of a command, which continues after a backslash."""
+
+INTRO = """Bodies of many kinds and sizes are placed in many states, and queried for their signed distance, their
+witness points and the derivative of these. Each distance is compared with one that is computed in another way: in
+closed form, or from the hull of all differences of vertices. It is wrong where it is off by more than 1e-8 of the
+larger diagonal + 1e-12 m + 1e-15 of how far the bodies are from the origin, for float32 poses plus their rounding; or
+where its sign is wrong though the distance exceeds that. Gaps are in diagonals, but for those in µm and nm.
+
+Witness points are compared with the true ones where these are unique. They are wrong where they are off by more than
+1e-6 of the larger diagonal plus the slide of points that the error of the distance, or the rounding of poses, allows;
+where any, unique or not, are as much outside their bodies, or are not the distance apart along the normal; or where
+two planes across the normal do not certify the distance.
+
+Collapsed are answers that are right within the tolerance, but whose sign or status is not the true one, though the
+true distance exceeds 64 roundings of diagonal and position: gaps of less than the tolerance that are reported as
+contact. This is counted and is not a fault.
+
+A derivative is wrong where it is not finite, or exceeds the bound of its method; where that of the distance is not
+the normal at the witness points, or not along the true normal; where points and normal do not move with the bodies
+when both move together; or where another size of the same scene gives another one. The slip of points on their bodies
+is checked for two spheres that are apart by more than four tolerances of the distance, for which it is known: with
+every method its direction, and its amount with finite differences (to 1e-5) and, for the points, with the analytical
+method. Of polytopes, capsules, and spheres against these, the slip is not compared with a true one: most methods
+smooth it on purpose.
+
+Maps: the darker a square, the nearer the worst error is to its tolerance, from 1e-8 of it on; a number counts faults;
+hatched squares are refused with a reason, blank ones not queried."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Results of a study."""
+class StabilityStudy:
+    """Settings of a run."""
 
-    rows: list[dict[str, Any]]
-    """Entries of the tables, one for each cell."""
-    problems: list[str]
-    """Errors of tasks that ended early: each is an exception that should not occur."""
+    tasks: tuple[Task, ...]
+    """Bodies, states and ways to query."""
+    seed: int = 0
+    """Seed of bodies and poses."""
+    workers: int = 1
+    """Processes."""
 
-    @property
-    def wrong(self) -> bool:
-        """Whether any task or cell has a fault."""
-        return bool(self.problems) or any(map(wrong, self.rows))
+    def jobs(self, say: Callable[[str], None]) -> list[Job]:
+        """Return a job for each task; many pieces take longest."""
+        return [
+            Job(f"{one.kind}, {length(one.diagonal)}", partial(cells, one), 4.0 if one.kind == "concave40" else 1.0)
+            for one in self.tasks
+        ]
 
+    def rows(self, done: Sequence[Sequence[Cell]]) -> list[Row]:
+        """Return a row for each cell."""
+        return [cell.row() for its in done for cell in its]
 
-@dataclass(frozen=True)
-class TaskJob:
-    """A task that goes to one process."""
-
-    task: Task
-
-    @property
-    def work(self) -> float:
-        """Approximate duration: many pieces take longest."""
-        return 4.0 if self.task.kind == "concave40" else 1.0
-
-    @property
-    def label(self) -> str:
-        """Label of the job, for a progress bar."""
-        return f"{self.task.kind}, {length(self.task.diagonal)}"
-
-    def do(self, progress: Callable[[float], None]) -> list[Cell]:
-        """Check all its cells."""
-        found: list[Cell] = []
-        both = (forward_cells, self.task.forwards), (derivative_cells, self.task.derivatives)
-        asked = [cells for cells, ways in both if ways]
-        states = self.task.states
-        for part, cells in enumerate(asked):
-            for cell in cells(self.task):
-                found.append(cell)
-                progress((part + (1 + states.index(cell.state)) / len(states)) / len(asked))
-        return found
+    def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
+        """Return counts by body, state and method, heat maps, and the cells that are wrong or nearest to it."""
+        forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
+        lines = [*_worst_lines(rows, self.seed), *summary(rows, len(problems))]
+        parts: list[Note | Table] = [
+            Note(INTRO),
+            *_counts(forward, "wrong distances and points; errors are over their tolerance", "kind", FORWARD),
+            *_counts(derivative, "wrong derivatives; errors are over their tolerance", "method", DERIVATIVE),
+            Note("\n".join(lines), "Summary", only=None, verbatim=True),
+            *_maps(forward, derivative),
+            *_lists(rows, self.seed),
+        ]
+        failed = bool(problems) or total(rows)["wrong"] > 0
+        return Report("Stability of witness queries", parts, failed=failed)
 
 
-def run_study(tasks: Sequence[Task], workers: int, progress: Callable[[float, str], None]) -> Outcome:
-    """Run all tasks.
+def cells(task: Task, progress: Progress) -> list[Cell]:
+    """Check all cells of a task, in this process."""
+    found: list[Cell] = []
+    both = (forward_cells, task.forwards), (derivative_cells, task.derivatives)
+    checks = [check for check, ways in both if ways]
+    for part, check in enumerate(checks):
+        for cell in check(task):
+            found.append(cell)
+            progress((part + (1 + task.states.index(cell.state)) / len(task.states)) / len(checks))
+    return found
+
+
+# counts
+
+
+def _error(value: float) -> str:
+    return "0" if value == 0 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+QUERIES = Column("queries", "quer\u00adies", form="d")
+FORWARD = (
+    QUERIES,
+    Column("refused", "re\u00adfused", form="d"),
+    Column("failed", "no ans.", form="d"),
+    Column("not_finite", "not fin.", form="d"),
+    Column("wrong_distance", "bad dist.", form="d"),
+    Column("wrong_sign", "bad sign", form="d"),
+    Column("wrong_points", "bad pts.", form="d"),
+    Column("points_compared", "points judged", form="d"),
+    Column("collapsed", "col\u00adlaps.", form="d"),
+    Column("error_max", "dist. err.", form=_error),
+    Column("points_error_max", "pts. err.", form=_error),
+)
+"""Columns on queries."""
+DERIVATIVE = (
+    QUERIES,
+    Column("refused", "re\u00adfused", form="d"),
+    Column("failed", "no answer", form="d"),
+    Column("derivative_not_finite", "not finite", form="d"),
+    Column("derivative_unbounded", "un\u00adbounded", form="d"),
+    Column("derivative_wrong_sign", "wrong", form="d"),
+    Column("derivative_unscaled", "not scaled", form="d"),
+    Column("derivative_error_max", "worst error", form=_error),
+)
+"""Columns on derivatives."""
+
+
+def _counts(rows: Sequence[Row], title: str, first: str, columns: Sequence[Column]) -> Iterator[Table]:
+    """Make tables with a line for each value of a key, then for each state and for all."""
+    for key in (first, "state") if rows else ():
+        groups = group_rows(rows, (key,))
+        lines = [{"name": words(key, value), **total(groups[value,])} for value in ordered(key, (r[key] for r in rows))]
+        lines += [{"name": "all", **total(rows)}] if key == "state" else []
+        yield Table(f"{title}, by {key}", [Column("name", key), *columns], lines)
+
+
+def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
+    """Yield the numbers of queries and of faults in a line; one more of MuJoCo."""
+    found = total(rows)
+    asked = [
+        f"{total(its)['queries']} {what}"
+        for its, what in ((of_measure(rows, "forward"), "queries"), (of_measure(rows, "derivative"), "derivatives"))
+        if its
+    ]
+    counts = (found["collapsed"], "collapsed"), (found["refused"], "refused"), (crashes, "crashed")
+    wrong = f"{found['wrong']} fault{'s' * (found['wrong'] != 1)}"
+    if found["mujoco_queries"]:
+        yield f"MuJoCo, at {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
+    parts = [wrong, *(f"{count} {name}" for count, name in counts if count)]
+    yield f"{found['cells']} cells, {' and '.join(asked)}: {', '.join(parts)}"
+
+
+def _worst_lines(rows: Sequence[Row], seed: int) -> Iterator[str]:
+    """Yield the wrong cells, or else those nearest to it, each with the command that repeats it."""
+    shown = worst(rows, *PRINTED_CELLS)
+    if shown:
+        yield "wrong cells, and the commands that repeat them:" if faults(shown[0]) else "nearest to being wrong:"
+    for row in shown:
+        error = error_of(row)
+        what = [faults(row), row["dtype"], "" if error is None else f"error {_error(error)} of its tolerance"]
+        yield f"- {', '.join(filter(None, what))}"
+        command = again(row, seed)
+        lines = wrap(command, LINE_CHARACTERS, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+        yield " \\\n".join(lines)
+    if shown:
+        yield ""
+
+
+# heat maps
+
+
+def _maps(forward: Sequence[Row], derivative: Sequence[Row]) -> Iterator[Table]:
+    """Make each heat map of which there are rows."""
+    body, way = ("kind", "diagonal"), ("dtype", "batch", "engine", "translation")
+    method, moves = ("method", "neighborhood", "dtype"), "derivative_error_max"
+    double, single = ([row for row in forward if row["dtype"] == dtype] for dtype in DTYPES)
+    asked = (
+        ("Signed distances by body and state", "Poses in double precision, queried in all ways.", double, body, "state",
+         "error_max"),
+        ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
+         single, body, "state", "error_max"),
+        ("Signed distances by way of querying", "All bodies together.", forward, way, "state", "error_max"),
+        ("Witness points by body and state", "Poses in double precision; the colour is of points and normals.", double,
+         body, "state", "points_error_max"),
+        ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
+        ("Derivatives by method and size", "Body kinds and states together.", derivative, method, "diagonal", moves),
+        ("Derivatives by body and state", "All methods together.", derivative, body, "state", moves),
+    )  # fmt: skip
+    for title, note, rows, down, across, error in asked:
+        if rows:
+            yield heat_map(title, note, rows, down, across, error)
+
+
+def heat_map(title: str, note: str, rows: Sequence[Row], down: Sequence[str], across: str, error: str) -> Table:
+    """Make a table with a coloured square for all cells that share some keys.
 
     Args:
-        tasks: Tasks to run.
-        workers: Processes.
-        progress: Called with the share of the work that is done, and its label.
+        title: Title of the table.
+        note: Paragraph above it.
+        rows: Rows to count.
+        down: Keys that have a line for each combination that occurs.
+        across: Key whose values are the columns.
+        error: Key of the error that colours the squares, over its tolerance.
     """
-    done, problems = run_jobs([Job(one.label, one.do, one.work) for one in map(TaskJob, tasks)], workers, progress)
-    return Outcome([cell.row() for its in done for cell in its], problems)
+    found = group_rows(rows, (*down, across))
+    columns = ordered(across, (row[across] for row in rows))
+    places = [ordered(key, (row[key] for row in rows)) for key in down]
+    names = {key[:-1] for key in found}
+    lines = []
+    for name in sorted(names, key=lambda name: [its.index(value) for its, value in zip(places, name, strict=True)]):
+        head = ", ".join(words(key, value) for key, value in zip(down, name, strict=True))
+        line: Row = {"name": head}
+        for value in columns:
+            text = words(across, value)
+            line[text] = {"where": f"{head}, {text}", **total(found.get((*name, value), []))}
+        lines.append(line)
+
+    def shade(its: Row) -> Shade:
+        return _shade(its, error)
+
+    texts = [words(across, value) for value in columns]
+    heads = [Column(text, text, form=lambda its: str(its["wrong"] or ""), shade=shade) for text in texts]
+    return Table(title, [Column("name", ", ".join(down)), *heads], lines, note, only="page")
+
+
+def _shade(its: Row, error: str) -> Shade:
+    """Colour of the total of some cells."""
+    if not its["cells"]:
+        return Shade("none", hint=f"{its['where']}: there is no such cell")
+    said = [f"{its[name]} {FAULT_LABELS[name]}" for name in WRONG if its[name]] or ["none wrong"]
+    said += [f"{its['refused']} refused"] if its["refused"] else []
+    said += [] if its[error] is None else [f"worst error {its[error]:.1e} of its tolerance"]
+    hint = f"{its['where']}: {its['queries']} queries, {', '.join(said)}"
+    if its["wrong"]:
+        return Shade("wrong", 100, hint)
+    return Shade("refused", 0, hint) if its["refused"] == its["queries"] else Shade("right", depth(its[error]), hint)
+
+
+def depth(error: float | None) -> int:
+    """Percent of the darkest colour for an error over its tolerance; logarithmic."""
+    if error is None or error <= PALEST_ERROR:
+        return 0
+    return round(100 * min(1.0, 1 - log10(error) / log10(PALEST_ERROR)))
+
+
+# lists
+
+
+def _lists(rows: Sequence[Row], seed: int) -> Iterator[Table]:
+    """Make tables of the worst cells, of refusals and of MuJoCo's answers."""
+    keys = ("kind", "diagonal", "state", "dtype", "batch", "engine", "translation", "method", "neighborhood")
+    listed = [
+        {
+            "cell": ", ".join(words(key, row[key]) for key in keys if row[key] is not None),
+            "wrong": "; ".join(filter(None, [faults(row), row["where"]])),
+            "error": error_of(row),
+            "command": again(row, seed),
+        }
+        for row in worst(rows, *LISTED_CELLS)
+    ]
+    if listed:
+        columns = [Column(key, key) for key in ("cell", "wrong")]
+        columns += [Column("error", "error", form=_error), Column("command", "command that repeats it")]
+        yield Table("Wrong cells, or those nearest to it", columns, listed, only="page")
+    reasons = group_rows((row for row in rows if row["refused"]), ("refusal",))
+    refusals = [
+        {"reason": str(why or "no reason"), "queries": total(its)["refused"], "bodies": _bodies(its)}
+        for (why,), its in [*reasons.items()][:MAX_REASONS]
+    ]
+    if refusals:
+        columns = [Column("reason", "reason"), Column("queries", "queries", form="d"), Column("bodies", "bodies")]
+        yield Table("Refusals", columns, refusals, only="page")
+    by_kind = group_rows((row for row in rows if row["mujoco_queries"]), ("kind",))
+    asked = [{"kind": kind, **total(its)} for (kind,), its in by_kind.items()]
+    if asked:
+        columns = [Column("kind", "bodies"), Column("mujoco_queries", "queries", form="d")]
+        columns += [Column("mujoco_wrong", "wrong", form="d")]
+        yield Table("MuJoCo in comparison", columns, asked, MUJOCO, only="page")
+
+
+MUJOCO = """MuJoCo's mj_geomDistance answers some of the queries too, and is checked likewise, plus the rounding of
+its vertices, which it keeps in single precision. Its faults are its own: they are not counted above."""
+
+
+def _bodies(rows: Sequence[Row]) -> str:
+    """Format the kinds of bodies of some rows, each with its sizes."""
+    sizes: dict[Any, list[float]] = {}
+    for row in rows:
+        sizes.setdefault(row["kind"], []).append(row["diagonal"])
+    return "; ".join(
+        f"{kind} of {', '.join(map(length, ordered('diagonal', sizes[kind])))}" for kind in ordered("kind", sizes)
+    )

@@ -22,12 +22,12 @@ from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 from grasp_refine_apps.bench.stability import cases, derivative
 from grasp_refine_apps.bench.stability.bodies import make_pairs
-from grasp_refine_apps.bench.stability.counts import wrong
+from grasp_refine_apps.bench.stability.cases import Task
 from grasp_refine_apps.bench.stability.derivative import METHODS, Faults, derivative_cells, judged, method_of
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.presets import derivatives_of
-from grasp_refine_apps.bench.stability.task import Task
+from grasp_refine_apps.bench.stability.rows import wrong
 
 WAYS = tuple(derivatives_of(cases.METHODS, cases.NEIGHBORHOODS, cases.DTYPES))
 NAMES = ("failed", "not_finite", "unbounded", "wrong_sign", "unscaled")

@@ -22,14 +22,14 @@ from grasp_refine_apps.bench.stability.cases import (
     Forward,
     Kind,
     State,
+    Task,
     diagonals_of,
 )
-from grasp_refine_apps.bench.stability.counts import wrong
 from grasp_refine_apps.bench.stability.forward import forward_cells
 from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
+from grasp_refine_apps.bench.stability.rows import wrong
 from grasp_refine_apps.bench.stability.second import SecondOpinion
-from grasp_refine_apps.bench.stability.task import Task
 
 PYTHON = Forward(engine="python")
 
