@@ -47,7 +47,8 @@ def test_the_outcome_measures_a_refinement():
     hand, ball = load_hand("allegro", candidates=64), load_object("sphere:0.04", candidates=64)
     T = np.eye(4)
     T[:3, 3] = (-0.09, 0.0, -0.03)
-    scene = Scene(hand, ball, T[None], hand.rest[None])
+    q = np.where(np.arange(len(hand.rest)) == 3, hand.upper + 0.1, hand.rest)
+    scene = Scene(hand, ball, T[None], q[None])
     config = Config(solver=Descent(iterations=40), contact_selection=ContactSelection(reach=0.2), nearest=True)
     refinement = refine(scene, config)
     motion = closing_motion(replace(scene, T_world_root=refinement.T_world_root, q=refinement.q))
@@ -61,6 +62,8 @@ def test_the_outcome_measures_a_refinement():
     np.testing.assert_allclose(outcome.quality[:, 1], measured.quality, rtol=1e-6)
     assert outcome["starts"].tolist() == [1] and outcome.aimed.all()
     assert outcome.usable.all()
+    # Of two measures of the refined grasp alone, that of the input is another.
+    assert metrics(hand, ball, T[None], q[None]).limits_violated == [1] and outcome["limits_violated"] == [0]
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
     with_target = ~np.isnan(outcome.target_link[0, :, 0])
     # Witness points on a ball lie on it, along the normal that looks into it.

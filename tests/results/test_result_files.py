@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,20 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import Stage, load_grasps
+from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.results.result_files import fingerprint, recorded_urdf, result_paths
+from grasp_refine.results.result_files import (
+    fingerprint,
+    is_same_refinement,
+    recorded_urdf,
+    result_paths,
+    save_results,
+)
+from grasp_refine.scene.scene import links_of
+from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine_apps.cli import main
+from made_results import plain_outcome
 from refusals import refused
 
 
@@ -38,6 +49,41 @@ def test_a_folder_is_known_by_the_names_and_contents_of_its_files(tmp_path: Path
     (tmp_path / "a" / "0.npy").write_bytes(b"two")
     assert fingerprint(tmp_path / "a")["sha256"] != first["sha256"]
     assert fingerprint(tmp_path / "a" / "0.npy")["path"] == str(tmp_path / "a" / "0.npy")
+
+
+def test_only_a_simulation_may_be_added(tmp_path: Path) -> None:
+    path, strict = tmp_path / "results.npz", {"name": "strict"}
+    assert not is_same_refinement(path, "stamp", None)
+    for recorded, protocol, same in (
+        (None, None, True),
+        (None, strict, True),
+        (strict, strict, True),
+        (strict, None, False),
+        (strict, {"name": "tabletop"}, False),
+    ):
+        text = json.dumps({"stamp": "stamp", "config": {"protocol": recorded}})
+        np.savez(path, provenance=np.array(text))
+        assert is_same_refinement(path, "stamp", protocol) == same
+        assert not is_same_refinement(path, "other stamp", protocol)
+
+
+def test_the_simulation_of_a_file_is_that_of_the_worst_direction(tmp_path: Path) -> None:
+    reason = np.array([[Reason.HELD, Reason.MOVED], [Reason.HELD, Reason.HELD]])
+    number, none = np.array([[1.0, 2.0], [4.0, 3.0]]), np.zeros((2, 2, 1), dtype=bool)
+    after = Trials(
+        ("+x", "-x"), ("tip",), reason, number, number, number, 1e-3 * number, number, none, none[:, 0], none[:, 0],
+        number[:, 0], number[:, 0], number[:, 0],
+    )  # fmt: skip
+    hand, path = load_hand("allegro"), tmp_path / "results.npz"
+    before = replace(after, reason=np.full((2, 2), Reason.HELD))
+    outcome = plain_outcome(2, links=len(links_of(hand)), q=hand.rest[None].repeat(2, axis=0))
+    save_results(path, hand, links_of(hand), outcome, {}, (before, after))
+    with np.load(path) as entries:
+        assert entries["simulation_after"].tolist() == [False, True] and entries["simulation_before"].all()
+        assert entries["simulation_reason_after"].tolist() == ["moved", "held"]
+        assert entries["simulation_direction_after"].tolist() == ["-x", "+x"]
+        assert entries["simulation_displacement_m_after"].tolist() == [2.0, 4.0]
+        assert entries["simulation_angle_rad_after"].tolist() == [2.0, 4.0]
 
 
 def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Metrics of a clamp around a ball in closed form."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,12 @@ def at(hand: Hand, ball: Object, q: list, T: np.ndarray | None = None) -> Metric
 def test_fingers_count_once_and_no_farther_than_a_centimetre(hand: Hand, ball: Object) -> None:
     found = at(hand, ball, [[0.004, 0.001, 0.0], [-0.003, 0.008, 0.03], [0.05, 0.09, 0.0]])
     np.testing.assert_allclose(found.contact_distance_m, [0.0025, 0.004, MAX_FINGER_DISTANCE_M], atol=1e-9)
+
+
+def test_a_finger_is_as_near_as_its_nearest_link(hand: Hand, ball: Object) -> None:
+    palm = replace(hand.contacts[0], link="palm")
+    found = at(replace(hand, contacts=(*hand.contacts, palm)), ball, [[0.004, 0.0, 0.002], [0.001, 0.0, 0.002]])
+    np.testing.assert_allclose(found.contact_distance_m, [0.001, 0.0005], atol=1e-9)
 
 
 def test_links_near_the_object_count_once_each(hand: Hand, ball: Object) -> None:

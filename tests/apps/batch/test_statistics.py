@@ -166,6 +166,12 @@ def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
     assert case.penetration_m[1] == 2e-3 and (case.source, case.source_row) == ("grasps.npz", 6)
 
 
+def test_the_worst_of_a_file_of_many_are_kept():
+    depth = np.arange(MAX_KEPT + 60) * 1e-5
+    rows = made_up_rows(len(depth), quality_after=0.5, penetration_after_m=depth, held_after=np.nan)
+    assert [case.row for case in statistics(rows).worst()] == [*range(len(depth) - 1, len(depth) - 1 - NUM_CASES, -1)]
+
+
 def test_what_was_not_refined_is_no_case():
     rows = made_up_rows(3, status=np.array(["no target", "converged", "not finite"]), quality_after=[0, 1, 0])
     assert [case.row for case in statistics(rows).worst()] == [1]
