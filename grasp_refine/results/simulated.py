@@ -14,7 +14,7 @@ from rich.text import Text
 from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +94,7 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
         {
             "direction": direction,
             "reason": Reason(trials.reason[i, d]).label,
-            "time_s": trials.time_s[i, d],
-            "displacement_m": trials.displacement_m[i, d],
-            "angle_rad": trials.angle_rad[i, d],
-            "peak_m": trials.peak_m[i, d],
-            "peak_rad": trials.peak_rad[i, d],
+            **{name: getattr(trials, name)[i, d] for name in NUMBERS},
             "contacts": _names(trials, trials.contacts[i, d]),
         }
         for d, direction in enumerate(trials.directions)

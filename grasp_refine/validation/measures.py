@@ -78,7 +78,7 @@ class Measure:
     compared: bool = True
     """Whether it is recorded before and after refinement; False: after it alone."""
     recorded: bool = True
-    """Whether refinements record it."""
+    """Whether refinements record it; others are measured where they are shown."""
     validated: bool = True
     """Whether validations, which know no refinement and no targets, have it."""
     per_link: bool = False

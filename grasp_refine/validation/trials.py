@@ -50,6 +50,10 @@ class Reason(IntEnum):
         }[self]
 
 
+NUMBERS = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
+"""Fields of `Trials` with one number for each direction."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trials:
     """Trials of N grasps, each in D directions, with contacts of L links."""

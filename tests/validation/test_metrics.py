@@ -76,7 +76,7 @@ def test_a_finger_is_as_near_as_its_nearest_link(hand: Hand, ball: Object) -> No
 
 
 def test_links_near_the_object_count_once_each(hand: Hand, ball: Object) -> None:
-    found = at(hand, ball, [[0, 0, 0], [0.0019, 0.0021, 0.0], [-0.001, 0.01, 0.01], [0.01, 0.01, 0.01]])
+    found = at(hand, ball, [[0, 0, 0], [0.0019, 0.0021, 0.0], [-0.005, 0.01, 0.01], [0.01, 0.01, 0.01]])
     np.testing.assert_array_equal(found.contact_number, [3, 2, 1, 0])
 
 

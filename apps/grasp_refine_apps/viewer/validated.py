@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, isnan
 
+import numpy as np
+
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 from grasp_refine.validation.validate import BARELY
 
 
@@ -77,12 +79,8 @@ class TrialResult:
             DirectionResult(
                 direction=name,
                 reason=Reason(trials.reason[i, d]),
-                time_s=float(trials.time_s[i, d]),
-                displacement_m=float(trials.displacement_m[i, d]),
-                angle_rad=float(trials.angle_rad[i, d]),
-                peak_m=float(trials.peak_m[i, d]),
-                peak_rad=float(trials.peak_rad[i, d]),
-                links=tuple(link for link, touches in zip(trials.links, trials.contacts[i, d], strict=True) if touches),
+                links=tuple(trials.links[link] for link in np.flatnonzero(trials.contacts[i, d])),
+                **{key: float(getattr(trials, key)[i, d]) for key in NUMBERS},
             )
             for d, name in enumerate(trials.directions)
         )

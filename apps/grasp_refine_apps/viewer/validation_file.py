@@ -17,7 +17,7 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
 from grasp_refine.validation.simulation import LIFT
-from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
@@ -253,12 +253,11 @@ def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, s
 def _direction(result: _Json) -> DirectionResult:
     """Read the result of one direction."""
     reasons = {reason.label: reason for reason in Reason}
-    numbers = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
     return DirectionResult(
         direction=result["direction"].choice((*AXES, *LIFT)),
         reason=reasons[result["reason"].choice(reasons)],
         links=tuple(link.text() for link in result["contacts"].list()),
-        **{name: result[name].number() for name in numbers},
+        **{name: result[name].number() for name in NUMBERS},
     )
 
 
