@@ -84,11 +84,6 @@ def _crash(how: str, first: bool, beat: Heartbeat) -> None:
     time.sleep(3600.0)
 
 
-def _worse(how: str, first: bool, beat: Heartbeat) -> None:
-    """Crashes first, then raises."""
-    (_crash if first else _raise)("exit" if first else "value", first, beat)
-
-
 def _sleep(how: str, first: bool, beat: Heartbeat) -> None:
     time.sleep(float(how))
 
@@ -180,7 +175,6 @@ ACTIONS = {
     "write": lambda how, first, beat: None,
     "raise": _raise,
     "crash": _crash,
-    "worse": _worse,
     "sleep": _sleep,
     "beat": _beat,
     "child": _child,

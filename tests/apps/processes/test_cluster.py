@@ -7,14 +7,12 @@ import json
 import os
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from distributed import Client
 
 from dask_cluster import DaskCluster
 from grasp_refine.core.errors import GraspRefineError
@@ -22,7 +20,7 @@ from grasp_refine_apps.processes.cluster import ClusterPool, connect
 from grasp_refine_apps.processes.cluster_worker import WorkerEnvironment, fault_of
 from grasp_refine_apps.processes.dispatch import dispatch
 from refusals import assert_names, refused
-from running_processes import PATIENCE_S, soon
+from running_processes import PATIENCE_S
 from worker_tasks import some_tasks, work
 
 HERE = WorkerEnvironment((("grasp-refine", "1.0"), ("Python", "3.11"), ("distributed", "2026.8.0")), True, True)
@@ -52,15 +50,6 @@ def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
     assert found == {1: "1.txt", 2: "2.txt"}
     assert (hung.reason, hung.tries) == ("hung", 1)
     assert_names(hung.message, "10 s", "25%", "sleep 3600")
-
-
-def test_a_task_that_waits_for_others_is_not_taken_for_one_that_hangs(address: str, tmp_path: Path):
-    """What somebody else gave to the workers, and what is left of an interrupted batch, comes first."""
-    with Client(address, set_as_default=False) as other:
-        busy = [other.submit(time.sleep, 12.0, workers=[worker], pure=False) for worker in other.nthreads()]
-        assert soon(lambda: all(other.processing().values()))
-        assert outcomes(address, tmp_path, "write", tries=1, patience_s=4.0) == {0: "0.txt"}
-        assert any(future.done() for future in busy)
 
 
 def test_a_folder_that_workers_do_not_see_is_refused(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -13,7 +13,6 @@ import pytest
 from grasp_refine_apps.processes.cluster import ClusterPool, connect
 from grasp_refine_apps.processes.dispatch import Pool, dispatch
 from grasp_refine_apps.processes.local import LocalPool
-from grasp_refine_apps.processes.task import Failed
 from refusals import assert_names
 from running_processes import PATIENCE_S
 from worker_tasks import Tally, some_tasks, work
@@ -90,8 +89,3 @@ def test_a_caller_who_stops_lets_no_other_task_begin(start: Start, tmp_path: Pat
     time.sleep(1.5)
     # Those that workers had by then: one each, of which a cluster may have been given another.
     assert len(list(tmp_path.glob("*.started"))) <= 4
-
-
-def test_an_error_after_a_crash_counts_both_tries(start: Start, tmp_path: Path):
-    (failure,) = outcomes(start, tmp_path, "worse").values()
-    assert isinstance(failure, Failed) and (failure.reason, failure.tries) == ("error", 2)
