@@ -163,7 +163,7 @@ def test_a_worker_that_hangs_is_replaced_and_says_where(tmp_path: Path, patience
 def test_what_a_lost_worker_had_started_is_ended_with_it(tmp_path: Path, patience_s: float):
     (failure,) = outcomes(tmp_path, f"child {tmp_path}/child", patience_s=patience_s, tries=1).values()
     assert failure.reason == "hung"
-    assert soon(lambda: not alive(int((tmp_path / "child").read_text())))
+    assert soon(lambda: not alive(int((tmp_path / "child").read_text())), 60.0)
 
 
 def test_a_caller_who_stops_early_leaves_nothing_behind(tmp_path: Path):
