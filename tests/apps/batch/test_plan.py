@@ -91,11 +91,13 @@ def test_the_stamp_changes_with_what_the_result_depends_on_and_with_nothing_else
     assert not set(first) & set(stamps(mixed, scale=2.0))
     assert not set(first) & set(stamps(mixed, hand="leap"))
     assert not set(first) & set(stamps(mixed, size=2))
-    aims = tmp_path / "aims" / "aims.npz"
-    aims.parent.mkdir()
-    for content in (b"one", b"two"):
-        aims.write_bytes(content)
-        assert not set(first) & set(aimed := stamps(mixed, targets=str(aims)))
+    (aims := tmp_path / "aims" / "aims.npz").parent.mkdir()
+    target = {"target_link": np.array(["link_3.0_tip"]), "target_point_link": np.zeros((11, 1, 3))}
+    for offset in (0.0, 0.01):
+        points = {"target_point_object": np.full((11, 1, 3), offset)}
+        save_npz(aims, load_grasps(mixed).arrays() | target | points)
+        aimed = stamps(mixed, targets=str(aims))
+        assert len(aimed) == 2 and not set(first) & set(aimed)
         first += aimed
     moved = load_grasps(mixed)
     moved.hand_pose[0, 0] += 1e-9
