@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isnan
 from pathlib import PurePath
 from typing import Any
@@ -13,6 +13,7 @@ from urllib.parse import quote
 from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import BAR
+from grasp_refine.validation.measures import COMPARED, Measure
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.chart import CHARTED, chart, hint, statistics_row
 from grasp_refine_apps.batch.failed import failed_text, left_over
@@ -157,8 +158,7 @@ def view_command(case: Case) -> str:
 
 def _case(picture: Picture) -> dict[str, Any]:
     case = picture.case
-    quality = " → ".join(map(words.plain, case.quality))
-    depth, error = (" → ".join(map(_millimetres_text, pair)) for pair in (case.penetration_m, case.contact_error_m))
+    measures = (_measure_text(one, case.measures[one.key]) for one in COMPARED)
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
     file = PurePath(case.source).name
     origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file
@@ -166,7 +166,7 @@ def _case(picture: Picture) -> dict[str, Any]:
         "name": f"{case.hand} on {case.object}",
         "origin": origin,
         "source": case.source,
-        "measures": f"quality {quality} · penetration {depth} mm · contact error {error} mm · {case.status}",
+        "measures": " · ".join((*measures, case.status)),
         "verdict": missed if case.held is False else "",
         "file": case.file.as_posix(),
         "link": quote(case.file.as_posix()),
@@ -178,9 +178,10 @@ def _case(picture: Picture) -> dict[str, Any]:
     }
 
 
-def _millimetres_text(metres: float) -> str:
-    """Format a length (metres) in mm with two decimals, as in the table of `run`."""
-    return words.NONE if isnan(metres) else f"{1e3 * metres:.2f}"
+def _measure_text(measure: Measure, values: Iterable[float]) -> str:
+    """Text for a measure before and after, such as "penetration 1.00 → 0.25 mm"."""
+    change = " → ".join(words.NONE if isnan(value) else measure.text(value) for value in values)
+    return f"{measure.title} {change} {measure.unit.symbol}".rstrip()
 
 
 def _embedded(png: bytes) -> str:

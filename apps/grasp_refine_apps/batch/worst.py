@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isnan
 from pathlib import Path
 
 import numpy as np
 
+from grasp_refine.validation.measures import COMPARED
 from grasp_refine_apps.batch.rows import Rows
 
 NUM_CASES = 12
@@ -42,12 +44,8 @@ class Case:
     """Row in the grasp file; None: not known."""
     status: str
     """Status of the refinement."""
-    quality: tuple[float, float]
-    """Quality before and after; NaN: no contact."""
-    penetration_m: tuple[float, float]
-    """Penetration before and after, metres."""
-    contact_error_m: tuple[float, float]
-    """Contact error before and after, metres; NaN: no contact."""
+    measures: Mapping[str, tuple[float, ...]]
+    """Key of a measure of `COMPARED` -> its values before and after, SI units; NaN: not known, as without contact."""
     held: bool | None
     """Whether it held in simulation; None: not simulated."""
     reason: str
@@ -59,8 +57,9 @@ class Case:
     def badness(self) -> tuple[bool, float, float, int, int]:
         """Sort key, greatest for the worst case and unique for each case."""
         # A grasp without contact has no quality, and ranks as the worst.
-        quality = -1.0 if isnan(self.quality[1]) else self.quality[1]
-        return (self.held is not True, -quality, self.penetration_m[1], -self.shard, -self.row)
+        quality, depth = (self.measures[key][1] for key in ("quality", "penetration"))
+        quality, depth = -1.0 if isnan(quality) else quality, 0.0 if isnan(depth) else depth
+        return (self.held is not True, -quality, depth, -self.shard, -self.row)
 
 
 @dataclass(eq=False)
@@ -103,11 +102,7 @@ class Worst:
 
 
 def _case(rows: Rows, i: int) -> Case:
-    def both(name: str, unit: str = "") -> tuple[float, float]:
-        return float(rows[f"{name}_before{unit}"][i]), float(rows[f"{name}_after{unit}"][i])
-
     held, row = float(rows["held_after"][i]), float(rows["row"][i])
-    before, after = both("penetration", "_m")
     return Case(
         shard=int(rows["shard"][i]),
         file=Path(str(rows["file"][i])),
@@ -118,9 +113,7 @@ def _case(rows: Rows, i: int) -> Case:
         source=str(rows["source"][i]),
         source_row=None if isnan(row) else int(row),
         status=str(rows["status"][i]),
-        quality=both("quality"),
-        penetration_m=(0.0 if isnan(before) else before, 0.0 if isnan(after) else after),
-        contact_error_m=both("contact_error", "_m"),
+        measures={one.key: tuple(float(rows[column][i]) for column in one.columns.values()) for one in COMPARED},
         held=None if isnan(held) else bool(held),
         reason=str(rows["reason_after"][i]),
         look=rows.look,

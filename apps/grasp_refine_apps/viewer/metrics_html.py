@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
+from grasp_refine.validation.measures import COMPARED, Measure
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, REASON, STATUS
 from grasp_refine_apps.viewer.measuring import unmeasured
-
-SHOWN_MEASURES = ("quality", "contact_error", "penetration", "wrench_residual")
-"""Displayed measures, in this order: keys without _before and _after."""
-
 
 STYLE = """<style>
 .gr-metrics{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
@@ -33,7 +30,7 @@ def metrics_html(collection: Collection, number: int) -> str:
         heading.append(escape(f"{'failed' if failed else 'held'} in simulation{why}"))
     if collection.mark(number):
         heading.append(f"marked {escape(collection.mark(number))}")
-    rows = [row for key in SHOWN_MEASURES if (row := _row(collection, key, number))]
+    rows = [row for measure in COMPARED if (row := _row(collection, measure, number))]
     if not rows:
         text = "not measured yet" if unmeasured(collection)[number] else "could not be measured"
     else:
@@ -43,9 +40,9 @@ def metrics_html(collection: Collection, number: int) -> str:
     return f'{STYLE}<div class="gr-metrics">{" · ".join(heading)}<br>{text}</div>'
 
 
-def _row(collection: Collection, key: str, number: int) -> tuple[str, ...]:
+def _row(collection: Collection, measure: Measure, number: int) -> tuple[str, ...]:
     """Name and value of a measure, or name, value before and value after; empty where it is not known."""
-    before, after = collection.columns.get(f"{key}_before"), collection.columns.get(f"{key}_after")
+    before, after = (collection.columns.get(entry) for entry in measure.entries.values())
     if after is None or not after.known[number]:
         return ()
     if before is None or not before.known[number]:

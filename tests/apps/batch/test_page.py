@@ -14,7 +14,7 @@ import pytest
 
 from batch_rows import document, failure, made_up_rows
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.validation.measures import MEASURE
+from grasp_refine.validation.measures import COMPARED, MEASURE
 from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
@@ -64,8 +64,10 @@ def some(*parts: Any) -> Statistics:
 def case(**changes: Any) -> Case:
     plain = {
         "shard": 3, "file": Path("my sets/00003.npz"), "row": 7, "hand": "allegro", "object": "mug", "scale": 1.0,
-        "source": "/data/grasps.npz", "source_row": 11, "status": "stalled", "quality": (0.25, 0.5),
-        "penetration_m": (1e-3, 2.5e-4), "contact_error_m": (np.nan, 1e-2), "held": False, "reason": "turned",
+        "source": "/data/grasps.npz", "source_row": 11, "status": "stalled",
+        "measures": dict.fromkeys((one.key for one in COMPARED), (np.nan, np.nan)) | {
+            "quality": (0.25, 0.5), "penetration": (1e-3, 2.5e-4), "contact_error": (np.nan, 1e-2),
+        }, "held": False, "reason": "turned",
         "look": ("--object", "/my meshes/mug.obj"),
     }  # fmt: skip
     return Case(**(plain | changes))

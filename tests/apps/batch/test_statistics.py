@@ -154,7 +154,7 @@ def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
     )
     first, *others = statistics(rows).worst()
     # A grasp of which nothing can be said, because nothing touches, is worse than any other.
-    assert first.row == 4 and np.isnan(first.quality[1]) and [case.row for case in others] == [2, 1, 0, 3]
+    assert first.row == 4 and np.isnan(first.measures["quality"][1]) and [case.row for case in others] == [2, 1, 0, 3]
     case = others[0]
     assert (case.shard, str(case.file), case.hand, case.object, case.held) == (
         3,
@@ -163,7 +163,7 @@ def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
         "mug",
         None,
     )
-    assert case.penetration_m[1] == 2e-3 and (case.source, case.source_row) == ("grasps.npz", 6)
+    assert case.measures["penetration"][1] == 2e-3 and (case.source, case.source_row) == ("grasps.npz", 6)
 
 
 def test_the_worst_of_a_file_of_many_are_kept():
