@@ -30,8 +30,8 @@ WIDTH, HEIGHT = 700, 600
 """Pixels of each half."""
 OVERSAMPLING = 2
 """Factor by which the picture is drawn larger, then averaged for smooth edges."""
-EYE_M, TARGET_M, EXTENT_M = (0.71, -0.22, 0.4), (-0.012, 0.004, 0.062), 0.22
-"""Camera position, target point and visible height at the target, metres, object frame."""
+SIDE, TARGET_M, EXTENT_M = (0.722, -0.224, 0.338), (-0.012, 0.004, 0.072), 0.235
+"""Direction towards the camera, target point and visible height in metres, object frame."""
 LIGHT_DIRECTION = (0.5, -0.45, 1.0)
 """Direction towards the light, object frame."""
 OBJECT_OPACITY = 0.8
@@ -85,7 +85,7 @@ def draw_example() -> UInt8[np.ndarray, "H W 3"]:
     q, _ = match_joints(grasps, hand)
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
     refined = refine(scene)
-    camera = Camera(np.array(EYE_M), np.array(TARGET_M), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT_M)
+    camera = Camera(np.array(SIDE), np.array(TARGET_M), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT_M)
     drawn, solid = Skeleton.of(hand), object_model(obj, OBJECT_OPACITY)
     halves = []
     for title, T, q in (

@@ -24,25 +24,25 @@ def state_of(replay: Replay, frame: int, contacts: int) -> str:
     return f"{replay.time[frame]:.2f} s, {done}, turned {np.degrees(turned):.1f}°, {contacts} {noun}"
 
 
-def write_caption(page: Image.Image, top: int, replay: Replay, frame: int, contacts: int) -> None:
-    """Write the caption on the part of a page from `top` (pixels) on.
+def caption(size: tuple[int, int], replay: Replay, frame: int, contacts: int) -> Image.Image:
+    """Return the caption below the picture of a frame.
 
     Args:
-        page: Page with the image.
-        top: Lower edge of the image in pixels.
-        replay: Replay in the image.
+        size: Width and height in pixels.
+        replay: Replay in the picture.
         frame: Number of the frame.
         contacts: Number of contact points of the object.
     """
-    draw = ImageDraw.Draw(page)
-    width, height = page.size
-    margin, line = round(0.02 * width), (height - top) / 2.3
+    page = Image.new("RGB", size, "#ffffff")
+    draw, (width, height) = ImageDraw.Draw(page), size
+    margin, line = round(0.02 * width), height / 2.3
     title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.setting}"
     state = state_of(replay, frame, contacts)
     color = GOOD if replay.reason == "held" else BAD
     verdict = font(0.62 * line, replay.reason, 0.25 * width)
-    draw.text((width - margin, top + 0.62 * line), replay.reason, fill=color, font=verdict, anchor="rm")
+    draw.text((width - margin, 0.62 * line), replay.reason, fill=color, font=verdict, anchor="rm")
     full = width - 2 * margin
     left = full - draw.textlength(replay.reason, font=verdict) - margin
-    draw.text((margin, top + 0.62 * line), title, fill=INK, font=font(0.62 * line, title, left), anchor="lm")
-    draw.text((margin, top + 1.55 * line), state, fill=GREY, font=font(0.55 * line, state, full), anchor="lm")
+    draw.text((margin, 0.62 * line), title, fill=INK, font=font(0.62 * line, title, left), anchor="lm")
+    draw.text((margin, 1.55 * line), state, fill=GREY, font=font(0.55 * line, state, full), anchor="lm")
+    return page

@@ -14,7 +14,7 @@ from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
-from grasp_refine_apps.report.caption import write_caption
+from grasp_refine_apps.report.caption import caption
 from grasp_refine_apps.report.drawing import BAD, GOOD, LINK_COLOR, OBJECT_COLOR, best_side, photograph
 from grasp_refine_apps.report.rasterizer import Camera, Model
 
@@ -121,10 +121,11 @@ class Shapes:
         draw, r = ImageDraw.Draw(photo), max(photo.height / 140, 3.0)
         for x, y in camera.project(contacts)[:, :2]:
             draw.ellipse([x - r, y - r, x + r, y + r], fill=CONTACT, outline="white", width=max(round(r / 3), 1))
-        page = Image.new("RGB", size, "#ffffff")
-        top = size[1] - _caption_height(size)
-        page.paste(photo.resize((size[0], top), Image.Resampling.HAMMING))
-        write_caption(page, top, self.replay, frame, len(contacts))
+        page, height = Image.new("RGB", size), _caption_height(size)
+        page.paste(photo.resize((size[0], size[1] - height), Image.Resampling.HAMMING))
+        page.paste(
+            caption((2 * size[0], 2 * height), self.replay, frame, len(contacts)).reduce(2), (0, size[1] - height)
+        )
         return page
 
     def _arrow(self, frame: int) -> list[Model]:

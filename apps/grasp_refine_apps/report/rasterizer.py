@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 DIRECTIONAL_SHARE = 0.5
 """Share of the directional light; the rest comes from all sides, more of it from above."""
+SHINE_SQUARINGS = 5
+"""Times that the cosine of a reflection is squared, which makes highlights small."""
 SHADOW_BIAS = 0.006
 """Distance behind the depth of the shadow map from which a point lies in shadow, in heights of the picture."""
 RELATIVE_SLACK = 1e-9
@@ -50,18 +52,14 @@ class Model:
 
     @staticmethod
     def of(
-        meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh],
-        color: tuple[float, float, float],
-        *,
-        crease: float = CREASE_DEG,
-        opacity: float = 1.0,
+        meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh], color: tuple[float, float, float], opacity: float = 1.0
     ) -> Model:
-        """Make one model of meshes with smooth shading, except across edges sharper than `crease` degrees."""
+        """Make one model of meshes with smooth shading, except across edges sharper than `CREASE_DEG`."""
         import trimesh
 
         mesh = trimesh.util.concatenate(meshes)
         assert isinstance(mesh, trimesh.Trimesh)
-        smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(crease))
+        smooth = trimesh.graph.smooth_shade(mesh, angle=np.radians(CREASE_DEG))
         vertices, normals = np.asarray(smooth.vertices), np.asarray(smooth.vertex_normals)
         return Model(vertices, normals, np.asarray(smooth.faces), color, opacity)
 
@@ -72,10 +70,10 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera, or a parallel projection when `focal` is infinite."""
+    """A parallel projection."""
 
-    eye: np.ndarray
-    """Position (3,), world frame, metres."""
+    direction: np.ndarray
+    """Direction from the target to the camera (3,), of any length, world frame."""
     target: np.ndarray
     """Target point (3,), world frame, metres; lies in the middle of the picture."""
     width: int
@@ -83,15 +81,13 @@ class Camera:
     height: int
     """Height of the picture, pixels."""
     extent: float
-    """Visible height at the target's distance, metres."""
-    perspective: bool = True
-    """False: a parallel projection."""
+    """Visible height, metres."""
 
     @classmethod
     def fitted(
         cls, direction: np.ndarray, points: Float[np.ndarray, "N 3"], width: int, height: int, margin: float = 0.08
     ) -> Camera:
-        """Return the parallel projection from a `direction` (3,) in which points (N, 3) just fill the picture.
+        """Return the camera in a `direction` (3,) in whose picture points (N, 3) just fit.
 
         Args:
             direction: Direction towards the camera (3,), world frame.
@@ -100,39 +96,34 @@ class Camera:
             height: Height of the picture, pixels.
             margin: Free share of the picture.
         """
-        flat = cls(np.asarray(direction, dtype=float), np.zeros(3), width, height, 1.0, perspective=False)
-        at = points @ flat.axes.T
+        camera = cls(direction, np.zeros(3), width, height, 1.0)
+        at = points @ camera.axes.T
         low, high = at.min(axis=0), at.max(axis=0)
-        target, (right, down, depth) = (low + high) / 2 @ flat.axes, high - low
+        right, down, _ = high - low
         extent = (1.0 + margin) * max(down, right * height / width)
-        return replace(flat, eye=target - (depth + extent) * flat.axes[2], target=target, extent=float(extent))
+        return replace(camera, target=(low + high) / 2 @ camera.axes, extent=float(extent))
 
     @cached_property
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """Unit vectors to the right, down and forward, as rows, world frame; world z is up in the picture."""
-        forward = (self.target - self.eye) / np.linalg.norm(self.target - self.eye)
+        forward = -self.direction / np.linalg.norm(self.direction)
         # Straight up or down, y is up in the picture.
         right = np.cross(forward, [0.0, 0.0, 1.0] if abs(forward[2]) < 0.999 else [0.0, 1.0, 0.0])
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(forward, right), forward])
 
-    def project(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Pixel coordinates x (right) and y (down), and depth in metres, of world points."""
-        local = (points - self.eye) @ self.axes.T
-        distance = np.linalg.norm(self.target - self.eye)
-        depth = local[..., 2]
-        scale = self.height / self.extent * (distance / depth if self.perspective else np.ones_like(depth))
-        x, y = scale * local[..., 0] + 0.5 * self.width, scale * local[..., 1] + 0.5 * self.height
-        return np.stack([x, y, depth], axis=-1)
+    @property
+    def _scale(self) -> np.ndarray:
+        """Pixels in a metre to the right and down, and 1 for the depth."""
+        return np.array([self.height / self.extent, self.height / self.extent, 1.0])
 
-    def lift(
-        self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"], depth: Float[np.ndarray, "*n"]
-    ) -> Float[np.ndarray, "*n 3"]:
+    def project(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Pixel coordinates x (right) and y (down), and depth behind the target in metres, of world points."""
+        return (points - self.target) @ self.axes.T * self._scale + [0.5 * self.width, 0.5 * self.height, 0.0]
+
+    def lift(self, pixels: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """World points at pixel coordinates and depths in metres; undoes `project`."""
-        distance = np.linalg.norm(self.target - self.eye)
-        scale = self.extent / self.height * (depth / distance if self.perspective else np.ones_like(depth))
-        local = np.stack([(x - 0.5 * self.width) * scale, (y - 0.5 * self.height) * scale, depth], axis=-1)
-        return local @ self.axes + self.eye
+        return (pixels - [0.5 * self.width, 0.5 * self.height, 0.0]) / self._scale @ self.axes + self.target
 
 
 def render(models: Sequence[Model], camera: Camera, light: np.ndarray) -> Float[np.ndarray, "H W 4"]:
@@ -188,16 +179,19 @@ class _Scene:
         pixel = np.flatnonzero((face >= 0) if wanted is None else (face >= 0) & wanted)
         seen = face.ravel()[pixel]
         x, y = pixel % camera.width + 0.5, pixel // camera.width + 0.5
-        point = camera.lift(x, y, depth.ravel()[pixel])
+        point, view = camera.lift(np.stack([x, y, depth.ravel()[pixel]], axis=-1)), -camera.axes[2]
         corners = self.faces[seen].T
         weight = _weights(self._on_screen[:, 0][corners], self._on_screen[:, 1][corners], x, y)
-        normal = _unit(sum(part[:, None] * self.normals[corner] for part, corner in zip(weight, corners, strict=True)))
-        view = _unit(camera.eye - point)
-        normal *= np.where(_dot(normal, view) < 0, -1.0, 1.0)[:, None]
+        normal = sum(part[:, None] * self.normals[corner] for part, corner in zip(weight, corners, strict=True))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal *= np.where(normal @ view < 0, -1.0, 1.0)[:, None]
         lit = np.clip(normal @ self.light, 0.0, 1.0)
         facing = np.flatnonzero(lit)
         lit[facing] *= self._unshadowed(point[facing], normal[facing])
-        shine = 0.12 * lit * _power_of_30(np.clip(_dot(normal, _unit(view + self.light)), 0.0, 1.0))
+        mirrored = np.clip(normal @ (view + self.light) / max(np.linalg.norm(view + self.light), 1e-12), 0.0, 1.0)
+        for _ in range(SHINE_SQUARINGS):
+            mirrored *= mirrored
+        shine = 0.12 * lit * mirrored
         brightness = DIRECTIONAL_SHARE * lit + (1.0 - DIRECTIONAL_SHARE) * (0.95 + 0.2 * normal[:, 2])
         colors = np.array([model.color for model in self.models])[self.owner[seen]]
         image = np.zeros((*face.shape, 4))
@@ -216,7 +210,7 @@ class _Scene:
         center = self.vertices.mean(axis=0)
         reach = float(np.linalg.norm(self.vertices - center, axis=1).max())
         size = self.camera.height
-        camera = Camera(center + 2.0 * reach * self.light, center, size, size, 2.0 * reach, perspective=False)
+        camera = Camera(self.light, center, size, size, 2.0 * reach)
         return camera, _rasterize(self.vertices, self.faces, camera)[1]
 
     def _unshadowed(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -235,32 +229,12 @@ class _Scene:
         return reached / 9.0
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Inner products (N,) of vectors (N, 3)."""
-    return np.einsum("nk,nk->n", a, b)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Normalise vectors (N, 3)."""
-    return vectors / np.sqrt(_dot(vectors, vectors))[:, None]
-
-
-def _power_of_30(base: np.ndarray) -> np.ndarray:
-    """Compute `base ** 30` in a fifth of its time."""
-    second = base * base
-    fourth = second * second
-    eighth = fourth * fourth
-    return second * fourth * eighth * eighth * eighth
-
-
 def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Nearest face (H, W), -1 for none, and depth (H, W) in metres; of several at the same depth the first face."""
     shape = camera.height, camera.width
     x, y, depth = np.moveaxis(camera.project(vertices)[faces.T], -1, 0)
-    # In a perspective picture the inverse of the depth, not the depth, is linear in pixels.
-    key = -1.0 / depth if camera.perspective else depth
     nearest, least = np.full(camera.height * camera.width, -1), np.full(camera.height * camera.width, np.inf)
-    for face, begin, count, start, slope in _spans(x, y, key, shape):
+    for face, begin, count, start, slope in _spans(x, y, depth, shape):
         span, step = _repeat_indices(count)
         pixel, value = begin[span] + step, start[span] + slope[span] * step
         nearer = np.flatnonzero(value < least[pixel])
@@ -269,24 +243,22 @@ def _rasterize(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple
         # Of values assigned to the same pixel the last one stays, so that the order is reversed.
         won = np.flatnonzero(value == least[pixel])[::-1]
         nearest[pixel[won]] = face[span[won]]
-    if camera.perspective:
-        least = np.divide(-1.0, least, out=np.full(len(least), np.inf), where=nearest >= 0)
     return nearest.reshape(shape), least.reshape(shape)
 
 
 def _spans(
-    x: np.ndarray, y: np.ndarray, key: np.ndarray, shape: tuple[int, int]
+    x: np.ndarray, y: np.ndarray, depth: np.ndarray, shape: tuple[int, int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Pixel spans of triangles, row by row: their weights are linear along a row, so a span lies between two columns.
 
     Args:
         x: Pixel coordinates of the corners (3, F), to the right.
         y: Pixel coordinates of the corners (3, F), downwards.
-        key: Values (3, F) at the corners of the linearly interpolated depth key.
+        depth: Depths of the corners (3, F).
         shape: Height and width of the picture.
 
     Yields:
-        Face, first pixel (counted row by row), number of pixels, key there and how much it grows from pixel to pixel;
+        Face, first pixel (counted row by row), number of pixels, depth there and how much it grows from pixel to pixel;
         one for each span (S,), in order of faces, in blocks of about `BLOCK_PIXELS` pixels.
     """
     left, right = _centers(x, shape[1])
@@ -296,11 +268,11 @@ def _spans(
     drawn = np.flatnonzero((box > 0) & (np.abs(area) >= 1e-9))
     block = np.cumsum(box[drawn]) // BLOCK_PIXELS
     for some in np.split(drawn, np.flatnonzero(np.diff(block)) + 1):
-        (ax, bx, cx), (ay, by, cy), (a, b, c) = x[:, some], y[:, some], key[:, some]
-        # Increments of the weights of a, b and c, and so of the key, from pixel to pixel to the right and downwards.
+        (ax, bx, cx), (ay, by, cy), (a, b, c) = x[:, some], y[:, some], depth[:, some]
+        # Increments of the weights of a, b and c, and so of the depth, from pixel to pixel to the right and downwards.
         to_right = np.stack([by - cy, cy - ay, ay - by]) / area[some]
         downwards = np.stack([cx - bx, ax - cx, bx - ax]) / area[some]
-        key_right, key_down = ((b - a) * weight[1] + (c - a) * weight[2] for weight in (to_right, downwards))
+        depth_right, depth_down = ((b - a) * weight[1] + (c - a) * weight[2] for weight in (to_right, downwards))
         # Column, relative to a's, where a weight is zero: at + shift * (rows from a's on). A tiny slope replaces zero.
         slope = np.where(to_right == 0.0, 1e-30, to_right)
         at, shift = (-RELATIVE_SLACK - np.array([[1.0], [0.0], [0.0]])) / slope, -downwards / slope
@@ -315,8 +287,8 @@ def _spans(
         begin, end = (np.clip(edge, low, high).astype(int) for edge in (np.ceil(begin), np.floor(end)))
         full = np.flatnonzero(begin < end)
         face, row, begin, end, below = (array[full] for array in (face, row, begin, end, below))
-        start = a[face] + key_right[face] * (begin + 0.5 - ax[face]) + key_down[face] * below
-        yield some[face], row * shape[1] + begin, end - begin, start, key_right[face]
+        start = a[face] + depth_right[face] * (begin + 0.5 - ax[face]) + depth_down[face] * below
+        yield some[face], row * shape[1] + begin, end - begin, start, depth_right[face]
 
 
 def _centers(corners: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
