@@ -214,7 +214,10 @@ def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Co
     view.draw(viewer.state)
     nodes = view.nodes
     np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
-    assert nodes.push.node is not None and not nodes.ghost.nodes[0].visible
+    assert not nodes.ghost.nodes[0].visible
+    # From the middle of the object along the axis of its frame in which it was pushed at the start.
+    ((start, end),) = nodes.push.node.points
+    np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), [0.0, 0.0, 1.0], atol=1e-5)
     viewer.end_motion()
     view.draw(viewer.state)
     np.testing.assert_allclose(pose(nodes.object_frame), np.eye(4), atol=1e-12)
