@@ -176,6 +176,7 @@ def test_joints_stay_within_their_limits_and_a_drag_is_one_step(viewer: Controll
 def test_moving_the_object_leaves_the_hand_where_it_is_drawn(viewer: Controller) -> None:
     before = viewer.state.pose.T_object_root
     T = transform(exp_so3(np.array([0.1, -0.2, 0.3])), np.array([0.01, 0.02, -0.03]))
+    viewer.move_object(transform(exp_so3(np.array([0.0, 0.4, 0.0])), np.array([0.0, 0.05, 0.0])))
     viewer.move_object(T)
     state = viewer.state
     np.testing.assert_allclose(state.T_world_object @ state.pose.T_object_root, before, atol=1e-12)
