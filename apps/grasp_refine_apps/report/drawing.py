@@ -41,7 +41,11 @@ def photograph(models: Sequence[Model], camera: Camera, light: np.ndarray | None
 
 
 def best_side(
-    groups: Sequence[Sequence[Model]], points: Float[np.ndarray, "N 3"], aspect: float, push: np.ndarray | None = None
+    groups: Sequence[Sequence[Model]],
+    points: Float[np.ndarray, "N 3"],
+    aspect: float,
+    push: np.ndarray | None = None,
+    above: bool = False,
 ) -> Float[np.ndarray, " 3"]:
     """Return the direction (3,) of `SIDES` from which most of each group of models is seen.
 
@@ -50,6 +54,7 @@ def best_side(
         points: Points (N, 3) that the picture will show, metres.
         aspect: Its width / height.
         push: Direction (3,) that should lie in the picture; None: there is none.
+        above: Whether only sides above the horizon are candidates, as there is a table.
     """
     ends = np.cumsum([len(models) for models in groups])
     models = [model for models in groups for model in models]
@@ -63,7 +68,7 @@ def best_side(
         # Rounding keeps the choice the same where sides are alike.
         return round(share * (0.2 + 0.8 * across**2) * (1.0 - 0.05 * number / len(SIDES)), 3)
 
-    return SIDES[max(range(len(SIDES)), key=score)]
+    return SIDES[max((i for i, side in enumerate(SIDES) if side[2] > 0 or not above), key=score)]
 
 
 def font(size: float, text: str = "", width: float = np.inf) -> ImageFont.FreeTypeFont:

@@ -110,7 +110,7 @@ class Shapes:
         points = np.concatenate([model.vertices for model in (*shown, *self._arrow(int(frames[-1])))])
         width, height = round(OVERSAMPLING * size[0]), round(OVERSAMPLING * (size[1] - _caption_height(size)))
         push = self.replay.force / max(float(np.linalg.norm(self.replay.force)), 1e-12)
-        side = best_side(seen[-1], points, width / height, push if push.any() else None)
+        side = best_side(seen[-1], points, width / height, push if push.any() else None, above=bool(seen[-1][2]))
         return Camera.fitted(side, points, width, height, margin=0.16)
 
     def picture(self, frame: int, camera: Camera, size: tuple[int, int]) -> Image.Image:

@@ -216,8 +216,8 @@ class _Scene:
     def _unshadowed(self, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """Share of the light that reaches each point, 0 to 1."""
         camera, depths = self._shadow_map
-        # No less than a pixel of the map.
-        bias = max(SHADOW_BIAS * self.camera.extent, camera.extent / camera.height)
+        # No less than two pixels of the map.
+        bias = max(SHADOW_BIAS * self.camera.extent, 2.0 * camera.extent / camera.height)
         farthest, size = depths.ravel() + bias, camera.height
         x, y, depth = camera.project(point + bias * normal).T
         # Nine neighbours soften the edge.

@@ -9,9 +9,13 @@ import pytest
 from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.protocol import TABLETOP
 from grasp_refine.validation.replay.export import export_xml
+from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, Stage
+from grasp_refine.validation.world import build_world
 from grasp_refine_apps.report.film import Shapes, film, geom_mesh
+from gripper import RADIUS, around, ball, gripper
 from recorded_gripper import Recorded, recorded_gripper
 from refusals import refused
 
@@ -55,6 +59,21 @@ def test_an_exported_model_is_drawn_like_its_original(recorded: Recorded, tmp_pa
     exported = mujoco.MjModel.from_xml_path(str(tmp_path / "replay.xml"))
     ours, theirs = (np.asarray(picture(m, recorded.replay, 225)) for m in (recorded.model, exported))
     assert np.mean(np.abs(ours.astype(int) - theirs) > 8) < 0.01
+
+
+def test_a_table_is_seen_from_above() -> None:
+    world = build_world(gripper(), ball(), TABLETOP)
+    replay = record(world, around(8.0), "lift", name="ball 2", hand="gripper")
+    assert replay is None, "the plates reach into the table"
+    T = around(8.0).T_world_root.copy()
+    T[..., 2, 3] += 0.015
+    replay = record(world, replace(around(8.0), T_world_root=T), "lift", name="ball 2", hand="gripper")
+    assert replay is not None
+    shapes = Shapes(world.model, replay)
+    camera = shapes.camera(np.arange(0, len(replay), 40), SIZE)
+    assert camera.direction[2] > 0
+    _, _, (table,) = shapes.pose(0)
+    np.testing.assert_allclose(table.vertices[:, 2].max(), -RADIUS, atol=1e-6)
 
 
 def test_the_arrow_points_along_the_push(recorded: Recorded) -> None:
