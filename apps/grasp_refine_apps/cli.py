@@ -136,8 +136,8 @@ def _groups() -> set[str]:
 
 
 def _usage(group: str = "") -> str:
-    shown = {name: what for name, what in COMMANDS.items() if name.startswith(group)}
-    width = max(map(len, shown))
+    commands = {name: what for name, what in COMMANDS.items() if name.startswith(group)}
+    width = max(map(len, commands))
     return "\n".join(
         [
             f"usage: {PROGRAM} COMMAND [OPTIONS]",
@@ -145,7 +145,7 @@ def _usage(group: str = "") -> str:
             "Refine grasps of robot hands: from grasps that are almost right to grasps that hold.",
             "",
             "commands:",
-            *(f"  {name:<{width}}  {what}" for name, what in shown.items()),
+            *(f"  {name:<{width}}  {what}" for name, what in commands.items()),
             "",
             f"{PROGRAM} COMMAND --help shows the options of a command; {PROGRAM} --version the version.",
         ]

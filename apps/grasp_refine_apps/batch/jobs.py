@@ -94,8 +94,8 @@ def _jobs(source: str, inputs: ProblemSpec, name: str, together: bool) -> Iterat
         fixed = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), path.parts))
         found, named = [], False
         for match in map(Path, sorted(glob.glob(str(path), recursive=True), key=natural)):
-            whole = together or not match.is_dir()
-            found += [(_job_name(match, fixed), match)] if whole else _grasp_files_below(match, fixed)
+            is_one_job = together or not match.is_dir()
+            found += [(_job_name(match, fixed), match)] if is_one_job else _grasp_files_below(match, fixed)
     if not found:
         what = "matches no grasp files" if glob.has_magic(source) else "no grasp files in this folder or below it"
         raise GraspRefineError(f"{source}: {what}; they end with {', '.join(SUFFIXES)}")

@@ -153,8 +153,8 @@ class Batch:
         """
         out = self.output.out.absolute()
         index = index_path(out, self.output.index)
-        whole = self.sharding.shard is None
-        return Outputs(out, index if whole else None, self.output.report and whole, self.output.json)
+        has_all_parts = self.sharding.shard is None
+        return Outputs(out, index if has_all_parts else None, self.output.report and has_all_parts, self.output.json)
 
     def _show(self, document: dict[str, Any], session: Session, outputs: Outputs, wall_s: float) -> None:
         """Print the tables."""

@@ -28,6 +28,7 @@ from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.zeroth_order import ZerothOrder
 from grasp_refine_apps.commands.options import check_device, check_numbers
+from grasp_refine_apps.report.command_line import flag
 
 FIRST_ORDER_TOLERANCE = 1e-7
 """Default of --tolerance with descent and adam, which converge slowly to smaller losses, m^2."""
@@ -280,23 +281,18 @@ class Settings:
         for option in self._force_closure_options():
             raise GraspRefineError(f"{option} is for grasps without targets: here the targets determine the contacts")
 
+    def _given(self, *names: str) -> list[str]:
+        """Options of the fields `names` that differ from their defaults."""
+        return [flag(name) for name in names if getattr(self, name) != getattr(Settings, name)]
+
     def _force_closure_options(self) -> list[str]:
         """Given options of the search for force closure."""
-        given = {
-            "--starts": self.starts != Settings.starts,
-            "--geometry-only": self.geometry_only,
-            "--weights.wrench": self.weights.wrench != Weights.wrench,
-        }
-        return [option for option, is_given in given.items() if is_given]
+        wrench = ["--weights.wrench"] if self.weights.wrench != Weights.wrench else []
+        return [*self._given("starts", "geometry_only"), *wrench]
 
     def _check_first_order(self) -> None:
         """Refuse options that descent and Adam would ignore."""
-        given = {
-            "--width": self.width != Settings.width,
-            "--max-move": self.max_move is not None,
-            "--seconds": self.seconds is not None,
-        }
-        for option in (*(option for option, is_given in given.items() if is_given), *self._force_closure_options()):
+        for option in (*self._given("width", "max_move", "seconds"), *self._force_closure_options()):
             raise GraspRefineError(f"{option} is for --solver levenberg-marquardt; it is {self.solver}")
 
     def _check_force_closure(self) -> None:
