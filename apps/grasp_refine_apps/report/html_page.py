@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -26,18 +24,6 @@ COLORS = (
 PLAIN = {"ink": ("#1b2430", "#e3e8ee"), "muted": ("#5b6676", "#9aa6b5"), "line": ("#d9dee6", "#343d49")}
 PLAIN["page"] = ("#fffffe", "#14181d")
 """Text, side remarks, rules and the page itself."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """Column of a table."""
-
-    name: str
-    """Heading."""
-    hint: str
-    """Description."""
-    words: Callable[[dict[str, Any]], str]
-    """Formatter of the cell, given its row."""
 
 
 def stylesheet() -> tuple[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,16 @@ def test_times_are_taken_in_turn_after_a_warm_up():
     cpu_times(runs, 1, 1.0)
     assert len(called) <= 2 * (WARM_UP_CALLS + MAX_CALLS)
     assert np.isfinite(list(times.values())).all()
+
+
+def test_times_are_those_of_one_call(monkeypatch: pytest.MonkeyPatch):
+    clock = [0.0]
+
+    def run() -> None:
+        clock[0] += 0.25
+
+    monkeypatch.setattr(time, "process_time", lambda: clock[0])
+    assert cpu_times({"a": run}, 3, 2.0)["a"] == pytest.approx([0.25] * 3)
 
 
 def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pytest.MonkeyPatch):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.bodies import BodyPair
@@ -29,8 +29,6 @@ class AlignmentResult:
     """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
     T_world_b: np.ndarray
     """Poses (N, P, 4, 4) of the second bodies where the error was smallest."""
-    witness: Witness
-    """Plain witness points at these poses."""
     iterations: np.ndarray
     """Steps that were made (N, P); 0 where a task only repeats another one and was not run."""
     watch: Stopwatch
@@ -54,8 +52,8 @@ def errors_at(
     T_world_b: np.ndarray,
     margin: float,
     patch: Patch | None = None,
-) -> tuple[np.ndarray, Witness]:
-    """Return errors (N, P) in square metres at given poses, infinite without witness points, and the witness points.
+) -> np.ndarray:
+    """Return errors (N, P) in square metres at given poses, infinite without witness points.
 
     The query is independent of all solvers.
 
@@ -77,4 +75,4 @@ def errors_at(
         found.point_b - transform_points(T_world_b, target_b),
     )
     error = sum((miss**2).sum(axis=-1) for miss in misses) + (found.distance - margin) ** 2
-    return np.where(found.valid, error, np.inf), found
+    return np.where(found.valid, error, np.inf)

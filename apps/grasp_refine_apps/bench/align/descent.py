@@ -119,17 +119,15 @@ def align(
     with torch.no_grad():
         last_error, _ = problem.errors(T_a, T_b, iteration)
         best.keep(last_error, T_a, T_b)
-        _, found = problem.errors(best.T_world_a, best.T_world_b, iteration)
     best_error, final_error, last_a, last_b, best_a, best_b = (
         x.double().cpu().numpy() for x in (best.error, last_error, T_a, T_b, best.T_world_a, best.T_world_b)
     )
-    witness = found.detached()
     if solver.patch is not None:
         # Reported errors are measured by plain witness points.
-        final_error, _ = errors_at(bodies, tasks, last_a, last_b, solver.margin)
-        best_error, witness = errors_at(bodies, tasks, best_a, best_b, solver.margin)
+        final_error = errors_at(bodies, tasks, last_a, last_b, solver.margin)
+        best_error = errors_at(bodies, tasks, best_a, best_b, solver.margin)
     iterations = np.full(best_error.shape, iteration)
-    return AlignmentResult(best_error, final_error, best_a, best_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(best_error, final_error, best_a, best_b, iterations, watch, cpu_s, wall_s)
 
 
 @dataclass(frozen=True, eq=False)

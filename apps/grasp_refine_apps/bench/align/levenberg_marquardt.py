@@ -82,6 +82,6 @@ def run_levenberg_marquardt(
     task = np.arange(counts.max())[:, None]
     member = first + task % counts
     T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
-    error, witness = errors_at(bodies, pad_tasks(tasks), T_a, T_b, solver.margin)
+    error = errors_at(bodies, pad_tasks(tasks), T_a, T_b, solver.margin)
     iterations = np.where(task < counts, found.iterations[member], 0)
-    return AlignmentResult(error, error, T_a, T_b, witness, iterations, watch, cpu_s, wall_s)
+    return AlignmentResult(error, error, T_a, T_b, iterations, watch, cpu_s, wall_s)

@@ -56,7 +56,7 @@ class Alignment:
             return JobResult(self, aligned)
         poses = aligned.T_world_a, aligned.T_world_b
         return JobResult(
-            self, aligned, errors_at(self.pairs, pad_tasks(self.tasks), *poses, variant.margin, variant.patch)[0]
+            self, aligned, errors_at(self.pairs, pad_tasks(self.tasks), *poses, variant.margin, variant.patch)
         )
 
     def _solved(self, progress: Callable[[float], None]) -> AlignmentResult:

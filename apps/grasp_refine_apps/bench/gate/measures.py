@@ -117,7 +117,6 @@ def grasps(progress: Callable[[float], None]) -> dict[str, float]:
             "single": partial(
                 run, "single", tasks.take(slice(NUM_SINGLES)), replace(variant, batch=1), whole, NUM_SINGLES
             ),
-            "together": partial(run, "together", tasks.take(slice(NUM_SINGLES)), variant, whole),
             "pieces": partial(run, "pieces", cut.take(some), variant, HandObject.of(cut.scene)),
             "descent": partial(run, "descent", tasks.take(some), descent, whole),
         },

@@ -116,9 +116,6 @@ def test_descent_solves_tasks_of_convex_bodies(margin: float):
     assert (result.error <= result.last_error).all()
     found = errors_at(PAIR, tasks, result.T_world_a[:, 0], result.T_world_b[:, 0], margin)
     np.testing.assert_allclose(result.error[:, 0], found, rtol=1e-6, atol=1e-20)
-    # The witness points that come along are those of the best poses.
-    miss_a = result.witness.point_a[:, 0] - transform_points(result.T_world_a[:, 0], tasks.target_a)
-    assert ((miss_a**2).sum(axis=1) <= found * (1 + 1e-6)).all()
 
 
 METHODS = ("distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.json_files import dumps
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair
@@ -32,7 +31,6 @@ TIMES = {
 }  # fmt: skip
 PAPER = Variant()
 A, B = convex_body(1, 12), convex_body(2, 12)
-WITNESS = query(Pairs((A,), (B,)), np.eye(4)[None, None], np.eye(4)[None, None])
 
 
 def tasks_of(classes: list[int], accepted: list[bool], reachable: list[bool], weight: list[float]) -> Tasks:
@@ -66,9 +64,7 @@ def done(
     for (stage, *_), share in zip(PARTS.values(), shares, strict=True):
         watch.spent[stage].cpu_s = share * cpu_s
     T = np.broadcast_to(np.eye(4), (*error.shape, 4, 4))
-    aligned = AlignmentResult(
-        error, 10 * error, T, T, WITNESS, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s
-    )
+    aligned = AlignmentResult(error, 10 * error, T, T, np.full(error.shape, iterations), watch, cpu_s, 2 * cpu_s)
     return JobResult(Alignment(variant, pairs, tuple(tasks), 0, "float64", "cpu", 1), aligned, patch_error)
 
 

@@ -39,5 +39,5 @@ def test_a_variant_says_all_that_is_refined_with():
             config = Variant(solver, derivative, 7, 5).config(seed=3, tolerance=1e-9)
             assert isinstance(config.solver, SOLVERS[solver]) and config.solver.iterations == 7
             assert (config.width, config.seed, config.tolerance) == (5, 3, 1e-9)
-            assert getattr(config.derivative, "seed", 3) == 3
+            assert getattr(config.derivative, "seed", 3) == 3 and not config.holds
     assert Variant("adam").columns()["budget"] == SOLVERS["adam"]().iterations
