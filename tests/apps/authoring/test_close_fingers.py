@@ -75,12 +75,6 @@ def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixtur
         np.testing.assert_allclose(made.q, stored.q, rtol=0, atol=1e-9, err_msg=message)
 
 
-def test_another_seed_makes_other_grasps():
-    name = "rounded_box"
-    made = example_grasps(HAND, embedded(name), seed=1)
-    assert np.abs(made.q - example(name).q).max() > 0.01
-
-
 @pytest.mark.slow
 def test_examples_of_a_hand_without_given_poses_are_sampled():
     hand, obj = load_hand("leap"), embedded("rounded_box")
@@ -126,20 +120,6 @@ def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
     assert not held[[0, 2]].any()
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_the_thumb_opposes_the_fingers(name: str):
-    """Before the disturbance, the thumb's contact normal points against the mean of the fingers'."""
-    obj = embedded(name)
-    T = np.stack([approach.pose() for approach in EXAMPLES[name]])
-    q = close(HAND, HandObjectDistances(HAND, obj), T, np.repeat(opened(HAND), len(T), axis=0))
-    links = tuple(contact.link for contact in HAND.contacts)
-    nowhere = np.full((len(T), len(links), 3), np.nan)
-    normals = measure(HAND, obj, links, T, q, nowhere, nowhere).witness.normal
-    thumb = [contact.group for contact in HAND.contacts].index("thumb")
-    fingers = np.delete(normals, thumb, axis=1).mean(axis=1)
-    assert ((normals[:, thumb] * fingers).sum(axis=1) < -0.7).all()
-
-
 def test_the_palm_comes_from_where_the_approach_says():
     point = (0.01, 0.02, 0.03)
     for approach, outward, index_finger in (
@@ -162,15 +142,6 @@ def around() -> HandObjectDistances:
 
 def opened(hand: Hand) -> np.ndarray:
     return np.array([[OPEN_RAD[name] for name in hand.joint_names]])
-
-
-def test_closing_stops_at_the_object(around: HandObjectDistances):
-    T, q = EXAMPLES["rounded_box"][0].pose()[None], opened(HAND)
-    closed = close(HAND, around, T, q)
-    distance = dict(zip(around.links, around.distances(T, closed)[0], strict=True))
-    assert all(0 < distance[link] < CLEARANCE_M for link in CLOSING_JOINTS)
-    assert min(distance.values()) > 0
-    assert (closed >= q).all()
 
 
 def test_closing_on_nothing_ends_at_the_limits(around: HandObjectDistances):

@@ -117,7 +117,3 @@ def test_half_a_file_is_refused(replay: Replay, tmp_path: Path) -> None:
         load_replay(path)
     with refused(GraspFileError, tmp_path / "none.npz"):
         load_replay(tmp_path / "none.npz")
-
-
-def test_stages_have_the_names_that_key_frames_use() -> None:
-    assert [stage.label for stage in Stage] == ["close", "squeeze", "push", "lift"]
