@@ -15,7 +15,7 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
 from grasp_refine.results.verdict import advice, should_hold
-from grasp_refine.validation.measures import MOVEMENTS, RECORDED, SIDES
+from grasp_refine.validation.measures import MOVEMENTS, RECORDED, SIDES, Measure
 
 
 def run_document(
@@ -86,19 +86,17 @@ def measure_entries(values: Mapping[str, Any], i: int) -> dict[str, Any]:
     def at(entry: str) -> Any:
         return values[entry][i] if entry in values else None
 
+    def value(measure: Measure, entry: str) -> Any:
+        return {"max": at(entry), "mean": at(measure.mean_entry(entry))} if measure.per_link else at(entry)
+
     found: dict[str, Any] = {}
     for measure in RECORDED:
         if measure in MOVEMENTS:
             found.setdefault("moved", {})[measure.key.removeprefix("moved_")] = at(measure.key)
-        elif measure.per_link:
-            means = {side: at(f"{measure.key}_mean_{side}") for side in measure.entries}
-            found[measure.name] = {
-                side: {"max": at(entry), "mean": means[side]} for side, entry in measure.entries.items()
-            }
         elif measure.compared:
-            found[measure.name] = {side: at(entry) for side, entry in measure.entries.items()}
+            found[measure.name] = {side: value(measure, entry) for side, entry in measure.entries.items()}
         else:
-            found[measure.name] = at(measure.key)
+            found[measure.name] = value(measure, measure.key)
     return found
 
 

@@ -16,7 +16,7 @@ from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.formulas import MeasuredGrasps, MeasuredRefinement
 from grasp_refine.validation.geometry import measure, movement
-from grasp_refine.validation.measures import RECORDED
+from grasp_refine.validation.measures import MEASURE, RECORDED
 from grasp_refine.validation.motion import Motion
 
 
@@ -44,7 +44,7 @@ class Outcome:
     """A `Status` (N,)."""
     measures: Mapping[str, np.ndarray]
     """Key of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; of a measure per link
-    (N, 2, L), NaN for links that should not touch. SI units."""
+    (N, 2, L) or (N, L), NaN for links that should not touch. SI units."""
     touching: np.ndarray
     """Links that should touch (N, L)."""
     target_link: np.ndarray
@@ -83,7 +83,7 @@ class Outcome:
     def __getitem__(self, key: str) -> np.ndarray:
         """Return the values of a measure before and after (N, 2), or after alone (N,); of one per link the worst."""
         values = self.measures[key]
-        return worst_over_links(values) if values.ndim == 3 else values
+        return worst_over_links(values) if MEASURE[key].per_link else values
 
     @property
     def quality(self) -> np.ndarray:
@@ -94,10 +94,11 @@ class Outcome:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
         found = {}
         for each in RECORDED:
-            for column, (side, entry) in enumerate(each.entries.items()):
-                found[entry] = self[each.key][:, column] if each.compared else self[each.key]
+            for column, entry in enumerate(each.entries.values()):
+                values = self.measures[each.key][:, column] if each.compared else self.measures[each.key]
+                found[entry] = worst_over_links(values) if each.per_link else values
                 if each.per_link:
-                    found[f"{each.key}_mean_{side}"] = mean_over_links(self.measures[each.key][:, column])
+                    found[each.mean_entry(entry)] = mean_over_links(values)
         return found
 
     def select(self, rows: np.ndarray) -> Outcome:

@@ -102,6 +102,10 @@ class Measure:
         suffix = self.unit.suffix
         return {entry: entry.removesuffix(suffix) + suffix for entry in self.entries.values()}
 
+    def mean_entry(self, entry: str) -> str:
+        """Return the key in result files of the mean over the links, given that of the worst of them."""
+        return f"{self.key}_mean{entry.removeprefix(self.key)}"
+
     @property
     def headline(self) -> str:
         """Title and unit for people, such as "penetration, mm"."""
