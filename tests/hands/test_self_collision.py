@@ -238,11 +238,13 @@ def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) 
         (a, b, fixed("b", "c", 0.01)),
     ]
     hands = [build(tmp_path, *parts) for parts in variants]
-    hands += [build(tmp_path, a, b, rest={"b": 0.11})]
+    hands += [build(tmp_path, a, b, rest={"b": 0.11}), build(tmp_path, a, b, rest={"b": 0.12})]
+    # Other limits with the same rest pose.
+    hands += [build(tmp_path, a, slide("base", "b", *ends), rest={"b": 0.12}) for ends in ((0.1, 0.3), (0.05, 0.2))]
     others = [Sampling(seed=1), Sampling(uniform=127), Sampling(extreme=9), Sampling(margin=0.1), Sampling(always=0.4)]
     names = [self_collision._entry_name(hand, QUICK) for hand in hands]
     names += [self_collision._entry_name(hands[0], sampling) for sampling in others]
-    assert len(set(names)) == len(names) == len(variants) + 1 + len(others)
+    assert len(set(names)) == len(names) == len(variants) + 4 + len(others)
     touching_pairs(hands[0], QUICK, cache=cache)
     renamed = build(tmp_path, slide("base", "left", 0.05, 0.1), slide("base", "right", 0.1, 0.2))
     assert touching_pairs(renamed, QUICK, cache=cache) == (("left", "right"),)
