@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,67 +11,60 @@ from grasp_refine.core.se3 import Array, array_namespace, matvec, transform_poin
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.motion import contact_curvatures, distance_covectors, target_misses, without_nan
 from grasp_refine.refinement.terms.term import Setup, State, Term
-from grasp_refine.scene.goal import Goal
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
-from grasp_refine.witness.pair_curvature import PairCurvatures
 
 
-@dataclass(frozen=True, eq=False)
 class Contact(Term):
     """Gaps of the links that should touch, and misses of their targets, in metres."""
 
-    goal: Goal
-    margin: float
-    curvatures: PairCurvatures | None
-    """Curvatures of links and object, where there are targets."""
-    aimed_columns: np.ndarray
-    """Links (C,) with a target in any of the grasps."""
-    gap_columns: np.ndarray
-    """Links that should touch anywhere in any of the grasps."""
-
-    @classmethod
-    def of(cls, setup: Setup) -> Contact | None:
-        """Return the term of a refinement; None where no link should touch."""
+    def __init__(self, setup: Setup) -> None:
+        """Find the links with a target, and those that should touch anywhere, in any of the grasps."""
+        super().__init__(setup)
         goal = setup.goal
-        aimed, anywhere = (np.flatnonzero(mask.any(axis=0)) for mask in (goal.aimed, goal.touching & ~goal.aimed))
-        curvatures = setup.prepared.curvatures if len(aimed) else None
-        return cls(goal, setup.margin, curvatures, aimed, anywhere) if len(aimed) + len(anywhere) else None
+        self.anywhere = goal.touching & ~goal.aimed
+        self.aimed_columns, self.gap_columns = (
+            np.flatnonzero(mask.any(axis=0)) for mask in (goal.aimed, self.anywhere)
+        )
+
+    @staticmethod
+    def applies(setup: Setup) -> bool:
+        """Return whether any link should touch."""
+        return bool((setup.goal.touching | setup.goal.aimed).any())
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the gaps and misses (M, C, 7) of links with targets, and the gaps (M, L) of the others."""
-        goal, w, T, member, found = self.goal, state.witness, state.T_link, state.member, []
+        goal, w, T, member, found = self.setup.goal, state.witness, state.T_link, state.member, []
         if len(self.aimed_columns):
             on_link, on_object = goal.target_link[member], goal.target_object[member]
             if isinstance(T, np.ndarray):
                 columns = self.aimed_columns
                 w, T, on_link, on_object = w.pairs(columns), T[:, columns], on_link[:, columns], on_object[:, columns]
-            found.append(contact_targets(w, T, state.T_object, state.like(on_link), state.like(on_object), self.margin))
+            found.append(
+                contact_targets(w, T, state.T_object, state.like(on_link), state.like(on_object), self.setup.margin)
+            )
         if len(self.gap_columns):
-            anywhere = state.like((goal.touching & ~goal.aimed)[member])
-            found.append(contact_gap(state.witness, anywhere, self.margin))
+            found.append(contact_gap(state.witness, state.like(self.anywhere[member]), self.setup.margin))
         return tuple(found)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
         """Return rows of gaps and tangential misses; those along the normal have no derivative."""
-        goal = self.goal
         if len(self.aimed_columns):
-            assert self.curvatures is not None
-            columns = self.aimed_columns
+            goal, columns = self.setup.goal, self.aimed_columns
             misses = target_misses(state, goal, columns)
             reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in misses])
             needed = goal.aimed[state.member][:, columns]
-            w, E, K_link, K_object = contact_curvatures(self.curvatures, state, columns, needed, reach, width)
+            w, E, K_link, K_object = contact_curvatures(self.setup, state, columns, needed, reach, width)
             aimed = (needed & w.valid)[..., None]
-            gap = np.where(aimed, w.distance[..., None] - self.margin, 0.0)
+            gap = np.where(aimed, w.distance[..., None] - self.setup.margin, 0.0)
             residual = [gap, *(matvec(E.mT, np.where(aimed, miss, 0.0)) for miss in misses)]
             covector = contact_targets_covectors(w, E, K_link, K_object)
             yield LinkRows.of(np.concatenate(residual, axis=-1), np.where(aimed[..., None], covector, 0.0), columns)
         if len(self.gap_columns):
             columns = self.gap_columns
             w = state.witness.pairs(columns)
-            touching = (goal.touching & ~goal.aimed)[state.member][:, columns] & w.valid
+            touching = self.anywhere[state.member][:, columns] & w.valid
             covector = np.where(touching[..., None], distance_covectors(w), 0.0)
-            yield LinkRows.of(contact_gap(w, touching, self.margin)[..., None], covector[..., None, :], columns)
+            yield LinkRows.of(contact_gap(w, touching, self.setup.margin)[..., None], covector[..., None, :], columns)
 
 
 def contact_targets(

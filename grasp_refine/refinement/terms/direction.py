@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,43 +11,35 @@ from grasp_refine.core.se3 import Array, array_namespace, cross
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.motion import contact_curvatures, target_misses, without_nan
 from grasp_refine.refinement.terms.term import Setup, State, Term
-from grasp_refine.scene.goal import Goal
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
-from grasp_refine.witness.pair_curvature import PairCurvatures
 
 
-@dataclass(frozen=True, eq=False)
 class Direction(Term):
     """Differences of contact normals and target normals; half their square is 1 - cosine."""
 
-    goal: Goal
-    wanted: np.ndarray
-    """Target unit normals (N, L, 3) from link to object, world frame; NaN: any."""
-    curvatures: PairCurvatures
-    columns: np.ndarray
-    """Links (C,) with a target normal in any of the grasps."""
-
-    @classmethod
-    def of(cls, setup: Setup) -> Direction | None:
-        """Return the term of a refinement; None without target normals."""
-        wanted = setup.goal.direction
-        if wanted is None:
-            return None
-        columns = np.flatnonzero(~np.isnan(wanted[..., 0]).all(axis=0))
-        return cls(setup.goal, wanted, setup.prepared.curvatures, columns)
+    @staticmethod
+    def applies(setup: Setup) -> bool:
+        """Return whether there are target normals."""
+        return setup.goal.direction is not None
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the differences (M, L, 3)."""
-        return (normal_difference(state.witness, state.like(self.wanted[state.member])),)
+        return (normal_difference(state.witness, state.like(self._wanted(state))),)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
         """Return rows of the normals of links with target normals."""
-        columns = self.columns
-        difference = normal_difference(state.witness.pairs(columns), self.wanted[state.member][:, columns])
+        wanted = self._wanted(state)
+        columns = np.flatnonzero(~np.isnan(wanted[..., 0]).all(axis=0))
+        difference = normal_difference(state.witness.pairs(columns), wanted[:, columns])
         needed = (difference != 0).any(axis=-1)
-        reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in target_misses(state, self.goal, columns)])
-        covector = normal_covectors(*contact_curvatures(self.curvatures, state, columns, needed, reach, width))
+        reach = np.stack([np.linalg.norm(miss, axis=-1) for miss in target_misses(state, self.setup.goal, columns)])
+        covector = normal_covectors(*contact_curvatures(self.setup, state, columns, needed, reach, width))
         yield LinkRows.of(difference, np.where(needed[..., None, None], covector, 0.0), columns)
+
+    def _wanted(self, state: State) -> np.ndarray:
+        """Return the target unit normals (M, L, 3) from link to object, world frame; NaN: any."""
+        assert self.setup.goal.direction is not None  # the term applies
+        return self.setup.goal.direction[state.member]
 
 
 def normal_difference(witness: Witness, wanted: Array) -> Array:

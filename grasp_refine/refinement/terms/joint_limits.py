@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from grasp_refine.core.se3 import Array, array_namespace
-from grasp_refine.refinement.terms.term import Setup, State, Term
+from grasp_refine.refinement.terms.term import State, Term
 
 
-@dataclass(frozen=True, eq=False)
 class JointLimits(Term):
     """Distances of joint values beyond their limits, in radians, or metres for prismatic joints."""
 
     least_squares: ClassVar[bool] = False
 
-    lower: np.ndarray
-    """Lower limits (n,)."""
-    upper: np.ndarray
-    """Upper limits (n,)."""
-
-    @classmethod
-    def of(cls, setup: Setup) -> JointLimits:
-        """Return the term of any refinement."""
-        return cls(setup.scene.hand.lower, setup.scene.hand.upper)
-
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the distances (M, n)."""
-        return (beyond_limits(state.q, state.like(self.lower), state.like(self.upper)),)
+        hand = self.setup.scene.hand
+        return (beyond_limits(state.q, state.like(hand.lower), state.like(hand.upper)),)
 
 
 def beyond_limits(q: Array, lower: Array, upper: Array) -> Array:

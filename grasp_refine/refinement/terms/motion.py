@@ -10,9 +10,8 @@ import numpy as np
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace, cross, tangents, transform_points
-from grasp_refine.refinement.terms.term import State
+from grasp_refine.refinement.terms.term import Setup, State
 from grasp_refine.scene.goal import Goal
-from grasp_refine.witness.pair_curvature import PairCurvatures
 
 
 def distance_covectors(witness: Witness) -> Array:
@@ -43,7 +42,7 @@ def target_misses(state: State, goal: Goal, columns: np.ndarray) -> tuple[np.nda
 
 
 def contact_curvatures(
-    curvatures: PairCurvatures,
+    setup: Setup,
     state: State,
     columns: np.ndarray,
     needed: np.ndarray,
@@ -56,7 +55,7 @@ def contact_curvatures(
     without witness points, they are those of spheres of 1 m and mean nothing.
 
     Args:
-        curvatures: Curvatures of links and object.
+        setup: Givens of the refinement.
         state: State.
         columns: Links.
         needed: Mask (M, C).
@@ -67,7 +66,7 @@ def contact_curvatures(
     E = contact_frames(w)
     shape = w.distance.shape
     item = np.flatnonzero((needed & w.valid).reshape(-1))
-    K = curvatures.fit(
+    K = setup.prepared.curvatures.fit(
         np.tile(columns, shape[0])[item],
         state.T_link[:, columns].reshape(-1, 4, 4)[item],
         np.broadcast_to(np.eye(4), (len(item), 4, 4)),

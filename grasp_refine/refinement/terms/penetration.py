@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,17 +10,11 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.motion import distance_covectors
-from grasp_refine.refinement.terms.term import Setup, State, Term
+from grasp_refine.refinement.terms.term import State, Term
 
 
-@dataclass(frozen=True, eq=False)
 class Penetration(Term):
     """Depths of the links in the object, in metres."""
-
-    @classmethod
-    def of(cls, setup: Setup) -> Penetration:
-        """Return the term of any refinement."""
-        return cls()
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the depths (M, L)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -15,22 +15,15 @@ from grasp_refine.refinement.terms.penetration import depth_rows, depths
 from grasp_refine.refinement.terms.term import Setup, State, Term
 
 
-@dataclass(frozen=True, eq=False)
 class SelfPenetration(Term):
     """Depths of links in each other, in metres."""
 
     cost: ClassVar[int] = 2
 
-    first: np.ndarray
-    """First link (S,) of each pair."""
-    second: np.ndarray
-    """Second link (S,)."""
-
-    @classmethod
-    def of(cls, setup: Setup) -> SelfPenetration | None:
-        """Return the term of a refinement; None where no links can touch each other."""
-        prepared = setup.prepared
-        return None if prepared.self_collision_pairs is None else cls(*prepared.self_collision_links)
+    @staticmethod
+    def applies(setup: Setup) -> bool:
+        """Return whether any links can touch each other."""
+        return setup.prepared.self_collision_pairs is not None
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the witness points of the pairs of links."""
@@ -42,4 +35,4 @@ class SelfPenetration(Term):
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
         """Return rows of the pairs of links that are near each other."""
-        yield depth_rows(state.self_witness, self.first, self.second)
+        yield depth_rows(state.self_witness, *self.setup.prepared.self_collision_links)

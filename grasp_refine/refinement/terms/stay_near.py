@@ -3,40 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from grasp_refine.core.se3 import Array, array_namespace, hat, log_so3
 from grasp_refine.refinement.solvers.rows import JointRows
 from grasp_refine.refinement.terms.scales import Scales
-from grasp_refine.refinement.terms.term import Setup, State, Term
+from grasp_refine.refinement.terms.term import State, Term
 
 
-@dataclass(frozen=True, eq=False)
 class StayNear(Term):
     """Movements of root and joints from the initial grasp, in units of `Scales`."""
 
-    T_first: np.ndarray
-    """Initial poses (N, 4, 4) of the base link."""
-    q_first: np.ndarray
-    """Initial joint values (N, n)."""
-    scales: Scales
-
-    @classmethod
-    def of(cls, setup: Setup) -> StayNear:
-        """Return the term of any refinement."""
-        return cls(setup.scene.T_world_root, setup.scene.q, setup.scales)
-
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the movements (M, 6 + n)."""
-        T_first, q_first = (state.like(values[state.member]) for values in (self.T_first, self.q_first))
-        return (movement(state.T, state.q, T_first, q_first, self.scales),)
+        scene, member = self.setup.scene, state.member
+        T_first, q_first = state.like(scene.T_world_root[member]), state.like(scene.q[member])
+        return (movement(state.T, state.q, T_first, q_first, self.setup.scales),)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[JointRows]:
         """Return rows of all movements."""
         (away,) = self.residuals(state)
-        yield JointRows(away, movement_jacobian(away, self.scales))
+        yield JointRows(away, movement_jacobian(away, self.setup.scales))
 
 
 def movement(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales) -> Array:

@@ -92,10 +92,14 @@ class Term(ABC):
     cost: ClassVar[int] = 0
     """Terms of a higher cost are evaluated later, and only for members that the others do not reject."""
 
-    @classmethod
-    @abstractmethod
-    def of(cls, setup: Setup) -> Term | None:
-        """Return the term of a refinement; None where it has no part in it."""
+    def __init__(self, setup: Setup) -> None:
+        """Make the term of a refinement in which it has a part."""
+        self.setup = setup
+
+    @staticmethod
+    def applies(setup: Setup) -> bool:
+        """Return whether the term has a part in a refinement."""
+        return True
 
     @abstractmethod
     def residuals(self, state: State) -> tuple[Array, ...]:

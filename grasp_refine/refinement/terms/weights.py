@@ -60,13 +60,12 @@ class Weights:
 
     def terms(self, setup: Setup, *, autograd: bool) -> tuple[tuple[float, Term], ...]:
         """Return the terms of a refinement with their weights above 0, those of gradients or those of least squares."""
-        found = []
-        for name, kind in term_kinds().items():
-            weight = getattr(self, name)
-            if weight > 0.0 and (kind.autograd if autograd else kind.least_squares):
-                term = kind.of(setup)
-                found += [] if term is None else [(weight, term)]
-        return tuple(found)
+        kinds = ((getattr(self, name), kind) for name, kind in term_kinds().items())
+        return tuple(
+            (weight, kind(setup))
+            for weight, kind in kinds
+            if weight > 0.0 and (kind.autograd if autograd else kind.least_squares) and kind.applies(setup)
+        )
 
 
 @cache

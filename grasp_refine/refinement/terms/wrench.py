@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -15,41 +15,32 @@ from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.refinement.solvers.rows import JointRows
 from grasp_refine.refinement.terms.motion import contact_curvatures
 from grasp_refine.refinement.terms.term import Setup, State, Term
-from grasp_refine.scene.goal import Goal
-from grasp_refine.witness.pair_curvature import PairCurvatures
 
 CURVATURE_RADIUS_M = 0.008
 """Radius in metres of the neighbourhoods in which surface normals determine curvature."""
 
 
-@dataclass(frozen=True, eq=False)
 class Wrench(Term):
-    """Forces and torques that the best contact forces leave unbalanced, per unit of total pressure.
-
-    Without targets only: these say where contacts are.
-    """
+    """Forces and torques that the best contact forces leave unbalanced, per unit of total pressure."""
 
     autograd: ClassVar[bool] = False
     cost: ClassVar[int] = 1
 
-    equilibrium: Equilibrium
-    goal: Goal
-    curvatures: PairCurvatures
-    columns: np.ndarray
-    """Links (C,) that touch in any of the grasps."""
+    def __init__(self, setup: Setup) -> None:
+        """Set up the equilibrium of the hand's grasps, and find the links that touch in any of them."""
+        super().__init__(setup)
+        prepared = setup.prepared
+        self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object))
+        self.columns = np.flatnonzero(setup.goal.touching.any(axis=0))
 
-    @classmethod
-    def of(cls, setup: Setup) -> Wrench | None:
-        """Return the term of a refinement; None with targets, or without contacts."""
-        prepared, goal, columns = setup.prepared, setup.goal, np.flatnonzero(setup.goal.touching.any(axis=0))
-        if goal.aimed.any() or not len(columns):
-            return None
-        equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object))
-        return cls(equilibrium, goal, prepared.curvatures, columns)
+    @staticmethod
+    def applies(setup: Setup) -> bool:
+        """Return whether there are contacts, and no targets: these say where contacts are."""
+        return bool(setup.goal.touching.any()) and not setup.goal.aimed.any()
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the best contact forces; without contacts where it is rejected."""
-        pushing = self.goal.touching[state.member] & ~rejected[:, None]
+        pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
         return replace(state, forces=self.equilibrium.forces(pushing, state.witness, state.frames))
 
     def residuals(self, state: State) -> tuple[Array, ...]:
@@ -67,5 +58,5 @@ class Wrench(Term):
         assert state.forces is not None
         pressed = state.forces.pressed[:, columns]
         radius = np.full((2, *pressed.shape), 0.5 * CURVATURE_RADIUS_M)
-        w, E, *K = contact_curvatures(self.curvatures, state, columns, pressed, radius, width)
+        w, E, *K = contact_curvatures(self.setup, state, columns, pressed, radius, width)
         yield JointRows(*self.equilibrium.rows(state.forces, columns, w, state.frames, E, *K))
