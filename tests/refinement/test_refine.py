@@ -10,7 +10,7 @@ import torch
 from boxed_example import boxed_example
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, transform_points
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
@@ -18,7 +18,6 @@ from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
-from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
@@ -29,10 +28,10 @@ from grasp_refine.refinement.terms import stay_near
 from grasp_refine.refinement.terms.scales import Scales
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
-from grasp_refine.scene.goal import Goal, goal_of
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.geometry import measure
 from grasp_refine.witness import autograd
 from grasp_refine.witness.distance import Distance
 from refusals import refused
@@ -320,18 +319,6 @@ def test_no_grasps_at_all_are_refined_at_once(scene: Scene, config: Config) -> N
     assert found.T_world_root.shape == (0, 4, 4) and found.loss.shape == (0, 2)
 
 
-@pytest.mark.parametrize("side", ["target_link", "target_object"])
-def test_targets_on_one_side_only_are_no_targets(aimed: Scene, side: str) -> None:
-    """The grasp once ended as converged before it began."""
-    points = getattr(aimed, side).copy()
-    points[:2] = np.nan
-    for solver in (LevenbergMarquardt(iterations=10), Descent(iterations=2)):
-        found = refine(replace(aimed, **{side: points}), Config(solver=solver))
-        assert (found.status[:2] == Status.NO_TARGET).all() and (found.status[2:] != Status.NO_TARGET).all()
-        assert np.isnan(found.target_link[:2]).all() and np.isnan(found.target_object[:2]).all()
-        np.testing.assert_array_equal(found.q[:2], aimed.q[:2])
-
-
 # grasps on their own
 
 
@@ -352,30 +339,6 @@ def with_bad_members(scene: Scene) -> Scene:
     T, q = scene.T_world_root.copy(), scene.q.copy()
     T[1, 0, 3], q[2, 4] = np.nan, np.inf
     return replace(scene, T_world_root=T, q=q)
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-@pytest.mark.parametrize("nearest", [False, True], ids=["gap", "nearest"])
-def test_a_grasp_that_is_not_finite_spoils_only_itself(scene: Scene, name: str, nearest: bool) -> None:
-    config = Config(solver=replace(SOLVERS[name], iterations=30 if name[0] == "l" else 3), nearest=nearest)
-    clean, found = refine(scene, config), refine(with_bad_members(scene), config)
-    assert found.status[1] == found.status[2] == Status.NOT_FINITE
-    same(found, clean, [0, 3], [0, 3])
-    # No result is no number; where there was no best, it was infinite.
-    assert np.isnan(found.loss[1:3]).all() and not np.isinf(found.loss).any()
-
-
-def test_an_unreachable_target_changes_nothing_for_the_others(aimed: Scene) -> None:
-    """All that it does, restarts included, is its own."""
-    config = Config(solver=LevenbergMarquardt(iterations=60))
-    clean = refine(aimed, config)
-    spoilt = aimed.target_object.copy()
-    spoilt[1] *= 1.5
-    found = refine(replace(aimed, target_object=spoilt), config)
-    assert found.status[1] == Status.UNREACHABLE and found.iterations[1] > clean.iterations[1]
-    same(found, clean, [0, 2, 3], [0, 2, 3])
-    bad = refine(with_bad_members(aimed), config)
-    same(bad, clean, [0, 3], [0, 3])
 
 
 @pytest.mark.parametrize("width", [1, 3])
@@ -449,27 +412,6 @@ def test_single_precision_and_transport_run(scene: Scene, transport: bool) -> No
     np.testing.assert_allclose(R @ R.mT, np.broadcast_to(np.eye(3), R.shape), atol=1e-5)
 
 
-def test_measures_in_closed_form(scene: Scene) -> None:
-    ball = load_object("sphere:0.05", candidates=256)
-    hand = scene.hand
-    T = np.tile(np.eye(4), (1, 1, 1))
-    q = hand.rest[None]
-    none = np.full((1, len(scene.links), 3), np.nan)
-    # The object far below the hand: each distance is that of the link's nearest point to the ball.
-    T[0, 2, 3] = 1.0
-    found = measure(hand, ball, scene.links, T, q, none, none)
-    assert (found.distance > 0.7).all() and found.penetration[0] == 0.0
-    assert np.isnan(found.contact_error).all() and found.limits_violated[0] == 0
-    T[0, 2, 3] = 0.0
-    deep = measure(hand, ball, scene.links, T, q + 10, none, none)
-    assert deep.penetration[0] > 0.0 and deep.limits_violated[0] == len(hand.joint_names)
-    turned = T @ exp_se3(np.array([0, 0, 0, 0, 0, 0.3]))
-    turned[0, :3, 3] += [0.03, 0.04, 0.0]
-    away = movement(T, q, turned, q - 0.2)
-    assert away.palm_m[0] == pytest.approx(0.05) and away.palm_rad[0] == pytest.approx(0.3)
-    assert away.joints_rad[0] == pytest.approx(0.2)
-
-
 # descent on a ball, which no piece of a polytope spoils
 
 
@@ -501,34 +443,6 @@ def grasped(on_ball: Scene) -> Refinement:
     return refine(on_ball, BALL)
 
 
-def loss_at(scene: Scene, T: np.ndarray, q: np.ndarray, goal: Goal) -> np.ndarray:
-    """The loss by fresh queries."""
-    return Objective(scene, goal, BALL).evaluate(np.arange(len(q)), Point(T, q), None).loss
-
-
-def test_the_loss_is_the_sum_of_its_terms(on_ball: Scene) -> None:
-    """Contact for links with a target, depth for all, joints beyond their limits."""
-    scene, T, q = on_ball, on_ball.T_world_root.copy(), on_ball.q.copy()
-    T[3:, :3, 3] += [0.0, 0.0, 0.05]
-    q[5, 2] = scene.hand.upper[2] + 0.1
-    goal = goal_of(scene, BALL.contact_selection, nearest=True)
-    none = np.full_like(goal.target_link, np.nan)
-    none[:, 0] = goal.target_link[:, 0]
-    goal = replace(goal, target_link=none, target_object=np.where(np.isnan(none), np.nan, goal.target_object))
-    goal = replace(goal, touching=goal.aimed)
-    found = measure(scene.hand, scene.object, scene.links, T, q, goal.target_link, goal.target_object)
-    assert (found.distance[:, 1:] < -1e-3).sum() > 5 and (found.distance[:, 0] < 0).any()
-    frames = Kinematics(scene.hand, scene.links[:1])(torch.from_numpy(T), torch.from_numpy(q)).numpy()
-    miss = [
-        found.witness.point_a[:, 0] - transform_points(frames[:, 0], goal.target_link[:, 0]),
-        found.witness.point_b[:, 0] - goal.target_object[:, 0],
-    ]
-    expected = found.distance[:, 0] ** 2 + sum((m**2).sum(axis=1) for m in miss)
-    expected += 10.0 * (np.minimum(found.distance, 0.0) ** 2).sum(axis=1)
-    expected[5] += 0.01 * 0.1**2
-    np.testing.assert_allclose(loss_at(scene, T, q, goal), expected, rtol=1e-6)
-
-
 def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene, grasped: Refinement) -> None:
     before, after = (
         measure(on_ball.hand, on_ball.object, on_ball.links, T, q, grasped.target_link, grasped.target_object)
@@ -537,25 +451,6 @@ def test_all_fingertips_come_to_the_ball_and_none_into_it(on_ball: Scene, graspe
     assert np.nanmax(before.contact_error, axis=1).min() > 0.02 and before.penetration.max() > 0.01
     assert np.nanmax(after.contact_error, axis=1).max() < 0.01 and after.penetration.max() < 1e-3
     assert not after.limits_violated.any()
-
-
-def test_more_iterations_of_descent_never_give_less(on_ball: Scene) -> None:
-    shorter = refine(on_ball, replace(BALL, solver=Descent(iterations=6, shares=(), factors=())))
-    longer = refine(on_ball, replace(BALL, solver=Descent(iterations=12, shares=(), factors=())))
-    assert (longer.loss[:, 1] <= shorter.loss[:, 1]).all()
-    assert shorter.loss.shape == (6, 2) and (shorter.iterations == 6).all()
-
-
-def test_grasps_that_leave_do_not_disturb_those_that_stay(on_ball: Scene, grasped: Refinement) -> None:
-    ended = grasped.iterations
-    assert len(np.unique(ended)) > 1 and (grasped.status == Status.CONVERGED).any(), "they end at different times"
-    same(refine(rows(on_ball, [5, 2]), BALL), grasped, [0, 1], [5, 2])
-
-
-def test_costs_are_shared_out(grasped: Refinement) -> None:
-    assert (grasped.queries > grasped.iterations).all() and (grasped.wall_s > 0).all()
-    order = grasped.iterations.argsort()
-    assert (np.diff(grasped.wall_s[order]) >= -1e-12).all(), "who stays longer pays more"
 
 
 def test_a_failed_query_ends_a_grasp_with_the_best_it_had(on_ball: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,40 +41,27 @@ IterationCallback = Callable[[np.ndarray, Point, np.ndarray], None]
 
 
 @runtime_checkable
-class Evaluated(Protocol):
-    """Evaluation of members at a point, rows of arrays."""
-
-    loss: np.ndarray
-    """Sum of the squares of all residuals (batch,); NaN where it is not known."""
-    num_queries: np.ndarray
-    """Narrow-phase queries (batch,)."""
-
-
-@runtime_checkable
 class Problem(Protocol):
     """Independent minimisation problems of the same form, one for each member."""
 
     width: int
     """Largest number of members that are evaluated at once."""
     restarts: bool
-    """Whether a stalled member may start elsewhere."""
+    """Whether a stalled member may start elsewhere, at `restart(member, start, best, now)`.
+
+    It returns new starts of stalled members, the `start`-th (batch,) of each, by member and number only, given the best
+    and the present points."""
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Any | None) -> Any:
-        """Return the evaluation at a point (an `Evaluated`); `previous` is one nearby, a warm start.
+        """Return the evaluation at a point; `previous` is one nearby, a warm start.
+
+        It is a record of arrays with at least `loss` (batch,), the sum of the squares of all residuals, NaN where it is
+        not known, and `num_queries` (batch,), those of the narrow phase.
 
         For solvers that compare losses, a point whose loss is not below `previous.loss` will be rejected: as soon as
         that is certain, the returned loss may be any value between the two. `previous.loss` is infinite where a member
         restarts.
         """
-        ...
-
-
-@runtime_checkable
-class Restarting(Problem, Protocol):
-    """A problem whose stalled members may start elsewhere."""
-
-    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Return new starts of stalled members, the `start`-th (batch,) of each, by member and number only."""
         ...
 
 
@@ -296,7 +283,7 @@ class _Run:
 
     def _restart(self, slots: Slots, rows: np.ndarray) -> Slots:
         """Return the slots with new starts in some rows."""
-        problem, member = cast(Restarting, self.problem), slots.member[rows]
+        problem, member = cast(Any, self.problem), slots.member[rows]
         trial = problem.restart(member, slots.starts[rows], take(self.best, member), take(slots.point, rows))
         trial, state = self.solver.start(problem, trial)
         place = np.arange(len(slots.member))
