@@ -144,6 +144,9 @@ def test_a_finger_stands_for_its_contact_links(hand: Hand) -> None:
     assert chosen(hand, ContactSelection(links=("thumb", "link_1.0")), near) == {THUMB, "link_1.0"}
     cutoff = dict(zip(links, ContactSelection(links=("thumb",)).cutoff(hand, links), strict=True))
     assert cutoff[THUMB] == np.inf and cutoff[INDEX] == cutoff["base_link"] == -np.inf
+    # All of them, where a finger has several.
+    pair = replace(hand, contacts=(*hand.contacts, replace(hand.contacts[-1], link="link_14.0")))
+    assert set(ContactSelection(links=(hand.contacts[-1].group,)).named(pair, links)) >= {"link_14.0"}
 
 
 def test_targets_are_points_of_the_bodies_in_closed_form() -> None:
