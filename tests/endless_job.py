@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from grasp_refine_apps.bench.jobs import Job, Progress
 
-@dataclass(frozen=True)
-class EndlessJob:
-    """Compiled code that never ends, and lets no other thread of Python run."""
 
-    begun: Path
-    """Written when it begins."""
-    work: float = 1.0
-    label: str = "endless"
+def _run(begun: Path, progress: Progress) -> None:
+    """Write a file, and run compiled code that never ends, and lets no other thread of Python run."""
+    begun.touch()
+    re.match("(a+)+$", "a" * 60 + "b")
 
-    def do(self, progress: Callable[[float], None]) -> None:
-        self.begun.touch()
-        re.match("(a+)+$", "a" * 60 + "b")
+
+def endless_job(begun: Path) -> Job:
+    """Return a job that writes the file `begun` when it begins, and never ends."""
+    return Job("endless", partial(_run, begun))

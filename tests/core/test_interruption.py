@@ -139,10 +139,10 @@ BENCH = """
 import sys, time
 from pathlib import Path
 from grasp_refine_apps.bench.jobs import run_jobs
-from endless_job import EndlessJob
+from endless_job import endless_job
 
 if __name__ == "__main__":
-    print(run_jobs([EndlessJob(Path("0")), EndlessJob(Path("1"))], 2, lambda share, what: None)[1])
+    print(run_jobs([endless_job(Path("0")), endless_job(Path("1"))], 2, lambda share, what: None)[1])
 """
 
 
