@@ -18,7 +18,6 @@ from grasp_refine.collision.shapes import build_shape, unit_of
 from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import matvec
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 
@@ -110,17 +109,13 @@ class NativeSearch:
 
         It returns all distances (N,), item after item.
         """
-        queries = np.array(self._compiled.trace(pair, T_a, T_b, limit, *(None,) * 4), dtype=np.int64).reshape(-1, 2)
+        queries = np.array(self._compiled.trace(pair, T_a, T_b, limit), dtype=np.int64).reshape(-1, 2)
         # As in `query`: items with the same pieces follow each other.
         item, piece_pair = np.ascontiguousarray(queries[np.argsort(pair[queries[:, 0]], kind="stable")].T)
-        R_a = T_a[item, :3, :3].mT
-        R = np.ascontiguousarray(R_a @ T_b[item, :3, :3])
-        t = np.ascontiguousarray(matvec(R_a, (T_b - T_a)[item, :3, 3]))
-        guess, valid, distance = np.zeros((len(item), 3)), np.zeros(len(item), bool), np.empty(len(item))
-        item = np.arange(len(item))
+        distance = np.empty(len(item))
 
         def run() -> np.ndarray:
-            self._narrow_phase.distances(item, piece_pair, R, t, guess, valid, distance, threads or _threads(len(pair)))
+            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads or _threads(len(pair)))
             return distance
 
         return run

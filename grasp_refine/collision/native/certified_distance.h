@@ -35,7 +35,7 @@ struct Core {
   double radius = 0;
   Vec3s center = Vec3s::Zero();  // Centre of the vertices' bounding box.
 
-  // u . x of the vertices; sums in the order of certified_distance.py, so that both engines give the same bits.
+  // u . x of the vertices.
   auto along(const Vec3s& u) const {
     return u[0] * vertices.col(0).array() + u[1] * vertices.col(1).array() + u[2] * vertices.col(2).array();
   }

@@ -61,8 +61,6 @@ std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {
 }
 
 // The pose of body b in the frame of body a, from two (4, 4) poses in the world.
-//
-// Sums run in the order of relative.py, so that both engines query coal with the same bits.
 Transform3s relative(const double* a, const double* b) {
   Matrix3s R;
   Vec3s t;
@@ -165,60 +163,28 @@ void query(const Search& search, std::optional<In<int64_t>> pair, In<double> T_a
 
 // The queries of the items, in order, item by item: (item, piece pair) of each.
 std::vector<std::pair<int64_t, int64_t>> trace(const Search& search, In<int64_t> pair, In<double> T_a, In<double> T_b,
-                                               In<double> limit, std::optional<In<int64_t>> winner,
-                                               std::optional<In<double>> point_a, std::optional<In<double>> point_b,
-                                               std::optional<In<int8_t>> status) {
-  Previous previous;
-  if (winner) previous = {winner->data(), point_a->data(), point_b->data(), status->data()};
+                                               In<double> limit) {
   const Poses poses{T_a.data(), T_b.data()};
   std::vector<std::pair<int64_t, int64_t>> queries;
   for (size_t i = 0; i < limit.size(); ++i) {
     std::vector<Entry> entries;
     Scratch scratch;
     scratch.trace = &entries;
-    search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], previous.item(i, poses.T_a + 16 * i), scratch);
+    search.minimum(pair.data()[i], poses.relative(i), limit.data()[i], Warm(), scratch);
     for (const Entry& entry : entries) queries.emplace_back(i, entry.pair);
   }
   return queries;
 }
 
-Transform3s pose_of(const double* R, const double* t) {
-  return Transform3s(Eigen::Map<const RowMatrix>(R), Eigen::Map<const Vec3s>(t));
-}
-
-// `NarrowPhase.closest` of narrowphase.py.
-void closest(const NarrowPhase& narrow_phase, In<double> R, In<double> t, In<int64_t> starts, In<int64_t> pair,
-             In<double> bound, In<double> limit, std::optional<In<double>> guess, std::optional<In<bool>> guess_valid,
-             Out<double> distance, Out<double> point, Out<double> normal, Out<int64_t> winner,
-             Out<int64_t> num_queries, Out<bool> failed) {
-  nb::gil_scoped_release without_the_gil;
-  for (size_t i = 0; i < limit.size(); ++i) {
-    std::vector<Entry> entries;
-    for (int64_t j = starts.data()[i]; j < starts.data()[i + 1]; ++j)
-      entries.push_back({bound.data()[j], pair.data()[j]});
-    const Vec3s warm = guess ? Vec3s(Eigen::Map<const Vec3s>(guess->data() + 3 * i)) : Vec3s::Zero();
-    Found found;
-    narrow_phase.query(entries.data(), entries.data() + entries.size(), pose_of(R.data() + 9 * i, t.data() + 3 * i),
-                       limit.data()[i], guess_valid && guess_valid->data()[i] ? &warm : nullptr, found);
-    distance.data()[i] = found.distance, winner.data()[i] = found.winner;
-    num_queries.data()[i] = found.num_queries, failed.data()[i] = found.failed;
-    Eigen::Map<Vec3s>(point.data() + 3 * i) = found.point;
-    Eigen::Map<Vec3s>(normal.data() + 3 * i) = found.normal;
-  }
-}
-
 // Only the distances of piece pairs (N,) of items (N,): the queries that a search cannot avoid.
-void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pair, In<double> R, In<double> t,
-               In<double> guess, In<bool> guess_valid, Out<double> distance, int threads) {
+void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pair, In<double> T_a, In<double> T_b,
+               Out<double> distance, int threads) {
   nb::gil_scoped_release without_the_gil;
+  const Poses poses{T_a.data(), T_b.data()};
   std::vector<size_t> order(item.size());
   std::iota(order.begin(), order.end(), 0);
   for_each(order, threads, [&](size_t k) {
-    const int64_t i = item.data()[k];
-    const Vec3s warm = Eigen::Map<const Vec3s>(guess.data() + 3 * k);
-    distance.data()[k] =
-        narrow_phase.distance(pair.data()[k], pose_of(R.data() + 9 * i, t.data() + 3 * i),
-                              guess_valid.data()[k] ? &warm : nullptr);
+    distance.data()[k] = narrow_phase.distance(pair.data()[k], poses.relative(item.data()[k]));
   });
 }
 
@@ -265,8 +231,8 @@ NB_MODULE(_native, m) {
         return std::make_shared<Shape>(sphere(radius, Eigen::Map<const Vec3s>(center.data())));
       })
       .def_static("capsule", [](double radius, double length, In<double> frame, In<double> center) {
-        const Transform3s T = pose_of(frame.data(), center.data());
-        return std::make_shared<Shape>(capsule(radius, length, T.getRotation(), T.getTranslation()));
+        const Matrix3s R = Eigen::Map<const RowMatrix>(frame.data());
+        return std::make_shared<Shape>(capsule(radius, length, R, Eigen::Map<const Vec3s>(center.data())));
       })
       .def_static("hull", [](In<double> points, double radius) {
         return std::make_shared<Shape>(hull(points_of(points.data(), points.shape(0)), radius));
@@ -290,9 +256,6 @@ NB_MODULE(_native, m) {
                           double gjk, double epa, double retry, double slack) {
         new (self) NarrowPhase(narrow_phase_of(a, b, unit, gjk, epa, retry, slack));
       })
-      .def("closest", &closest, "R"_a, "t"_a, "starts"_a, "pair"_a, "bound"_a, "limit"_a, "guess"_a.none(),
-           "guess_valid"_a.none(), "distance"_a.noconvert(), "point"_a.noconvert(), "normal"_a.noconvert(),
-           "winner"_a.noconvert(), "num_queries"_a.noconvert(), "failed"_a.noconvert())
       .def("distances", &distances);
 
   nb::class_<Side>(m, "Side").def(

@@ -1,6 +1,6 @@
-// The narrow phase of narrowphase.py, without Python: closest or deepest points of convex pieces.
+// The narrow phase: closest or deepest points of convex pieces, from coal (GJK and EPA).
 //
-// Coal's traps listed there apply here, too. Every query is a function of its arguments alone.
+// certified_distance.py lists coal's traps. Every query is a function of its arguments alone.
 #pragma once
 
 #include <coal/shape/convex.h>
@@ -88,10 +88,9 @@ struct NarrowPhase {
   }
 
   // Coal's unchecked distance of a piece pair, in metres.
-  double distance(int64_t index, const Transform3s& T, const Vec3s* guess) const {
+  double distance(int64_t index, const Transform3s& T) const {
     const PiecePair& pair = pairs[index];
-    const Vec3s start = guess ? Vec3s(*guess / pair.unit) : Vec3s();
-    return pair.unit * certified_query().query_pieces(pair, in_unit(T, pair), guess ? &start : nullptr);
+    return pair.unit * certified_query().query_pieces(pair, in_unit(T, pair), nullptr);
   }
 
  private:

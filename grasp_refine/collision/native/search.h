@@ -1,4 +1,8 @@
-// The search of search.py, item by item: bounds, the first query, bounds along its normal, the remaining queries.
+// Search for the closest piece pair of each item.
+//
+// One piece pair is queried first. Its answer is an upper bound, and along its normal u every other pair is at least
+// min_b u . y - max_a u . x apart, which rules out nearly all of them at the cost of one number a piece. Boxes are
+// compared for those that remain; then they are queried, best bound first. bounds.py says why these bounds hold.
 #pragma once
 
 #include <cmath>
@@ -11,14 +15,14 @@ namespace grasp_refine {
 // As `QueryStatus` in query.py.
 enum Status : int8_t { kSeparated, kPenetrating, kFar, kFailed, kNotFinite };
 
-// The bodies on one side of the body pairs, as `Side` in table.py; pieces of all bodies, body by body.
+// The bodies on one side of the body pairs; pieces of all bodies, body by body.
 struct Side {
   std::vector<int64_t> body;            // The body of each body pair.
   std::vector<int64_t> first;           // Start of each body's pieces, and the end of the last.
   std::vector<Vec3s> center, half;      // Centres of boxes and spheres, half side lengths of the boxes.
   std::vector<Matrix3s> axes;           // Axes of the boxes, one a row.
   std::vector<double> radius;           // Radii of the spheres.
-  const double* supports;               // Support functions (body, direction, piece), see supports.py.
+  const double* supports;               // Support functions (body, direction, piece), see bounds.py.
   size_t directions, width, cells;      // Number of directions, most pieces of a body, number of cells.
 
   // A sphere around the centres of a body's pieces, and the largest radius of its pieces.
