@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 
 from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.pieces import Piece, hull
+from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 
 
 def ellipsoid_hull(seed: int, vertices: int = 100, axes: tuple[float, float, float] = (0.05, 0.03, 0.02)) -> Piece:
@@ -45,3 +45,13 @@ def cluster_body(seed: int, pieces: int = 5) -> Body:
     rng = np.random.default_rng(seed)
     parts = [hull(rng.normal(size=(15, 3)) * 0.015 + center) for center in rng.normal(size=(pieces, 3)) * 0.04]
     return build_body(f"cluster {seed}", parts, seed=seed)
+
+
+BODY_PAIRS = {
+    "hulls": lambda: (convex_body(0), convex_body(1)),
+    "concave": lambda: (cluster_body(2), cluster_body(3)),
+    "ring and hull": lambda: (ring_body(1), convex_body(0)),
+    "sphere and box": lambda: (build_body("s", [sphere(0.02)]), build_body("b", [box([0.05, 0.04, 0.03])])),
+    "capsule and hull": lambda: (build_body("c", [capsule(0.01, (0, 0, -0.02), (0, 0, 0.03))]), convex_body(4)),
+}
+"""Name -> function that makes two bodies."""
