@@ -44,8 +44,8 @@ def locate_asset(
     return main_path(asset, origin.layout)
 
 
-def fetched(asset: Asset, say: Callable[[str], None]) -> Path:
-    """Locate an asset as `locate_asset`; calls `say` once with a line when files have to be fetched.
+def fetched(asset: Asset, on_message: Callable[[str], None]) -> Path:
+    """Locate an asset as `locate_asset`; calls `on_message` once with a line when files have to be fetched.
 
     Raises:
         AssetError: as in `locate_asset`.
@@ -57,6 +57,6 @@ def fetched(asset: Asset, say: Callable[[str], None]) -> Path:
         if not announced:
             size = "" if total is None else f", {total / 1e6:.1f} MB"
             announced = True
-            say(f"fetching {asset.full_name} (licence: {asset.licence}{size}) ...")
+            on_message(f"fetching {asset.full_name} (licence: {asset.licence}{size}) ...")
 
     return locate_asset(asset, progress=announce)

@@ -117,12 +117,12 @@ def touching_pairs(
 
 
 @dataclass(frozen=True)
-class Judged:
+class PairClasses:
     """Classification of the pairs of solid links that move relative to each other."""
 
     neighbours: int
     """Number of pairs connected by one joint, or by several that turn about one point: not checked."""
-    watched: tuple[LinkPair, ...]
+    checked: tuple[LinkPair, ...]
     """Pairs that can touch, as `touching_pairs` returns them."""
     at_rest: tuple[LinkPair, ...]
     """Pairs that overlap at the rest pose: taken for hulls that cover more than the link, and ignored."""
@@ -132,18 +132,18 @@ class Judged:
     """Number of other pairs, which never come near each other."""
 
 
-def judged_pairs(
+def classify_pairs(
     hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
-) -> Judged:
+) -> PairClasses:
     """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
-    (candidates, neighbours), watched = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
+    (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
     at_rest, always = _by_design(_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
     overlapping, others = (
         tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
         for which in (at_rest, always & ~at_rest)
     )
-    never = len(candidates) - len(watched) - len(overlapping) - len(others)
-    return Judged(neighbours, watched, overlapping, others, never)
+    never = len(candidates) - len(checked) - len(overlapping) - len(others)
+    return PairClasses(neighbours, checked, overlapping, others, never)
 
 
 def self_penetration(

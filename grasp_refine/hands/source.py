@@ -45,7 +45,7 @@ def check_known(name: str, file: Path) -> None:
 
 
 def hand_files(
-    source: str | Path, urdf: Path | None, mjcf: Path | None, say: Callable[[str], None]
+    source: str | Path, urdf: Path | None, mjcf: Path | None, on_message: Callable[[str], None]
 ) -> tuple[str, HandToml]:
     """The hand's name, and its hand.toml, or one that only names its files, with a URDF in any case.
 
@@ -54,32 +54,32 @@ def hand_files(
             what our hand.toml of that name adds to them.
         urdf: Used instead of the URDF that hand.toml names. Where neither gives one, that of the asset is used.
         mjcf: Used instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
-        say: Called with a line on what is fetched.
+        on_message: Called with a line on what is fetched.
 
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.
         HandError: a file is missing or malformed.
     """
-    name, toml = _locate(source, urdf, say)
+    name, toml = _locate(source, urdf, on_message)
     if toml.urdf is None:
         asset = find_asset(name, "hands")
         if asset is None:
             raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
         try:
-            toml = replace(toml, urdf=fetched(asset, say))
+            toml = replace(toml, urdf=fetched(asset, on_message))
         except AssetError as error:
             raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
     if mjcf is not None:
         path = expand_user(mjcf)
         asset = None if is_file(path) or path.name != str(path) else find_asset(str(mjcf), "hands")
-        path = path if asset is None else fetched(asset, say)
+        path = path if asset is None else fetched(asset, on_message)
         if not is_file(path):
             raise HandError(f"{mjcf}: no such MJCF file")
         toml = replace(toml, mjcf=path)
     return name, toml
 
 
-def _locate(source: str | Path, urdf: Path | None, say: Callable[[str], None]) -> tuple[str, HandToml]:
+def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], None]) -> tuple[str, HandToml]:
     """Name and hand.toml as from `hand_files`, but without a URDF where a hand of ours has none."""
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
@@ -90,7 +90,7 @@ def _locate(source: str | Path, urdf: Path | None, say: Callable[[str], None]) -
             if asset.main is None or not asset.main.path.endswith(".urdf"):
                 raise HandError(f"{source}: is an MJCF, which goes with a hand: --hand NAME --mjcf {asset.name}")
             ours = resource_dir("robots") / asset.name / HAND_TOML
-            urdf = fetched(asset, say) if urdf is None else urdf
+            urdf = fetched(asset, on_message) if urdf is None else urdf
             toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
             # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml

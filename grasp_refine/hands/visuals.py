@@ -31,10 +31,12 @@ class Visual:
     """Red, green and blue in [0, 1] from the URDF; None where it gives none."""
 
 
-def load_visuals(urdf: Path, links: Collection[str], say: Callable[[str], None] = lambda line: None) -> list[Visual]:
+def load_visuals(
+    urdf: Path, links: Collection[str], on_message: Callable[[str], None] = lambda line: None
+) -> list[Visual]:
     """Visuals of those of `links` that have any in the file `urdf`, in the order of the file.
 
-    A visual that cannot be read is left out, and `say` is called with a line on it. A mesh file is read once.
+    A visual that cannot be read is left out, and `on_message` gets a line on it. A mesh file is read once.
 
     Raises:
         HandError: the file is missing, or not a URDF.
@@ -49,7 +51,7 @@ def load_visuals(urdf: Path, links: Collection[str], say: Callable[[str], None] 
                 found.append(Visual(link, _mesh(visual, urdf, meshes), _color(visual)))
             except (HandError, MeshError) as error:
                 reason = str(error).removeprefix(f"{urdf}: ").removeprefix(f"link '{link}': ")
-                say(f"link '{link}': a visual cannot be read: {reason}")
+                on_message(f"link '{link}': a visual cannot be read: {reason}")
     return found
 
 

@@ -29,14 +29,14 @@ class ObjectSource:
     """The asset, if it is one; its `scale` makes it fit a hand."""
 
 
-def chosen_object(name: str, say: Callable[[str], None]) -> ObjectSource:
-    """Source of the object that a user calls `name`; a missing asset is fetched, and `say` called with a line on it.
+def chosen_object(name: str, on_message: Callable[[str], None]) -> ObjectSource:
+    """Source of the object that a user calls `name`; a missing asset is fetched, which `on_message` gets a line on.
 
     Raises:
         AssetError: the name could be several assets, or the one that it is cannot be fetched.
     """
     asset = _asset_meant(name)
-    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, say), asset)
+    return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, on_message), asset)
 
 
 def check_object(name: str) -> None:
@@ -67,7 +67,7 @@ def _asset_meant(name: str) -> Asset | None:
     return asset
 
 
-def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str], None]) -> ObjectSource:
+def named_object(name: str, objects: Path | None, file: Path, on_message: Callable[[str], None]) -> ObjectSource:
     """Source of the object that the grasps in `file` call `name`, which is never taken as a path.
 
     Args:
@@ -75,7 +75,7 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         objects: A folder of meshes or folders of pieces, or a TOML file that names them; None: it is one of ours, a
             primitive, or an asset of exactly this name.
         file: The grasp file, for messages.
-        say: Called with a line on what is fetched.
+        on_message: Called with a line on what is fetched.
 
     Raises:
         AssetError: there is no such object, or it cannot be fetched.
@@ -91,7 +91,7 @@ def named_object(name: str, objects: Path | None, file: Path, say: Callable[[str
         return ObjectSource(name)
     asset = read_manifest("objects").get(name)
     if asset is not None:
-        return ObjectSource(fetched(asset, say), asset)
+        return ObjectSource(fetched(asset, on_message), asset)
     raise AssetError(
         f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
         f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_suggestion(name)}"

@@ -86,7 +86,7 @@ class Convert:
                 self.source,
                 format=self.format,
                 hand=hand,
-                tell=lambda done, total: bar.update(task, completed=done, total=total),
+                on_file=lambda done, total: bar.update(task, completed=done, total=total),
             )
             for path in outputs:
                 check_no_input(path, read.files, "is one of the files of the input; give another name")

@@ -173,7 +173,7 @@ def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
         "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
         "meant to touch the object": found.contacts,
         "links that must not run into each other": [
-            f"pairs that are checked: {len(pairs.watched)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
+            f"pairs that are checked: {len(pairs.checked)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
             *ignored,
         ],
         "in simulation": [*refused, *found.simulation],

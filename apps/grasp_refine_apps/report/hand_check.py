@@ -13,7 +13,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, Joint
-from grasp_refine.hands.self_collision import Judged, judged_pairs
+from grasp_refine.hands.self_collision import PairClasses, classify_pairs
 from grasp_refine.hands.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.mjcf_model import mjcf_model
@@ -35,7 +35,7 @@ class HandCheck:
 
     contacts: tuple[str, ...]
     """Contact links, each with the reason why it is one."""
-    pairs: Judged
+    pairs: PairClasses
     """Link pairs that are checked for self-collision, and those that are not."""
     simulation: tuple[str, ...]
     """Differences in simulation."""
@@ -59,7 +59,7 @@ def check_hand(hand: Hand) -> HandCheck:
     """
     notes, refused = _simulated(hand)
     size = _size(hand)
-    return HandCheck(_contacts(hand), judged_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size)
+    return HandCheck(_contacts(hand), classify_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size)
 
 
 def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:

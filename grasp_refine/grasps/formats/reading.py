@@ -48,14 +48,14 @@ def read_grasps(
     *,
     format: str | None = None,
     hand: Hand | None = None,
-    tell: Callable[[int, int], None] | None = None,
+    on_file: Callable[[int, int], None] | None = None,
 ) -> GraspSet:
     """The grasps of a file, or of all files in a folder and below it in natural order; see `reading`.
 
     Raises:
         GraspFileError: see `reading`.
     """
-    return reading(path, format=format, hand=hand, tell=tell).grasps
+    return reading(path, format=format, hand=hand, on_file=on_file).grasps
 
 
 def reading(
@@ -63,7 +63,7 @@ def reading(
     *,
     format: str | None = None,
     hand: Hand | None = None,
-    tell: Callable[[int, int], None] | None = None,
+    on_file: Callable[[int, int], None] | None = None,
     within: Path | None = None,
 ) -> Reading:
     """The grasps of a file or a folder, with their format and notes.
@@ -72,7 +72,7 @@ def reading(
         path: A file, or a folder whose .npz, .npy, .pickle and .pkl files, all of one format, are read.
         format: Its format; None: recognised by its contents.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
-        tell: Called with the number of files read and that of all files.
+        on_file: Called with the number of files read and that of all files.
         within: Folder outside of which nothing is read; a file may name another that describes its scene.
 
     Raises:
@@ -100,8 +100,8 @@ def reading(
         grasps, more = known.read(Source(file, content, within), hand)
         sets.append(grasps)
         notes += more
-        if tell is not None:
-            tell(number + 1, len(files))
+        if on_file is not None:
+            on_file(number + 1, len(files))
     assert found is not None
     joined, more = _join(files, sets)
     if found != OURS:

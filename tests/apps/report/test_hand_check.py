@@ -295,9 +295,9 @@ def test_links_that_overlap_at_rest_are_named(tmp_path: Path) -> None:
     # Two fingers whose balls are in each other when they stand upright.
     path = pincers(tmp_path, size=0.045)
     found = check_hand(load_hand(path, candidates=16)).pairs
-    assert found.at_rest == (("left", "right"),) and found.watched == () and found.neighbours == 2
+    assert found.at_rest == (("left", "right"),) and found.checked == () and found.neighbours == 2
     found = check_hand(load_hand(pincers(tmp_path), candidates=16)).pairs
-    assert (found.at_rest, found.nearly_always, found.watched, found.never) == ((), (), (), 1)
+    assert (found.at_rest, found.nearly_always, found.checked, found.never) == ((), (), (), 1)
 
 
 def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,7 +38,7 @@ def published(shared_assets: Path) -> Path:
 def benched(shared_assets: Path) -> Reading:
     """All files of one folder for DexGraspBench."""
     heard: list[tuple[int, int]] = []
-    read = reading(shared_assets / "grasps" / "bodex_shadow", tell=lambda done, total: heard.append((done, total)))
+    read = reading(shared_assets / "grasps" / "bodex_shadow", on_file=lambda done, total: heard.append((done, total)))
     assert heard == [(number + 1, 240) for number in range(240)]
     return read
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.collision.query import Pairs
-from grasp_refine.hands.self_collision import candidate_pairs, judged_pairs
+from grasp_refine.hands.self_collision import candidate_pairs, classify_pairs
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
@@ -116,7 +116,7 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
     with one_thread():
         found = refine(scene, Config(seed=seed), prepared=prepared)
     pairs = [its for its in (prepared.pairs, prepared.self_collision_pairs) if its is not None]
-    judged = judged_pairs(hand)
+    judged = classify_pairs(hand)
     apart = set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always}
     # Each start is evaluated before its first iteration.
     evaluated = int((found.iterations + found.starts).sum())
@@ -124,7 +124,7 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
     counts = (
         ("far links, pieces that cannot win", "queries", every, found.queries.sum()),
         ("grasps that are done", "iterations", len(scene.q) * found.iterations.max(), found.iterations.sum()),
-        ("links that never meet", "pairs of links", len(apart), len(judged.watched)),
+        ("links that never meet", "pairs of links", len(apart), len(judged.checked)),
         ("links without bodies", "frames", len(hand.links), len(prepared.chain.links)),
     )
     return [

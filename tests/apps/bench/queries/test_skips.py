@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.hands.self_collision import judged_pairs
+from grasp_refine.hands.self_collision import classify_pairs
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
@@ -36,10 +36,10 @@ def test_grasps_come_again_disturbed_within_the_limits(scene: Scene):
 
 def test_counts_are_those_of_the_refinement(scene: Scene):
     queries, done, pairs, frames = skips("here", scene, 0, lambda share: None)
-    found, hand, judged = refine(scene, Config()), scene.hand, judged_pairs(scene.hand)
+    found, hand, judged = refine(scene, Config()), scene.hand, classify_pairs(scene.hand)
     assert queries["with"] == found.queries.sum() and done["with"] == found.iterations.sum()
     assert done["without"] == 2 * found.iterations.max() and queries["without"] > 5 * queries["with"]
-    assert (pairs["without"] - pairs["with"], pairs["with"]) == (judged.never, len(judged.watched))
+    assert (pairs["without"] - pairs["with"], pairs["with"]) == (judged.never, len(judged.checked))
     assert frames["without"] - frames["with"] == sum(link.body is None for link in hand.links)
     for row in (queries, done, pairs, frames):
         assert row["saved_share"] == pytest.approx(1 - row["with"] / row["without"]) and row["table"] == "skips"
