@@ -120,11 +120,10 @@ class Store:
     def _update_from_job(self, control: Control, *, share: float | None = None, what: str = "", **changes: Any) -> None:
         """Change the state on behalf of a job, unless it was stopped meanwhile."""
         with self._lock:
-            job = self._state.job
-            if control.stopped or control is not self._control or job is None:
+            if control is not self._control:
                 return
-            if what:
-                changes["job"] = replace(job, what=what, share=share)
+            if what and self._state.job is not None:
+                changes["job"] = replace(self._state.job, what=what, share=share)
             self._set(**changes)
 
     def _hold(self, paused: bool) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +18,13 @@ from grasp_refine.pipeline.problem import Problem
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer import controller as controller_module
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.marks import marks_path
 from grasp_refine_apps.viewer.measuring import unmeasured
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.state import DisplayOptions
+from grasp_refine_apps.viewer.trace import Trace
 from open_viewer import controller, example, settled
 from refusals import assert_names
 from running_processes import PATIENCE_S
@@ -88,6 +92,31 @@ def test_stop_takes_effect_at_the_next_iteration_and_keeps_what_was_reached(view
     assert not viewer._worker._thread.is_alive()
     assert viewer.state.trace is not None
     assert same(viewer.state.pose, viewer.state.trace.pose(len(viewer.state.trace) - 1))
+
+
+def test_a_stopped_refinement_that_reports_late_changes_nothing(
+    viewer: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, release, shown = (threading.Event() for _ in range(3))
+    zero = np.zeros(1)
+    late = Trace(np.eye(4)[None], np.zeros((1, 16)), np.zeros((1, 1), dtype=bool), zero, zero, zero, ("late",))
+
+    def refine_late(prepared: object, scene: object, pose: object, *given: Any) -> None:
+        _, _, control, show, _ = given
+        began.set()
+        release.wait(PATIENCE_S)
+        show(late)
+        shown.set()
+        control.check()
+
+    monkeypatch.setattr(controller_module, "refine_grasp", refine_late)
+    viewer.start()
+    assert began.wait(PATIENCE_S)
+    viewer.stop()
+    assert viewer.run_job("export", "next", lambda control: None)
+    release.set()
+    assert shown.wait(PATIENCE_S)
+    assert viewer.state.trace is None
 
 
 def test_fifty_clicks_on_start_and_stop_leave_it_usable(viewer: Controller) -> None:
@@ -242,35 +271,42 @@ def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller)
     assert viewer.state.picked is None and len(viewer.state.targets) == 1
 
 
-# proving
+# validation
 
 
-def test_a_trial_says_what_held_and_its_motion_can_be_watched(viewer: Controller) -> None:
+def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked_at(viewer: Controller) -> None:
     viewer.show(SLIPPING)
+    first = viewer.state.pose
     viewer.run_trial("force-closure", 0.15)
     settled(viewer)
     trial = viewer.state.trial
     assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
     viewer.record("+z")
     settled(viewer)
-    state = viewer.state
-    assert len(state.motion) > 50 and state.motion_frame == 0
+    motion = viewer.state.motion
+    assert len(motion) > 50 and viewer.state.motion_frame == 0
     viewer.show_motion_frame(10_000)
-    assert viewer.state.motion_frame == len(state.motion) - 1
+    assert viewer.state.motion_frame == len(motion) - 1
     assert np.linalg.norm(viewer.state.T_shown_object[:3, 3]) > 0.01
+    assert not same(viewer.state.shown, first) and same(viewer.state.standing, first)
     viewer.end_motion()
-    assert same(viewer.state.shown, viewer.state.pose) and viewer.state.trial is trial
+    assert same(viewer.state.shown, first) and viewer.state.trial is trial
+    # A new target leaves the trial of the pose, a moved joint does not.
+    viewer.target_nearest_points()
+    settled(viewer)
+    assert viewer.state.targets and viewer.state.trial is trial
+    viewer.show_motion(motion)
+    viewer.show_motion_frame(10_000)
+    viewer.set_joint(0, first.q[0] + 0.01)
+    assert np.array_equal(viewer.state.pose.q[1:], first.q[1:]) and viewer.state.motion is None
+    np.testing.assert_array_equal(viewer.state.pose.T_object_root, first.T_object_root)
+    assert viewer.state.trial is None
+    viewer.undo()
+    viewer.undo()
+    assert viewer.state.targets == ()
     viewer.run_trial("force-closure", -1.0)
     assert viewer.state.notice.bad
     assert_names(viewer.state.notice.text, "friction", "0", "-1")
-
-
-def test_a_trial_is_forgotten_when_the_hand_moves(viewer: Controller) -> None:
-    viewer.run_trial()
-    settled(viewer)
-    assert viewer.state.trial is not None
-    viewer.set_joint(0, 0.1)
-    assert viewer.state.trial is None
 
 
 # what is open
@@ -300,20 +336,6 @@ def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem:
     viewer.close()
 
 
-def test_a_simulation_is_only_looked_at(viewer: Controller) -> None:
-    viewer.show(SLIPPING)
-    first = viewer.state.pose
-    viewer.run_trial("force-closure", 0.15)
-    settled(viewer)
-    viewer.record("+z")
-    settled(viewer)
-    viewer.show_motion_frame(10_000)
-    assert not same(viewer.state.shown, first) and same(viewer.state.standing, first)
-    viewer.set_joint(0, first.q[0] + 0.01)
-    assert np.array_equal(viewer.state.pose.q[1:], first.q[1:]) and viewer.state.motion is None
-    np.testing.assert_array_equal(viewer.state.pose.T_object_root, first.T_object_root)
-
-
 def test_what_is_not_finite_or_no_joint_is_ignored(viewer: Controller) -> None:
     first = viewer.state.pose
     viewer.set_joint(0, np.nan)
@@ -321,16 +343,6 @@ def test_what_is_not_finite_or_no_joint_is_ignored(viewer: Controller) -> None:
     viewer.move_root(np.full((4, 4), np.inf))
     viewer.move_object(np.full((4, 4), np.nan))
     assert viewer.state.pose is first and not viewer.state.can_undo
-
-
-def test_a_new_target_leaves_the_trial_of_the_pose(viewer: Controller) -> None:
-    viewer.run_trial()
-    settled(viewer)
-    viewer.target_nearest_points()
-    settled(viewer)
-    assert viewer.state.targets and viewer.state.trial is not None
-    viewer.undo()
-    assert viewer.state.targets == ()
 
 
 def test_measuring_goes_on_after_what_came_first_and_while_others_are_shown(viewer: Controller) -> None:

@@ -20,9 +20,10 @@ from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT
+from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources
@@ -168,6 +169,10 @@ def test_what_was_compiled_is_kept(validator: Validator, scene: Scene) -> None:
     assert validator.world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
     assert validator.world(scene, STRICT) is not world
     assert validator.model(scene.hand) is world.hand
+    # Only what is lifted stands on a table.
+    low, high = (replace(scene, table=Plane(offset=offset)) for offset in (-0.05, -0.02))
+    assert validator.world(low, TABLETOP) is not validator.world(high, TABLETOP)
+    assert validator.world(low, FORCE_CLOSURE) is validator.world(high, FORCE_CLOSURE) is world
 
 
 Doing = Callable[[Validator, PosedGrasp, Control], object]
