@@ -97,7 +97,8 @@ def test_the_pose_can_be_typed(shown: Shown):
     assert shown.controller.state.pose.T_object_root[:3, :3].tolist() == before[:3, :3].tolist()
     shown.page.change(rotation, [0.0, 90.0, 0.0])
     turned = exp_so3(np.array([0.0, np.pi / 2, 0.0]))
-    until(lambda: np.allclose(shown.controller.state.pose.T_object_root[:3, :3], turned))
+    until(lambda: not np.allclose(shown.controller.state.pose.T_object_root[:3, :3], before[:3, :3]))
+    np.testing.assert_allclose(shown.controller.state.pose.T_object_root[:3, :3], turned, atol=1e-12)
     until(lambda: rotation.value == (0.0, 90.0, 0.0))
 
 
