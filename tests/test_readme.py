@@ -162,7 +162,7 @@ def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str
             main([*command.split(), "--help"])
         known |= set(re.findall(r"--[a-z][\w.-]*", capsys.readouterr().out))
     named = set(re.findall(r"`(--[a-z][\w.-]*)", TEXT)) | set(re.findall(r" (--[a-z][\w.]*-?[\w.]*) ", TEXT))
-    elsewhere = {"--help", "--scheduler-file", "--nworkers", "--nthreads", "--parsable", "--wrap", "--strict"}
+    elsewhere = {"--help", "--scheduler-file", "--nworkers", "--nthreads", "--parsable", "--wrap", "--strict", "--part"}
     assert {"--hand", "--transport", "--distance.coupling", "--preset"} <= named
     assert named - elsewhere <= known
 

@@ -128,7 +128,7 @@ def test_a_batch_finds_unusable_objects_before_it_cuts_any(
     jobs = read_jobs([str(file_of(tmp_path, "corner", "large", "open"))], Inputs(objects=objects))
     plan = Planner(tmp_path / "out", 64, "a batch", {}, 0).plan(jobs, lambda line: None, lambda number, name: None)
     heard: list[int] = []
-    failed = {failed.number: failed.message for failed in unusable_objects(plan.shards, heard.append)}
+    failed = {number: one.message for number, one in unusable_objects(plan.shards, heard.append).items()}
     assert [plan.shards[number].task.object for number in failed] == ["large", "open"]
     assert "--unit mm" in failed[1] and "open" in failed[2]
     assert heard == [0, 1, 2] and decomposed == []
