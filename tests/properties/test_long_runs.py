@@ -15,6 +15,7 @@ from first_order_steps import first_state, one_step
 from grasp_refine.core.se3 import exp_se3, retract
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
@@ -114,17 +115,18 @@ def test_refinement_in_single_precision_goes_on_to_the_end(scene: Scene, solver:
     )
     worst, poses = [], []
 
-    def watch(glimpse) -> None:  # noqa: ANN001
-        poses.append(glimpse.point.T)
-        worst.append(crooked(glimpse.point.T[..., :3, :3]))
-        assert (glimpse.point.q >= scene.hand.lower - 1e-6).all() and (glimpse.point.q <= scene.hand.upper + 1e-6).all()
+    def record(state: IterationState) -> None:
+        T, q = state.point.T, state.point.q
+        poses.append(T)
+        worst.append(crooked(T[..., :3, :3]))
+        assert (q >= scene.hand.lower - 1e-6).all() and (q <= scene.hand.upper + 1e-6).all()
 
-    found = refine(scene, config, on_iteration=watch)
+    found = refine(scene, config, on_iteration=record)
     assert len(worst) == iterations and max(worst) < 1e-6
     assert (found.status == Status.BUDGET).all() and (found.loss[:, 1] < 3e-3 * found.loss[:, 0]).all()
-    # Fixed steps dither about the minimum: around the capsule the hand may walk, but not away.
+    # Fixed steps dither about the minimum. The hand may walk along the capsule, by what rounding says, but not away.
     late = np.linalg.norm(np.stack([pose[..., :3, 3] for pose in poses[iterations // 2 :]]), axis=-1)
-    assert np.abs(late - late[-1]).max() < 0.02
+    assert np.abs(late - late[-1]).max() < 0.05
 
 
 # memory
