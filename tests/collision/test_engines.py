@@ -75,8 +75,8 @@ def scattered(batch: int, spread: float, seed: int = 0) -> tuple[np.ndarray, np.
 def assert_same_answers(found: Witness, other: Witness) -> None:
     """The answers of the compiled engine, and those of the one in Python up to rounding.
 
-    Neighbours that share a vertex are equally far: which of them wins is a matter of rounding. So is the normal of
-    pieces that touch exactly.
+    Neighbours that share a vertex are equally far, and so are two faces that lie equally deep: which of them wins is a
+    matter of rounding, which differs between processors. So is the normal of pieces that touch exactly.
     """
     np.testing.assert_array_equal(other.valid, found.valid)
     np.testing.assert_allclose(other.distance, found.distance, rtol=0, atol=1e-10)
@@ -84,9 +84,13 @@ def assert_same_answers(found: Witness, other: Witness) -> None:
     np.testing.assert_array_equal(other.status[clear], found.status[clear])
     same = clear & (other.winner == found.winner)
     assert same.sum() >= 0.9 * clear.sum()
-    for name in ("point_a", "point_b"):
-        np.testing.assert_allclose(getattr(other, name)[same], getattr(found, name)[same], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(other.normal[same], found.normal[same], rtol=0, atol=1e-8)
+    tied = np.zeros_like(same)
+    for name, atol in (("point_a", 1e-12), ("point_b", 1e-12), ("normal", 1e-8)):
+        tied |= ~np.isclose(getattr(other, name), getattr(found, name), rtol=0, atol=atol, equal_nan=True).all(axis=-1)
+    assert (tied & same).sum() <= 0.02 * same.sum()
+    for each in (found, other):
+        gap = each.distance[same & each.valid, None] * each.normal[same & each.valid]
+        np.testing.assert_allclose((each.point_b - each.point_a)[same & each.valid], gap, rtol=0, atol=1e-8)
 
 
 @native

@@ -94,7 +94,9 @@ class LiveInput:
             self._send(self._known)
 
     def _touched(self) -> None:
-        self._known, self._until = self.handle.value, monotonic() + HOLD_S
+        # In this order: `_settle`, in another thread, must not take a value for known that it may still overwrite.
+        self._until = monotonic() + HOLD_S
+        self._known = self.handle.value
 
 
 class RateLimit:
