@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from errno import ENAMETOOLONG
@@ -60,17 +60,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # An arrow that the terminal cannot show is not worth an error.
         sys.stdout.reconfigure(errors="replace")
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_usage())
-        return 0
+        return _exit_code(lambda: _show(_usage()))
     if arguments[0] == "--version":
         from grasp_refine import __version__
 
-        print(f"{PROGRAM} {__version__}")
-        return 0
+        return _exit_code(lambda: _show(f"{PROGRAM} {__version__}"))
     name, rest = _command(arguments)
     if name in _groups() and (not rest or rest[0] in ("-h", "--help")):
-        print(_usage(name))
-        return 0
+        return _exit_code(lambda: _show(_usage(name)))
     if name not in COMMANDS:
         return _fail(_unknown(name), BAD_INPUT)
     for variable in THREADS:
@@ -78,13 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # MuJoCo only simulates here; a setting of OpenGL that it does not know would stop it.
     os.environ["MUJOCO_GL"] = "disable"
     if not of_process:
-        return _run(name, rest)
+        return _exit_code(lambda: _run(name, rest))
     from grasp_refine.core.interruption import interruptible
 
     code = INTERRUPTED
     with interruptible(_end_interrupted) as interrupted:
         try:
-            code = _run(name, rest)
+            code = _exit_code(lambda: _run(name, rest))
         finally:
             if interrupted.is_set():
                 # Python itself would first wait for threads, and take seconds to unload torch on a busy machine.
@@ -92,16 +89,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
+def _show(text: str) -> int:
+    print(text)
+    return 0
+
+
 def _run(name: str, rest: Sequence[str]) -> int:
     """Run a command with the options `rest`; return its exit code."""
-    try:
-        words = name.replace("--", "").split()
-        command = getattr(
-            import_module(f"grasp_refine_apps.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))
-        )
-        from grasp_refine_apps.commands.options import parse
+    words = name.replace("--", "").split()
+    command = getattr(
+        import_module(f"grasp_refine_apps.commands.{'_'.join(words)}"), "".join(map(str.capitalize, words))
+    )
+    from grasp_refine_apps.commands.options import parse
 
-        code = parse(command, f"{PROGRAM} {name}", rest).execute()
+    return parse(command, f"{PROGRAM} {name}", rest).execute()
+
+
+def _exit_code(act: Callable[[], int]) -> int:
+    """Return the exit code of `act`, whose errors become one line."""
+    try:
+        code = act()
         sys.stdout.flush()
         return code
     except GraspRefineError as error:

@@ -529,10 +529,11 @@ def test_ctrl_c_leaves_one_line_and_no_files():
     assert list(Path().iterdir()) == []
 
 
-def test_nobody_reads_the_output():
+@pytest.mark.parametrize("line", ["hands", "--help", "bench", "run --help"])
+def test_nobody_reads_the_output(line: str):
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-c", PROGRAM, "hands"]
+    command = [sys.executable, "-c", PROGRAM, *line.split()]
     result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=subprocess_environment())
     os.close(write)
     assert (result.returncode, result.stderr) == (141, "")
