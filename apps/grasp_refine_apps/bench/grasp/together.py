@@ -5,8 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from threading import BrokenBarrierError
+from multiprocessing.connection import Connection, wait
+from multiprocessing.synchronize import Barrier
 from typing import Any, TypeVar
 
 from grasp_refine.core.interruption import end_with
@@ -20,6 +20,9 @@ MAX_WAIT_S = 600.0
 def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
     """Run the works, each in a process of its own, and return their results.
 
+    A `ProcessPoolExecutor` would not do: it starts processes while it already waits for others, and misses the end of
+    one that it does not know yet (CPython 3.11).
+
     Args:
         works: Each is called with a function that returns once all works have called it; must be picklable.
 
@@ -28,30 +31,52 @@ def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> lis
     """
     # A forked child of a process that has used torch may hang.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(len(works), mp_context=context, initializer=_begin, initargs=(os.getpid(),))
-    with context.Manager() as manager, pool:
-        barrier = manager.Barrier(len(works))
-        # A work waits for all others, so that no process gets two.
-        futures = [pool.submit(_do, work, barrier) for work in works]
-        errors = [error for one in futures if (error := one.exception()) is not None]
-        # A broken barrier is a consequence of another error.
-        for error in sorted(errors, key=lambda error: isinstance(error, BrokenBarrierError)):
-            raise error
-        return [one.result() for one in futures]
+    barrier = context.Barrier(len(works))
+    processes, number, results = [], dict[Any, int](), dict[int, Result]()
+    try:
+        for work in works:
+            receiver, sender = context.Pipe(duplex=False)
+            number[receiver] = len(number)
+            process = context.Process(target=_do, args=(work, barrier, sender, os.getpid()))
+            process.start()
+            processes.append(process)
+            sender.close()
+        while len(results) < len(works):
+            for heard in wait([receiver for receiver in number if number[receiver] not in results]):
+                results[number[heard]] = _received(heard)
+    finally:
+        for process in processes:
+            process.kill()
+            process.join()
+        for receiver in number:
+            receiver.close()
+    return [results[index] for index in range(len(works))]
 
 
-def _begin(parent: int) -> None:
-    """Prepare a process, with one thread: the other cores are for the others."""
+def _received(receiver: Any) -> Any:
+    """Return the result that a process has sent.
+
+    Raises:
+        Exception: raised by its work, or RuntimeError where the process ended without a word.
+    """
+    try:
+        succeeded, found = receiver.recv()
+    except EOFError:
+        raise RuntimeError("a process was terminated before its work was done") from None
+    if not succeeded:
+        raise found
+    return found
+
+
+def _do(work: Callable[[Callable[[], None]], Result], barrier: Barrier, sender: Connection, parent: int) -> None:
+    """Do the work, with one thread: the other cores are for the others; send its result, or the error."""
     end_with(parent)
     os.environ["OMP_NUM_THREADS"] = "1"
 
-
-def _do(work: Callable[[Callable[[], None]], Result], barrier: Any) -> Result:
     def ready() -> None:
         barrier.wait(MAX_WAIT_S)
 
     try:
-        return work(ready)
-    except Exception:
-        barrier.abort()
-        raise
+        sender.send((True, work(ready)))
+    except Exception as error:
+        sender.send((False, error))
