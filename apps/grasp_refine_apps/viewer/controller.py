@@ -13,7 +13,7 @@ from typing import Any
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.editing import Editor, History
+from grasp_refine_apps.viewer.editing import Editor
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
 from grasp_refine_apps.viewer.pose import Pose, targets_of
@@ -63,7 +63,6 @@ class Controller(Editor):
                 self._measuring = False
                 if self._state.job is not None and self._state.job.kind == "measure":
                     self._halt()
-            self._history = History()
             now = replace(
                 self._state, collection=collection, trials_by_grasp=self._state.trials_by_grasp if same_grasps else {}
             )
@@ -152,9 +151,9 @@ class Controller(Editor):
             config = self._checked(self._state.settings.config)
             if config is None:
                 return
-            self._push("")
             pose = self._state.standing
-            self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, trial=None)
+            nothing = dict.fromkeys(("trace", "frame", "outcome", "motion", "picked", "trial"))
+            self._become(replace(self._with_step(self._state, ""), pose=pose, **nothing))
             scene, targets = self._state.scene, self._state.targets
             name = self._state.collection.group(self._state.number)
 

@@ -72,6 +72,18 @@ class DisplayOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class EditSnapshot:
+    """Snapshot of what a user can edit."""
+
+    pose: Pose
+    """Pose of the hand, object frame."""
+    targets: tuple[Target, ...]
+    """Target points of links on the object."""
+    T_world_object: Float[np.ndarray, "4 4"]
+    """Pose of the object (4, 4), world frame."""
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """State of the viewer: the open grasps, and all that is shown of one of them."""
 
@@ -117,10 +129,10 @@ class State:
     """Display options of the scene."""
     side_by_side: bool = False
     """Whether the input grasp is drawn beside, with its own object."""
-    can_undo: bool = False
-    """Whether there is something to undo."""
-    can_redo: bool = False
-    """Whether there is something to do again."""
+    undo_steps: tuple[EditSnapshot, ...] = ()
+    """Snapshots before the edits that can be undone, the last one last."""
+    redo_steps: tuple[EditSnapshot, ...] = ()
+    """Snapshots that were undone, the last one last."""
     notice: Notice | None = None
     """Last message to the user."""
     change: int = 0
@@ -139,6 +151,11 @@ class State:
     def standing(self) -> Pose:
         """Pose of the hand for the next command: as shown, except in a simulation, which is only displayed."""
         return self.pose if self.motion is not None else self.shown
+
+    @property
+    def snapshot(self) -> EditSnapshot:
+        """Snapshot of what a user can edit."""
+        return EditSnapshot(self.standing, self.targets, self.T_world_object)
 
     @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:

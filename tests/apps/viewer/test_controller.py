@@ -197,7 +197,7 @@ def test_joints_stay_within_their_limits_and_a_drag_is_one_step(viewer: Controll
     assert viewer.state.pose.q[2] == hand.upper[2]
     assert np.array_equal(np.delete(viewer.state.pose.q, 2), np.delete(first.q, 2))
     viewer.undo()
-    assert same(viewer.state.pose, first) and not viewer.state.can_undo
+    assert same(viewer.state.pose, first) and not viewer.state.undo_steps
     viewer.redo()
     assert viewer.state.pose.q[2] == hand.upper[2]
 
@@ -317,7 +317,7 @@ def test_another_grasp_has_a_history_of_its_own(viewer: Controller) -> None:
     viewer.set_display(DisplayOptions(forces=True))
     viewer.show(2)
     state = viewer.state
-    assert state.number == 2 and not state.can_undo and state.display.forces
+    assert state.number == 2 and not state.undo_steps and state.display.forces
     np.testing.assert_array_equal(state.pose.q, state.collection.scene(2).q[0])
     viewer.show(99)
     assert viewer.state.number == 2
@@ -342,7 +342,7 @@ def test_what_is_not_finite_or_no_joint_is_ignored(viewer: Controller) -> None:
     viewer.set_joint(99, 0.1)
     viewer.move_root(np.full((4, 4), np.inf))
     viewer.move_object(np.full((4, 4), np.nan))
-    assert viewer.state.pose is first and not viewer.state.can_undo
+    assert viewer.state.pose is first and not viewer.state.undo_steps
 
 
 def test_measuring_goes_on_after_what_came_first_and_while_others_are_shown(viewer: Controller) -> None:

@@ -75,7 +75,7 @@ class EditPanel:
 
     def draw(self, state: State) -> None:
         """Show a state."""
-        self.undo.disabled, self.redo.disabled = not state.can_undo, not state.can_redo
+        self.undo.disabled, self.redo.disabled = not state.undo_steps, not state.redo_steps
         for body, checkbox in self.gizmos.items():
             checkbox.show(state.gizmo == body)
         self.picking.show(state.picking)
