@@ -6,6 +6,7 @@ from html import escape
 
 import viser
 
+from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP
 from grasp_refine_apps.viewer.film import Film, Frame
 from grasp_refine_apps.viewer.page import without_greeting
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
@@ -75,7 +76,7 @@ def _light(server: viser.ViserServer, film: Film) -> None:
     scene.configure_default_lights(True, cast_shadow=False)
     scene.add_light_ambient("/light", intensity=1.0)
     scene.world_axes.visible = False
-    camera.fov, camera.up, camera.near = view.field_of_view, view.up, 0.005
+    camera.fov, camera.up, camera.near = FIELD_OF_VIEW_RAD, UP, 0.005
     camera.position, camera.look_at = view.position, view.look_at
 
 

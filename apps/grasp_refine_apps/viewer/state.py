@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -119,8 +118,6 @@ class State:
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
     trial: TrialResult | None = None
     """Simulation result of the grasp."""
-    trials_by_grasp: Mapping[int, TrialResult] = field(default_factory=dict)
-    """Simulation results of the grasps of the collection as in their file, by number, where known."""
     motion: ShownMotion | None = None
     """Shown simulation."""
     motion_frame: int = 0

@@ -39,7 +39,7 @@ def film(scene: Scene) -> Film:
         line = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]])
         lines = (line, np.array([[200, 0, 200]], dtype=np.uint8)) if k else ()
         frames.append(Frame(Pose(up @ T, q), f"step {k} < {STEPS}", *lines, T_object=down))
-    camera = FirstCamera(np.array([0.0, -0.7, 0.2]), np.array([0.0, 0.0, 0.05]), np.array([0.0, 0.0, 1.0]), 0.8)
+    camera = FirstCamera(np.array([0.0, -0.7, 0.2]), np.array([0.0, 0.0, 0.05]))
     shapes, obj = visual_shapes(scene.hand), object_shapes(scene.object, "mesh")
     return Film("a <hand> & a mug", shapes, LinkPoses.of(scene.hand), obj, frames, camera)
 

@@ -281,6 +281,9 @@ def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked
     settled(viewer)
     trial = viewer.state.trial
     assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
+    # It is of the grasp as in its file, so that the table has it, too.
+    assert viewer.state.collection.trials == {SLIPPING: trial}
+    assert viewer.state.collection.columns["held"].values.tolist() == ["", "failed", "", ""]
     viewer.record("+z")
     settled(viewer)
     motion = viewer.state.motion

@@ -8,7 +8,7 @@ from types import TracebackType
 import viser
 
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.page import Drawer, address, close_server
+from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, address, close_server
 from grasp_refine_apps.viewer.panels.page_panel import PagePanel
 from grasp_refine_apps.viewer.view import View
 
@@ -27,12 +27,15 @@ class Viewer:
         # No browser should show buttons that cannot be used yet.
         with server.atomic():
             self.panel = PagePanel(server, controller, self.view)
-            for part in (self.panel, *self.panel.panels):
-                part.draw(controller.state)
-        self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
-        controller.listen(self._drawer.draw)
-        self._drawer.start()
-        server.on_client_connect(lambda client: self._drawer.draw(controller.state))
+            for draw in (*self.panel.draws, *self.panel.slow_draws):
+                draw(controller.state)
+        self._drawers = (
+            Drawer([self.view.draw, *self.panel.draws], controller.state),
+            Drawer(self.panel.slow_draws, controller.state, SLOW_PERIOD_S),
+        )
+        for drawer in self._drawers:
+            controller.listen(drawer.draw)
+        server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
         self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
         self._measuring.daemon = True
         self._measuring.start()
@@ -63,5 +66,6 @@ class Viewer:
         self._measuring.cancel()
         self.panel.close()
         self.controller.close()
-        self._drawer.close()
+        for drawer in self._drawers:
+            drawer.close()
         close_server(self.server)

@@ -44,6 +44,9 @@ class PagePanel:
         for title, kind in PANELS:
             with tabs.add_tab(title):
                 self.panels.append(kind(server, controller))
+        self.draws = (self.draw, *(panel.draw for panel in self.panels))
+        self.slow_draws = tuple(draw for panel in self.panels for draw in getattr(panel, "slow_draws", ()))
+        """Functions that draw the page, and those to be called less often."""
 
     def close(self) -> None:
         """Stop what the panels play."""

@@ -8,11 +8,9 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine_apps.viewer.panels.widgets import RateLimit
+from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace
 
-UPDATE_PERIOD_S = 0.2
-"""Seconds between two updates."""
 MAX_POINTS = 400
 """Maximum points of a curve."""
 MIN_LENGTH_MM = 1e-3
@@ -43,14 +41,10 @@ class Plot:
             visible=False,
         )
         self._drawn: tuple[Trace | None, int | None] = (None, None)
-        self.show = RateLimit(UPDATE_PERIOD_S, self._draw)
-        """Plots a trace (or none), with a line at an iteration (None: the last)."""
 
-    def close(self) -> None:
-        """Stop plotting."""
-        self.show.close()
-
-    def _draw(self, trace: Trace | None, frame: int | None) -> None:
+    def draw(self, state: State) -> None:
+        """Plot the iterations of a state, with a line at the one that is shown."""
+        trace, frame = state.trace, state.frame
         if (trace, frame) == self._drawn:
             return
         self._drawn = trace, frame

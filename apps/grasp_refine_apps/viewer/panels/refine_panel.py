@@ -56,6 +56,7 @@ class RefinePanel:
         self.text = gui.add_markdown("")
         self.bar: Any = gui.add_progress_bar(0.0)
         self.plot = Plot(gui)
+        self.slow_draws = (self.plot.draw,)
         with gui.add_folder("Timeline"):
             self.timeline = Timeline(gui, controller)
         with gui.add_folder("Settings, from the next start on"):
@@ -92,14 +93,12 @@ class RefinePanel:
         self.text.content = job_text(state)
         self.bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
         self.bar.animated = refined is not None and not paused and refined.share is None
-        self.plot.show(state.trace, state.frame)
         self.timeline.draw(state)
         self.form.show(state.settings)
 
     def close(self) -> None:
-        """Stop playing and plotting."""
+        """Stop playing."""
         self.timeline.close()
-        self.plot.close()
 
 
 def unused(settings: Any) -> set[str]:
