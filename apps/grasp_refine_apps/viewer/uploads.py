@@ -57,7 +57,7 @@ class Upload:
 
 
 class Uploads:
-    """Uploads of a session, each in its own folder below one that is deleted at the end; a context manager."""
+    """Uploads of a session, each in its own folder below one that is deleted at the end."""
 
     def __init__(self) -> None:
         """Make the folder, readable by this user alone; it is deleted with the process at the latest."""
@@ -90,14 +90,6 @@ class Uploads:
     def close(self) -> None:
         """Delete all of it."""
         self._delete()
-
-    def __enter__(self) -> Uploads:
-        """Return the uploads."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Delete all of it."""
-        self.close()
 
 
 def store_upload(name: str, content: bytes, folder: Path) -> Upload:

@@ -11,7 +11,6 @@ from grasp_refine.core.se3 import exp_so3, log_so3, transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.joints import Joints
-from grasp_refine_apps.viewer.panels.timeline import millimetres
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_click
 from grasp_refine_apps.viewer.shapes import LinkPoses
 from grasp_refine_apps.viewer.state import Gizmo, State
@@ -139,6 +138,6 @@ def targets_text(state: State, poses: LinkPoses) -> str:
     for target in state.targets:
         miss = np.linalg.norm(transform_points(T[target.link], target.point_link) - target.point_object)
         x, y, z = (f"{1e3 * value:.0f}" for value in target.point_object)
-        rows.append(f"| {target.link} | {millimetres(float(miss))} | {x}, {y}, {z} |")
+        rows.append(f"| {target.link} | {1e3 * miss:.2f} | {x}, {y}, {z} |")
     lines.append("\n".join(("| link | miss, mm | on object, mm |", "|:---|---:|---:|", *rows)))
     return "\n\n".join(lines)

@@ -12,10 +12,9 @@ from PIL import Image
 
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
-from grasp_refine_apps.viewer.animation import animation_html
+from grasp_refine_apps.viewer.animation import animation_html, film_of
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.film import film_of
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, open_upload
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
 from grasp_refine_apps.viewer.state import JobKind, State
@@ -35,16 +34,10 @@ BUSY_MESSAGE = "another job is running: wait until it ends, or stop it, then try
 class ExportPanel:
     """Open grasps, uploads and downloads; downloads go only to the browser that requests them."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller, uploads: Uploads | None = None) -> None:
-        """Make the widgets inside the tab or folder that is open.
-
-        Args:
-            server: The server.
-            controller: The controller.
-            uploads: Storage of uploads; None: a new folder, deleted by `close`.
-        """
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Make the widgets inside the tab or folder that is open."""
         self._server, self._controller = server, controller
-        self.uploads = uploads or Uploads()
+        self.uploads = Uploads()
         self._collection: Collection | None = None
         gui = server.gui
         self.opened = gui.add_html("")

@@ -9,7 +9,7 @@ import viser
 from jaxtyping import Float
 
 from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.trace import Trace
+from grasp_refine_apps.viewer.trace import Trace, subsample
 
 MAX_POINTS = 400
 """Maximum points of a curve."""
@@ -67,8 +67,8 @@ def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
     """
     last = len(trace) - 1
     frame = last if frame is None else min(frame, last)
-    kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS - 3)).round().astype(int))
-    kept = np.sort(np.append(np.union1d(kept, [frame]), [frame, frame]))
+    kept = np.union1d(subsample(last + 1, MAX_POINTS - 3), [frame])
+    kept = np.sort(np.append(kept, [frame, frame]))
     lengths = np.stack((trace.contact_error, trace.penetration, np.sqrt(np.maximum(trace.loss, 0.0))))[:, kept]
     lengths = np.maximum(1e3 * lengths, MIN_LENGTH_MM)
     line = np.full(len(kept), np.nan)

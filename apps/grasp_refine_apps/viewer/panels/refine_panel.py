@@ -10,11 +10,13 @@ import viser
 from grasp_refine.core.plurals import count_text
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.table import measure_text
 from grasp_refine.results.verdict import HOLDS, should_hold
+from grasp_refine.validation.measures import COMPARED
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot
-from grasp_refine_apps.viewer.panels.timeline import Timeline, millimetres
+from grasp_refine_apps.viewer.panels.timeline import Timeline
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
 from grasp_refine_apps.viewer.pose import targets_of
 from grasp_refine_apps.viewer.state import State
@@ -137,9 +139,7 @@ def outcome_text(outcome: Outcome) -> str:
     """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
     rows = (
-        ("contact error, mm", [millimetres(value) for value in outcome["contact_error"][0]]),
-        ("penetration, mm", [millimetres(value) for value in outcome["penetration"][0]]),
-        ("quality, 0 to 1", ["-" if np.isnan(value) else f"{value:.2f}" for value in outcome.quality[0]]),
+        (measure.headline, [measure_text(measure, value) for value in outcome[measure.key][0]]) for measure in COMPARED
     )
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
     count, seconds = int(outcome["iterations"][0]), float(outcome["wall_s"][0])
