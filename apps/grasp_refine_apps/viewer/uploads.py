@@ -19,7 +19,7 @@ from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.hands.source import HAND_TOML
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
-from grasp_refine_apps.viewer.unpacking import UploadError, unpack
+from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack
 
 Kind = Literal["mesh", "hand", "grasps"]
 
@@ -30,8 +30,6 @@ MAX_SESSION_BYTES = 2**29
 MAX_NAME_CHARS = 100
 """Maximum characters of a file's name that are kept."""
 
-GRASP_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
-"""Suffixes of grasp files."""
 UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", *GRASP_SUFFIXES)
 """Suffixes of files that can be uploaded."""
 ZIP_SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
