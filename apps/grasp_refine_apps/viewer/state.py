@@ -97,7 +97,7 @@ class State:
     pose: Pose
     """Present pose of the hand: as in the file, edited, or refined."""
     settings: Any
-    """Options of refinement: a dataclass whose `config(nearest=...)` makes a `Config`, or raises."""
+    """Options of refinement: a dataclass with `config` for a `Config`, and `unused` for unused fields."""
     targets: tuple[Target, ...] = ()
     """Target points of links on the object; empty: links touch anywhere."""
     T_world_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))

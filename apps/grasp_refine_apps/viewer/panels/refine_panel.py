@@ -68,7 +68,7 @@ class RefinePanel:
                 controller.set_settings,
                 lambda words: controller.notify(words, bad=True),
                 check=lambda settings: settings.config(),
-                unused=unused,
+                unused=lambda settings: [name for name, _ in settings.unused()],
                 first=FIRST_SETTINGS,
                 left_out=HIDDEN_SETTINGS,
             )
@@ -101,24 +101,6 @@ class RefinePanel:
     def close(self) -> None:
         """Stop playing."""
         self.timeline.close()
-
-
-def unused(settings: Any) -> set[str]:
-    """Names of the settings without effect given the others: `config` refuses them."""
-    names: set[str] = set()
-    if settings.solver == "levenberg-marquardt":
-        names |= {"derivative", "neighborhood", "transport", "weights.joint_limits"}
-    else:
-        names |= {"width", "max_move", "seconds", "starts", "geometry_only", "weights.wrench"}
-        if not hasattr(getattr(settings, settings.derivative.replace("-", "_")), "neighborhood"):
-            names.add("neighborhood")
-    if settings.geometry_only:
-        names |= {"starts", "weights.wrench"}
-    if settings.weights.wrench == 0.0:
-        names.add("starts")
-    if settings.weights.stay_near == 0.0:
-        names.add("scales")
-    return names
 
 
 def job_text(state: State) -> str:
