@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from math import inf
 from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args, get_type_hints
@@ -280,14 +281,13 @@ class Settings:
         """Yield the names of the fields without effect given the others, such as "weights.wrench", each with why."""
         if not hasattr(getattr(self, _field(self.derivative)), "neighborhood"):
             yield "neighborhood", f"not used by --derivative {self.derivative}"
-        hints = get_type_hints(Settings)
         for choice in ("solver", "derivative", "neighborhood"):
             chosen = getattr(self, choice)
-            for name in get_args(hints[choice]):
+            for name in _methods(choice):
                 if name != chosen:
                     yield _field(name), f"only with --{choice} {name}; it is {chosen}"
         if self.solver == "levenberg-marquardt":
-            methods = map(_field, (*get_args(hints["derivative"]), *get_args(hints["neighborhood"])))
+            methods = map(_field, (*_methods("derivative"), *_methods("neighborhood")))
             fixed = "levenberg-marquardt always uses contact kinematics, in double precision on the CPU"
             for name in ("derivative", "neighborhood", "transport", "dtype", "device", *methods):
                 yield name, f"only with --solver descent or adam: {fixed}"
@@ -313,6 +313,12 @@ class Settings:
 
 FORCE_CLOSURE_FIELDS = ("geometry_only", "starts", "weights.wrench")
 """Fields of the search for force closure."""
+
+
+@cache
+def _methods(choice: str) -> tuple[str, ...]:
+    """Return the names of the methods that a field can have."""
+    return get_args(get_type_hints(Settings)[choice])
 
 
 def _field(method: str) -> str:

@@ -305,6 +305,7 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     until(lambda: np.allclose(page.pose(thumb), came, atol=1e-6), "the thumb as it came")
 
     page.choose("Solver", "descent")  # which takes its time
+    page.wait_for_text("Derivative")  # an option of descent: the choice has arrived
     page.click("Start")
     until(lambda: len(contact_errors(page)) > 20, "it refines again")
     page.close()  # which stops nothing
