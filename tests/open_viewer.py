@@ -44,9 +44,8 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
 
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     panel = kind(server, made)
-    drawer = Drawer([panel], made.state)
+    drawer = Drawer([panel.draw, *getattr(panel, "slow_draws", ())], made.state)
     made.listen(drawer.draw)
-    drawer.start()
     page = Page(server)
     yield panel, page
     page.close()

@@ -5,21 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
-import viser
-import zstandard
 from viser._messages import FileTransferPart, FileTransferStartUpload, GetRenderResponseMessage
-from websockets.exceptions import ConnectionClosed
 
 from websocket_page import Page, until
 
 
 class Client(Page):
-    """A page that keeps everything that it is told; a context manager."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self.told_all: list[dict[str, Any]] = []
-        super().__init__(server)
+    """A page that uploads and downloads; a context manager."""
 
     def upload(
         self, button: Any, name: str, content: bytes, *, said: int | None = None, part: int = 2**19, key: str = "1"
@@ -43,7 +35,7 @@ class Client(Page):
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """What was told in messages of a kind."""
-        return [message for message in list(self.told_all) if message["type"] == kind]
+        return [message for message in list(self.messages) if message["type"] == kind]
 
     def downloads(self) -> dict[str, bytes]:
         """The files that have come whole: name -> content."""
@@ -65,13 +57,3 @@ class Client(Page):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _read(self) -> None:
-        unpack = zstandard.ZstdDecompressor()
-        try:
-            for frame in self._socket:
-                size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
-                window = msgspec.msgpack.decode(unpack.decompress(frame[16 : 16 + packed], max_output_size=size))
-                self.told_all += window["messages"]
-        except ConnectionClosed:
-            pass

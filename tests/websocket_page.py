@@ -22,8 +22,8 @@ class Page:
 
     def __init__(self, server: viser.ViserServer) -> None:
         """Connect, and look at the scene, without which viser hears nothing of a page."""
-        self.updates: list[tuple[str, dict[str, Any]]] = []
-        """What the server changed: the widget's id and its new properties, of all widgets in turn."""
+        self.messages: list[dict[str, Any]] = []
+        """All that the server said, in turn."""
         known = set(server.get_clients())
         self._socket = connect(
             f"ws://127.0.0.1:{server.get_port()}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
@@ -40,7 +40,9 @@ class Page:
 
     def told(self, handle: Any, name: str = "value") -> list[Any]:
         """What the server set a property of a widget to, in turn."""
-        return [changed[name] for uuid, changed in self.updates if uuid == handle._impl.uuid and name in changed]
+        updates = [message for message in list(self.messages) if message["type"] == "GuiUpdateMessage"]
+        changes = [message["updates"] for message in updates if message["uuid"] == handle._impl.uuid]
+        return [changed[name] for changed in changes if name in changed]
 
     def close(self) -> None:
         """Leave."""
@@ -56,9 +58,7 @@ class Page:
             for frame in self._socket:
                 size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
                 window = msgspec.msgpack.decode(unpack.decompress(frame[16 : 16 + packed], max_output_size=size))
-                for message in window["messages"]:
-                    if message["type"] == "GuiUpdateMessage":
-                        self.updates.append((message["uuid"], message["updates"]))
+                self.messages += window["messages"]
         except ConnectionClosed:
             pass
 

@@ -87,7 +87,7 @@ def named_object(name: str, objects: Path | None, file: Path, on_message: Callab
         if name not in listed:
             raise AssetError(f"{objects}: no object '{name}'; it names {', '.join(listed) or 'nothing'}")
         return ObjectSource(listed[name])
-    if name in EMBEDDED or _is_primitive(name):
+    if needs_no_file(name):
         return ObjectSource(name)
     asset = read_manifest("objects").get(name)
     if asset is not None:
@@ -100,15 +100,15 @@ def named_object(name: str, objects: Path | None, file: Path, on_message: Callab
 
 def is_known(name: str) -> bool:
     """Return True if an object of this name in a grasp file needs no mesh from the user."""
-    return name in EMBEDDED or _is_primitive(name) or name in read_manifest("objects")
+    return needs_no_file(name) or name in read_manifest("objects")
 
 
-def _is_primitive(name: str) -> bool:
+def needs_no_file(name: str) -> bool:
+    """Return True if an object is made from its name alone: an embedded one or a primitive."""
     try:
-        primitive_pieces(name)
+        return name in EMBEDDED or bool(primitive_pieces(name))
     except MeshError:
         return False
-    return True
 
 
 def _suggestion(name: str) -> str:

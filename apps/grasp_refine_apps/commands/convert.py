@@ -17,7 +17,7 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable
-from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement
 from grasp_refine.grasps.formats.format import Format, Load
 from grasp_refine.grasps.formats.listing import FormatName, format_named
 from grasp_refine.grasps.formats.reading import Reading, reading
@@ -29,9 +29,6 @@ from grasp_refine.scene.convention_check import joint_notes, position_notes
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
-
-MAX_DIFFERENCE_M = 1e-6
-"""Largest allowed distance of fingertips when a written file is read again, metres."""
 
 NUM_CANDIDATES = 16
 """Number of surface points per link; they are not used here."""
@@ -109,8 +106,9 @@ class Convert:
             try:
                 with written(self.output, to, parts) as (place, rows):
                     again = reading(place, format=self.to, hand=load(grasps.base_link))
-                    difference, changed = _compare(grasps.select(rows), again.grasps, load)
-            except _Disagreement as found:
+                    difference = check_agreement(grasps.select(rows), again.grasps, load)
+                    changed = _changes(grasps.select(rows), again.grasps)
+            except DisagreementError as found:
                 messages.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
         notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
@@ -153,28 +151,10 @@ def _print_notes(notes: Sequence[str], console: Console) -> None:
         console.print(f"note: {note}", style="dim", soft_wrap=True, markup=False)
 
 
-class _Disagreement(GraspRefineError):
-    """A written file that is read as something else."""
-
-
-def _compare(before: GraspSet, after: GraspSet, load: Load) -> tuple[float, list[str]]:
-    """Largest distance of fingertips in metres, and descriptions of all other differences.
-
-    Raises:
-        _Disagreement: the distance is too large.
-    """
-    if len(before) != len(after):
-        raise _Disagreement(f"{len(before)} grasps were written, {len(after)} are read")
-    distances = fingertip_distances(before, after, load)
-    worst = int(np.argmax(np.nan_to_num(distances, nan=np.inf)))
-    if not distances[worst] <= MAX_DIFFERENCE_M:
-        raise _Disagreement(
-            f"read again, the fingertips of grasp {worst} ('{before.object[worst]}') are {distances[worst]:.3g} m from "
-            f"their original positions, more than {MAX_DIFFERENCE_M:g} m"
-        )
+def _changes(before: GraspSet, after: GraspSet) -> list[str]:
+    """Return descriptions of the objects and scales that are read as others."""
     pairs = zip(*(_object_texts(grasps) for grasps in (before, after)), strict=True)
-    other = [f"{one} will be read as {two}" for one, two in dict.fromkeys(pairs) if one != two]
-    return float(distances[worst]), other
+    return [f"{one} will be read as {two}" for one, two in dict.fromkeys(pairs) if one != two]
 
 
 def _object_texts(grasps: GraspSet) -> Sequence[str]:

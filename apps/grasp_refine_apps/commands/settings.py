@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from math import inf
+from operator import attrgetter
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from tyro.conf import DisallowNone, Suppress, arg
@@ -231,22 +234,15 @@ class Settings:
                 is not available.
         """
         check_numbers(self)
-        for choice in ("solver", "derivative", "neighborhood"):
-            self._check_unused(choice)
         check_device(self.device, self.dtype)
-        if self.neighborhood != Settings.neighborhood and not self._has_samples():
-            raise GraspRefineError(f"--derivative {self.derivative} does not use --neighborhood {self.neighborhood}")
-        if self.solver == "levenberg-marquardt":
-            self._check_least_squares()
-            self._check_force_closure()
-            if nearest:
-                self.check_aimed()
-        else:
-            self._check_first_order()
-        if self.scales != Scales() and self.weights.stay_near == 0:
-            raise GraspRefineError("--scales.* apply to --weights.stay-near, which is 0")
+        for name, reason in self.unused():
+            self._check_default(name, reason)
+        if self.seconds == 0:
+            raise GraspRefineError("--seconds must be above 0, got 0")
+        if nearest and self.solver == "levenberg-marquardt":
+            self.check_aimed()
         solver, derivative, neighborhood = (
-            getattr(self, name.replace("-", "_")) for name in (self.solver, self.derivative, self.neighborhood)
+            getattr(self, _field(name)) for name in (self.solver, self.derivative, self.neighborhood)
         )
         iterations = solver.iterations if self.iterations is None else self.iterations
         tolerance = self.tolerance
@@ -278,63 +274,56 @@ class Settings:
         Raises:
             GraspRefineError: names the option.
         """
-        for option in self._force_closure_options():
-            raise GraspRefineError(f"{option} is for grasps without targets: here the targets determine the contacts")
+        for name in FORCE_CLOSURE_FIELDS:
+            self._check_default(name, "only for grasps without targets: here the targets determine the contacts")
 
-    def _given(self, *names: str) -> list[str]:
-        """Options of the fields `names` that differ from their defaults."""
-        return [flag(name) for name in names if getattr(self, name) != getattr(Settings, name)]
+    def unused(self) -> Iterator[tuple[str, str]]:
+        """Yield the names of the fields without effect given the others, such as "weights.wrench", each with why."""
+        if not hasattr(getattr(self, _field(self.derivative)), "neighborhood"):
+            yield "neighborhood", f"not used by --derivative {self.derivative}"
+        for choice in ("solver", "derivative", "neighborhood"):
+            chosen = getattr(self, choice)
+            for name in _methods(choice):
+                if name != chosen:
+                    yield _field(name), f"only with --{choice} {name}; it is {chosen}"
+        if self.solver == "levenberg-marquardt":
+            methods = map(_field, (*_methods("derivative"), *_methods("neighborhood")))
+            fixed = "levenberg-marquardt always uses contact kinematics, in double precision on the CPU"
+            for name in ("derivative", "neighborhood", "transport", "dtype", "device", *methods):
+                yield name, f"only with --solver descent or adam: {fixed}"
+            yield "weights.joint_limits", "only with --solver descent or adam: here limits hold exactly"
+        else:
+            for name in ("width", "max_move", "seconds", *FORCE_CLOSURE_FIELDS):
+                yield name, f"only with --solver levenberg-marquardt; it is {self.solver}"
+        if self.geometry_only:
+            for name in ("starts", "weights.wrench"):
+                yield name, "no effect with --geometry-only: leave one of them out"
+        if self.weights.wrench == 0:
+            yield "starts", "only for grasps that should hold: with --weights.wrench 0 it has no effect"
+        if self.weights.stay_near == 0:
+            yield "scales", "only with --weights.stay-near, which is 0"
 
-    def _force_closure_options(self) -> list[str]:
-        """Given options of the search for force closure."""
-        wrench = ["--weights.wrench"] if self.weights.wrench != Weights.wrench else []
-        return [*self._given("starts", "geometry_only"), *wrench]
+    def _check_default(self, name: str, reason: str) -> None:
+        """Refuse another value than the default of a field."""
+        value = attrgetter(name)(self)
+        if value != attrgetter(name)(Settings()):
+            option = f"{flag(name)}.*" if is_dataclass(value) else flag(name)
+            raise GraspRefineError(f"{f'{option} {value}' if isinstance(value, str) else option}: {reason}")
 
-    def _check_first_order(self) -> None:
-        """Refuse options that descent and Adam would ignore."""
-        for option in (*self._given("width", "max_move", "seconds"), *self._force_closure_options()):
-            raise GraspRefineError(f"{option} is for --solver levenberg-marquardt; it is {self.solver}")
 
-    def _check_force_closure(self) -> None:
-        """Refuse invalid options of the search for force closure, and those without effect."""
-        if self.seconds == 0:
-            raise GraspRefineError("--seconds must be above 0, got 0")
-        others = [option for option in self._force_closure_options() if option != "--geometry-only"]
-        if self.geometry_only and others:
-            raise GraspRefineError(f"with --geometry-only, {others[0]} has no effect: leave one of them out")
-        if self.weights.wrench == 0 and self.starts != Settings.starts:
-            raise GraspRefineError("--starts is for grasps that should hold: with --weights.wrench 0 it has no effect")
+FORCE_CLOSURE_FIELDS = ("geometry_only", "starts", "weights.wrench")
+"""Fields of the search for force closure."""
 
-    def _check_least_squares(self) -> None:
-        """Refuse options that Levenberg-Marquardt would ignore."""
-        for name in ("derivative", "neighborhood", "transport", "dtype", "device"):
-            value = getattr(self, name)
-            if value != getattr(Settings, name):
-                option = f"--{name}" if isinstance(value, bool) else f"--{name} {value}"
-                raise GraspRefineError(
-                    f"{option} is for --solver descent or adam: levenberg-marquardt always uses contact kinematics, "
-                    "in double precision on the CPU"
-                )
 
-        for choice in ("derivative", "neighborhood"):
-            for name in get_args(get_type_hints(Settings)[choice]):
-                options = getattr(self, name.replace("-", "_"))
-                if options != type(options)():
-                    raise GraspRefineError(f"options --{name}.* are for --solver descent or adam")
-        if self.weights.joint_limits != Weights.joint_limits:
-            raise GraspRefineError("--weights.joint-limits is for --solver descent or adam: here limits hold exactly")
+@cache
+def _methods(choice: str) -> tuple[str, ...]:
+    """Return the names of the methods that a field can have."""
+    return get_args(get_type_hints(Settings)[choice])
 
-    def _has_samples(self) -> bool:
-        """Return True if the derivative method uses surface samples."""
-        return hasattr(getattr(self, self.derivative.replace("-", "_")), "neighborhood")
 
-    def _check_unused(self, choice: str) -> None:
-        """Refuse options of the methods that were not chosen, which would be ignored."""
-        chosen = getattr(self, choice)
-        for name in get_args(get_type_hints(Settings)[choice]):
-            options = getattr(self, name.replace("-", "_"))
-            if name != chosen and options != type(options)():
-                raise GraspRefineError(f"options --{name}.* need --{choice} {name}; it is {chosen}")
+def _field(method: str) -> str:
+    """Return the name of the field with the options of a method."""
+    return method.replace("-", "_")
 
 
 def _method(options: Any, **others: object) -> Any:

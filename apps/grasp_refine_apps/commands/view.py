@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.panels.app import Viewer
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.validated import TrialResult
     from grasp_refine_apps.viewer.validation_file import ValidationFile
 
 
@@ -136,12 +135,9 @@ class View:
             for note in problem.notes:
                 reporter.note(note)
         collection = Collection.of(problem)
-        trials_by_grasp: dict[int, TrialResult] = {}
         for document in documents:
-            trials_by_grasp |= document.of(collection)
-        if trials_by_grasp:
-            collection = collection.with_trials(trials_by_grasp)
-        return Controller(collection, self.settings, trials_by_grasp)
+            collection = collection.with_trials(document.of(collection))
+        return Controller(collection, self.settings)
 
     def _replay_controller(self, path: Path, reporter: Reporter) -> Controller:
         """Load the grasp of a replay, with its motion."""

@@ -7,15 +7,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform
-from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
-from grasp_refine_apps.report.caption import caption
-from grasp_refine_apps.report.drawing import BAD, GOOD, LINK_COLOR, OBJECT_COLOR, best_side, photograph
+from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay, object_contacts
+from grasp_refine_apps.report.drawing import BAD, GOOD, GREY, INK, LINK_COLOR, OBJECT_COLOR, best_side, font, photograph
 from grasp_refine_apps.report.rasterizer import Camera, Model
 
 OVERSAMPLING = 1.5
@@ -26,8 +25,6 @@ OTHER_COLOR, FORCE_COLOR = (0.86, 0.88, 0.87), (0.78, 0.08, 0.16)
 """Colours of the table and of the push."""
 CONTACT = "#1565d8"
 """Colour of contact points."""
-CONTACT_GAP_M = 0.0005
-"""Gap (metres) below which a contact is drawn."""
 TABLE_SIZE_M = 0.25
 """Half of the side of the part of a plane that is drawn."""
 FOLLOWED_DISTANCE_M, SHOWN_DISTANCE_M = 0.1, 0.2
@@ -92,9 +89,8 @@ class Shapes:
 
     def pose(self, frame: int) -> tuple[list[Model], list[Model], list[Model]]:
         """Set the state of a frame; return object, hand, and what belongs to neither, in the world frame."""
-        data, replay = self._data, self.replay
-        data.qpos[:] = replay.qpos[frame]
-        data.mocap_pos[:], data.mocap_quat[:] = replay.mocap_pos[frame], replay.mocap_quat[frame]
+        data = self._data
+        self.replay.set_frame(data, frame)
         mujoco.mj_fwdPosition(self.model, data)
         groups: tuple[list[Model], list[Model], list[Model]] = [], [], []
         for body, shape in self._bodies.items():
@@ -117,7 +113,7 @@ class Shapes:
         """Draw a frame with its caption."""
         obj, hand, others = self.pose(frame)
         photo = photograph([*obj, *hand, *others, *self._arrow(frame)], camera)
-        contacts = self._contacts()
+        contacts = object_contacts(self.model, self._data)
         draw, r = ImageDraw.Draw(photo), max(photo.height / 140, 3.0)
         for x, y in camera.project(contacts)[:, :2]:
             draw.ellipse([x - r, y - r, x + r, y + r], fill=CONTACT, outline="white", width=max(round(r / 3), 1))
@@ -142,12 +138,6 @@ class Shapes:
         T = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], force)
         T[:3, 3] = self._data.body(OBJECT).xipos
         return [Model.of([shaft, head], FORCE_COLOR).moved(T)]
-
-    def _contacts(self) -> Float[np.ndarray, "n 3"]:
-        """Return contact points of the object (n, 3), world frame."""
-        contact = self._data.contact
-        of_object = self.model.geom_bodyid[contact.geom] == self._object
-        return contact.pos[(of_object.sum(axis=1) == 1) & (contact.dist < CONTACT_GAP_M)].copy()
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
@@ -175,6 +165,44 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
     return mesh.apply_transform(transform(turn.reshape(3, 3), model.geom_pos[geom]))
+
+
+def state_of(replay: Replay, frame: int, contacts: int) -> str:
+    """Return text on the stage of a frame, the displacement of the object and its number of contacts."""
+    moved, turned = (float(values[frame]) for values in replay.displacement())
+    distance = f"{1e3 * moved:.1f} mm" if moved < 1 else f"{moved:.1f} m"
+    lift = 1e3 * float(np.linalg.norm(replay.lifted()[frame]))
+    done = {
+        Stage.CLOSE: f"closing: moved {distance}",
+        Stage.SQUEEZE: f"squeezing: moved {distance}",
+        Stage.PUSH: f"pushed {replay.direction}: moved {distance}",
+        Stage.LIFT: f"hand lifted {lift:.1f} mm: object {distance} off",
+    }[Stage(int(replay.stage[frame]))]
+    return f"{replay.time[frame]:.2f} s, {done}, turned {np.degrees(turned):.1f}°, {count_text(contacts, 'contact')}"
+
+
+def caption(size: tuple[int, int], replay: Replay, frame: int, contacts: int) -> Image.Image:
+    """Return the caption below the picture of a frame.
+
+    Args:
+        size: Width and height in pixels.
+        replay: Replay in the picture.
+        frame: Number of the frame.
+        contacts: Number of contact points of the object.
+    """
+    page = Image.new("RGB", size, "#ffffff")
+    draw, (width, height) = ImageDraw.Draw(page), size
+    margin, line = round(0.02 * width), height / 2.3
+    title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.setting}"
+    state = state_of(replay, frame, contacts)
+    color = GOOD if replay.reason == "held" else BAD
+    verdict = font(0.62 * line, replay.reason, 0.25 * width)
+    draw.text((width - margin, 0.62 * line), replay.reason, fill=color, font=verdict, anchor="rm")
+    full = width - 2 * margin
+    left = full - draw.textlength(replay.reason, font=verdict) - margin
+    draw.text((margin, 0.62 * line), title, fill=INK, font=font(0.62 * line, title, left), anchor="lm")
+    draw.text((margin, 1.55 * line), state, fill=GREY, font=font(0.55 * line, state, full), anchor="lm")
+    return page
 
 
 def _caption_height(size: tuple[int, int]) -> int:

@@ -1,14 +1,30 @@
-"""Export of a film as one HTML file that plays in any browser, without server and network."""
+"""Animation of a refinement or a simulation: one HTML file that plays in any browser, without server and network."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from html import escape
 
+import numpy as np
 import viser
+from jaxtyping import Float, UInt8
 
-from grasp_refine_apps.viewer.film import Film, Frame
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of
+from grasp_refine_apps.viewer.colors import distance_colors
+from grasp_refine_apps.viewer.contacts import contacts_of
+from grasp_refine_apps.viewer.glyphs import segments
 from grasp_refine_apps.viewer.page import without_greeting
+from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
+from grasp_refine_apps.viewer.shapes import LinkPoses, object_shapes, visual_shapes
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.trace import Trace, subsample
 from grasp_refine_apps.viewer.viser_private import NODE_TEXT
 
 FILM_DURATION_S = 6.0
@@ -35,6 +51,80 @@ font:15px/1.5 system-ui, sans-serif; color:#333"><b>TITLE</b>
     if (text) document.getElementById("caption").textContent = text;
 }}, 100);</script>"""
 """HTML above the scene: title, caption of the frame, and hints on mouse and keys."""
+
+MAX_FRAMES = 200
+"""Maximum number of frames of a film."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame of a film."""
+
+    pose: Pose
+    """Pose of the hand."""
+    caption: str
+    """Caption of the frame."""
+    lines: Float[np.ndarray, "N 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    """Line segments (N, 2, 3), metres."""
+    colors: UInt8[np.ndarray, "N 3"] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
+    """Colours of the segments (N, 3), 0 to 255."""
+    T_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Pose of the object (4, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """At least one frame of a hand and an object; all in the initial frame of the object, metres."""
+
+    title: str
+    """Title."""
+    hand: Hand
+    """The hand."""
+    object: Object
+    """The object."""
+    frames: Sequence[Frame]
+    """Frames, evenly spaced in time."""
+    camera: FirstCamera
+    """Initial camera."""
+
+
+def film_of(state: State) -> Film:
+    """Return the film of a state: of the shown simulation, else of the last refinement.
+
+    Raises:
+        GraspRefineError: there is neither.
+    """
+    scene = state.scene
+    if state.motion is not None:
+        return motion_film(scene.hand, scene.object, state.motion)
+    if state.trace is not None:
+        return refinement_film(scene.hand, scene.object, state.trace, state.targets)
+    raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
+
+
+def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Target] = ()) -> Film:
+    """Return the film of at most `MAX_FRAMES` iterations of a refinement, with lines where links and object touch."""
+    prepared = HandObject(hand, obj)
+    frames, found = [], []
+    for k in subsample(len(trace), MAX_FRAMES).tolist():
+        pose = trace.pose(k)
+        contacts = contacts_of(prepared, pose.T_object_root, pose.q, touching=trace.touching[k], targets=targets)
+        caption = f"{trace.label[k]}: iteration {k + 1} of {len(trace)}\n{trace.text(k)}"
+        lines = segments(contacts.point_link, contacts.point_object)
+        frames.append(Frame(pose, caption, lines.astype(float), distance_colors(contacts.distance)))
+        found.append(contacts)
+    return Film(f"{hand.name} and {obj.name}: refinement", hand, obj, frames, first_camera_of(found[-1]))
+
+
+def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
+    """Return the film of at most `MAX_FRAMES` frames of a simulation."""
+    frames = [
+        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k])
+        for k in subsample(len(motion), MAX_FRAMES).tolist()
+    ]
+    first = contacts_of(HandObject(hand, obj), frames[0].pose.T_object_root, frames[0].pose.q)
+    title = f"{hand.name} and {obj.name}: simulation, {motion.direction}, {motion.reason}"
+    return Film(title, hand, obj, frames, first_camera_of(first))
 
 
 def animation_html(film: Film, seconds: float = FILM_DURATION_S) -> str:
@@ -75,7 +165,7 @@ def _light(server: viser.ViserServer, film: Film) -> None:
     scene.configure_default_lights(True, cast_shadow=False)
     scene.add_light_ambient("/light", intensity=1.0)
     scene.world_axes.visible = False
-    camera.fov, camera.up, camera.near = view.field_of_view, view.up, 0.005
+    camera.fov, camera.up, camera.near = FIELD_OF_VIEW_RAD, UP, 0.005
     camera.position, camera.look_at = view.position, view.look_at
 
 
@@ -86,10 +176,11 @@ class _FilmNodes:
         """Make all nodes, at their poses in the first frame."""
         first = film.frames[0]
         self._object = scene.add_frame("/object", show_axes=False)
-        Meshes(scene, "/object/mesh", film.object, opacity=OPACITY, shadow=False)
-        self._hand = HandMeshes(scene, "/hand", film.hand, film.poses, shadow=False)
+        Meshes(scene, "/object/mesh", object_shapes(film.object, "mesh"), opacity=OPACITY, shadow=False)
+        shapes, poses = visual_shapes(film.hand), LinkPoses.of(film.hand)
+        self._hand = HandMeshes(scene, "/hand", shapes, poses, shadow=False)
         ghost = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
-        HandMeshes(scene, "/ghost", film.hand, film.poses, **ghost).move(first.pose)
+        HandMeshes(scene, "/ghost", shapes, poses, **ghost).move(first.pose)
         self._lines = Lines(scene, "/contacts", 3.0)
         self._caption = scene.add_label(CAPTION_NODE, first.caption, visible=False)
 

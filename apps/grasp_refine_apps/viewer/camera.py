@@ -42,19 +42,18 @@ FILLED_SHARE = 0.9
 FIELD_OF_VIEW_RAD = np.radians(45.0)
 """Vertical opening of the camera in radians."""
 
+UP = (0.0, 0.0, 1.0)
+"""Up direction of the picture."""
+
 
 @dataclass(frozen=True, eq=False)
 class FirstCamera:
-    """Pose and field of view of a camera."""
+    """Pose of a camera with `FIELD_OF_VIEW_RAD`, and z up."""
 
     position: Float[np.ndarray, " 3"]
     """Position (3,), metres."""
     look_at: Float[np.ndarray, " 3"]
     """The point in the middle of the picture (3,), metres."""
-    up: Float[np.ndarray, " 3"]
-    """Up direction of the picture (3,): z."""
-    field_of_view: float
-    """Vertical opening in radians."""
 
 
 def first_camera(
@@ -63,7 +62,6 @@ def first_camera(
     contacts: Float[np.ndarray, "K 3"],
     *,
     aspect: float = 1.4,
-    field_of_view: float = FIELD_OF_VIEW_RAD,
 ) -> FirstCamera:
     """Return the camera that sees most contacts, from slightly above, with hand and object fully in view.
 
@@ -72,7 +70,6 @@ def first_camera(
         obj: Points all over the object's surface.
         contacts: Points where they touch or nearly do; empty: points of the object are used.
         aspect: Width of the picture over its height.
-        field_of_view: Vertical opening in radians.
     """
     wanted = contacts if len(contacts) else obj[:: max(1, len(obj) // 16)]
     every, middle = np.concatenate([hand, obj]), wanted.mean(axis=0)
@@ -80,7 +77,7 @@ def first_camera(
     for (step, elevation), azimuth in product(enumerate(ELEVATIONS_DEG), AZIMUTHS_DEG):
         towards = _direction(azimuth, elevation)
         hidden = _occlusion(wanted, hand, towards) + OBJECT_OCCLUSION_WEIGHT * _occlusion(wanted, obj, towards)
-        cameras.append(fit_camera(every, middle, towards, aspect, field_of_view))
+        cameras.append(fit_camera(every, middle, towards, aspect))
         cost.append(hidden.mean() + ELEVATION_COST * step)
     distance = np.array([np.linalg.norm(camera.position - middle) for camera in cameras])
     total = np.array(cost) + DISTANCE_COST * (distance / distance.min() - 1.0)
@@ -93,7 +90,6 @@ def first_camera_of(
     T_world_object: Float[np.ndarray, "4 4"] | None = None,
     *,
     aspect: float = 1.4,
-    field_of_view: float = FIELD_OF_VIEW_RAD,
 ) -> FirstCamera:
     """Return `first_camera` of a grasp, the object at `T_world_object` (4, 4) in the scene; None: at its origin."""
     T = np.eye(4) if T_world_object is None else T_world_object
@@ -104,7 +100,6 @@ def first_camera_of(
         transform_points(T, _points(contacts.prepared.object.body)),
         transform_points(T, contacts.point_object),
         aspect=aspect,
-        field_of_view=field_of_view,
     )
 
 
@@ -134,21 +129,20 @@ def fit_camera(
     middle: Float[np.ndarray, " 3"],
     towards: Float[np.ndarray, " 3"],
     aspect: float,
-    field_of_view: float,
 ) -> FirstCamera:
     """Fit a camera that looks against `towards` so that points (N, 3) just fill its picture, at `middle`'s depth.
 
     `towards` (3,) is a unit vector that is not vertical.
     """
-    right = np.cross([0.0, 0.0, 1.0], towards)
+    right = np.cross(UP, towards)
     right /= np.linalg.norm(right)
     above = np.cross(towards, right)
     seen = points @ np.stack([right, above, towards], axis=1)
-    slope = FILLED_SHARE * np.tan(field_of_view / 2) * np.array([aspect, 1.0])
+    slope = FILLED_SHARE * np.tan(FIELD_OF_VIEW_RAD / 2) * np.array([aspect, 1.0])
     # In each of the two directions, the two sides of the field of view just hold all points.
     low, high = (seen[:, :2] - slope * seen[:, 2:]), (seen[:, :2] + slope * seen[:, 2:])
     low, high = low.min(axis=0), high.max(axis=0)
     place, depth = (low + high) / 2, ((high - low) / (2 * slope)).max()
     axes = np.stack([right, above, towards])
     position, look_at = np.array([*place, depth]) @ axes, np.array([*place, middle @ towards]) @ axes
-    return FirstCamera(position, look_at, np.array([0.0, 0.0, 1.0]), field_of_view)
+    return FirstCamera(position, look_at)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,8 @@ class Collection:
     """Measures of the grasps: key -> column."""
     marks: tuple[Marks, ...]
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
+    trials: Mapping[int, TrialResult] = field(default_factory=dict)
+    """Simulation results of the grasps as in their file, by number, where known."""
 
     @staticmethod
     def of(problem: Problem) -> Collection:
@@ -134,13 +136,11 @@ class Collection:
         self.marks[self.file_of[number]].save()
 
     def with_trials(self, trials: Mapping[int, TrialResult]) -> Collection:
-        """Return the collection with simulation results of some grasps, by number: held or failed, and why."""
-        numbers = list(trials)
-        verdict = [HELD_TEXT if trial.held else FAILED_TEXT for trial in trials.values()]
-        reason = [next((one.reason.label for one in t.results if not one.held), "") for t in trials.values()]
-        columns = []
-        for column, found in ((HELD, verdict), (REASON, reason)):
-            values = self.columns.get(column.key, column.with_values(np.full(len(self), ""))).values.astype(object)
-            values[numbers] = found
-            columns.append(column.with_values(values.astype(str)))
-        return self.with_columns(*columns)
+        """Return the collection with simulation results of some grasps, by number, and columns of them."""
+        trials = {**self.trials, **trials}
+        verdict, reason = np.full((2, len(self)), "", dtype=object)
+        for number, trial in trials.items():
+            verdict[number] = HELD_TEXT if trial.held else FAILED_TEXT
+            reason[number] = next((one.reason.label for one in trial.results if not one.held), "")
+        columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
+        return replace(self.with_columns(*columns), trials=trials) if trials else self

@@ -15,6 +15,7 @@ from grasp_refine.forces.wrench import center_of_mass, contact_forces
 from grasp_refine.hands.chain import Frames
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.validation.measures import MEASURE
 from grasp_refine_apps.viewer.pose import Target
 
 DEFAULT_SELECTION = ContactSelection()
@@ -83,6 +84,13 @@ class Contacts:
         found = contact_forces(point, normal, center_of_mass(self.prepared.object))
         near = np.isfinite(point[0, :, 0])
         return Forces(point[0, near], normal[0, near], found.force[0, near])
+
+
+def distances_text(contact_error: float, penetration: float) -> str:
+    """Return text on the contact error and the penetration of a grasp, metres; a NaN error: nothing should touch."""
+    measures = zip((MEASURE["contact_error"], MEASURE["penetration"]), (contact_error, penetration), strict=True)
+    error, depth = (f"{measure.title} {measure.text(value)} {measure.unit.symbol}" for measure, value in measures)
+    return f"{'nothing near enough to touch' if np.isnan(contact_error) else error}, {depth}"
 
 
 def contacts_of(

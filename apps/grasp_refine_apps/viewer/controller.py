@@ -6,14 +6,13 @@ one worker thread; listeners are called with every new state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.editing import Editor, History
+from grasp_refine_apps.viewer.editing import Editor
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
 from grasp_refine_apps.viewer.pose import Pose, targets_of
@@ -22,30 +21,17 @@ from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 from grasp_refine_apps.viewer.store import Change
 from grasp_refine_apps.viewer.trace import Trace
-from grasp_refine_apps.viewer.validated import TrialResult
-from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, protocol_of, record_direction, run_trial
+from grasp_refine_apps.viewer.validating import PosedGrasp, protocol_of, record_direction, run_trial, world_cache
 from grasp_refine_apps.viewer.worker import Control, Stopped
 
 
 class Controller(Editor):
     """Commands on the open grasps."""
 
-    def __init__(
-        self, collection: Collection, settings: Any, trials_by_grasp: Mapping[int, TrialResult] | None = None
-    ) -> None:
-        """Show the first grasp.
-
-        Args:
-            collection: The open grasps.
-            settings: The options of refinement (`State.settings`).
-            trials_by_grasp: Simulation results of the grasps, by number.
-        """
-        super().__init__(
-            _state_with_grasp(
-                State(collection, 0, *_grasp(collection, 0), settings, trials_by_grasp=trials_by_grasp or {}), 0
-            )
-        )
-        self._validator = Validator()
+    def __init__(self, collection: Collection, settings: Any) -> None:
+        """Show the first of the open grasps; `settings` are the options of refinement (`State.settings`)."""
+        super().__init__(_state_with_grasp(State(collection, 0, *_grasp(collection, 0), settings), 0))
+        self._world = world_cache()
         self._measuring = False
         """Whether measuring resumes when the worker is free."""
 
@@ -63,11 +49,7 @@ class Controller(Editor):
                 self._measuring = False
                 if self._state.job is not None and self._state.job.kind == "measure":
                     self._halt()
-            self._history = History()
-            now = replace(
-                self._state, collection=collection, trials_by_grasp=self._state.trials_by_grasp if same_grasps else {}
-            )
-            self._become(_state_with_grasp(now, number))
+            self._become(_state_with_grasp(replace(self._state, collection=collection), number))
 
     def show(self, number: int) -> None:
         """Show another grasp."""
@@ -152,9 +134,9 @@ class Controller(Editor):
             config = self._checked(self._state.settings.config)
             if config is None:
                 return
-            self._push("")
             pose = self._state.standing
-            self._set(pose=pose, trace=None, frame=None, outcome=None, motion=None, picked=None, trial=None)
+            nothing: dict[str, Any] = dict.fromkeys(("trace", "frame", "outcome", "motion", "picked", "trial"))
+            self._become(replace(self._with_step(self._state, ""), pose=pose, **nothing))
             scene, targets = self._state.scene, self._state.targets
             name = self._state.collection.group(self._state.number)
 
@@ -206,19 +188,20 @@ class Controller(Editor):
 
             def work(control: Control) -> Change:
                 prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
-                found = run_trial(self._validator, prepared, protocol, control)
-                return lambda state: replace(
-                    state, trial=found, trials_by_grasp=self._updated_trials(state, number, grasp.pose, found)
-                )
+                found = run_trial(self._world, prepared, protocol, control)
+
+                def change(state: State) -> State:
+                    collection = state.collection
+                    # Results of the collection are of the grasps as in their file.
+                    if grasp.pose.same(_grasp(collection, number)[-1]):
+                        collection = collection.with_trials({number: found})
+                    return replace(state, trial=found, collection=collection)
+
+                return change
 
             if self.run_job("validate", "testing in MuJoCo", work):
                 # The simulated pose is the shown one, and stays shown.
                 self._set(pose=grasp.pose, frame=None, motion=None, trial=None)
-
-    def _updated_trials(self, state: State, number: int, pose: Pose, found: TrialResult) -> Mapping[int, TrialResult]:
-        """Return the simulation results of the grasps as in their file, updated by that of one grasp."""
-        _, _, file_pose = _grasp(state.collection, number)
-        return {**state.trials_by_grasp, number: found} if pose.same(file_pose) else state.trials_by_grasp
 
     def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""
@@ -229,7 +212,7 @@ class Controller(Editor):
 
             def work(control: Control) -> Change:
                 prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
-                found = record_direction(self._validator, prepared, trial, direction, control)
+                found = record_direction(self._world, prepared, trial, direction, control)
                 return lambda state: replace(state, motion=found, motion_frame=0)
 
             self.run_job("replay", f"recording the push along {direction}", work)
@@ -265,7 +248,7 @@ def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
 def _state_with_grasp(state: State, number: int) -> State:
     """Return the state with another grasp of the same collection; display options and the running job stay."""
     scene, initial, pose = _grasp(state.collection, number)
-    kept = ("settings", "trials_by_grasp", "job", "gizmo", "display", "side_by_side", "notice", "change")
+    kept = ("settings", "job", "gizmo", "display", "side_by_side", "notice", "change")
     return State(
         collection=state.collection,
         number=number,
@@ -273,6 +256,6 @@ def _state_with_grasp(state: State, number: int) -> State:
         initial=initial,
         pose=pose,
         targets=targets_of(scene),
-        trial=state.trials_by_grasp.get(number),
+        trial=state.collection.trials.get(number),
         **{name: getattr(state, name) for name in kept},
     )

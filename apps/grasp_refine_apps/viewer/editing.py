@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,74 +25,14 @@ MERGE_WINDOW_S = 0.7
 """Seconds within which successive changes of the same thing are one step, such as a dragged slider."""
 
 
-@dataclass(frozen=True, eq=False)
-class EditSnapshot:
-    """Snapshot of the state that can be edited."""
-
-    pose: Pose
-    """Pose of the hand, object frame."""
-    targets: tuple[Target, ...]
-    """Target points of links on the object."""
-    T_world_object: np.ndarray
-    """Pose of the object (4, 4), world frame."""
-
-    @staticmethod
-    def of(state: State) -> EditSnapshot:
-        """Return the snapshot of a state."""
-        return EditSnapshot(state.standing, state.targets, state.T_world_object)
-
-
-class History:
-    """Snapshots before the present state, and undone ones."""
-
-    def __init__(self) -> None:
-        """Start with an empty history."""
-        self._before: list[EditSnapshot] = []
-        self._after: list[EditSnapshot] = []
-        self._last: tuple[str, float] = ("", -np.inf)
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is something to undo."""
-        return bool(self._before)
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether there is something to do again."""
-        return bool(self._after)
-
-    def push(self, now: EditSnapshot, what: str = "") -> None:
-        """Keep a snapshot before `what` changes; the same `what` within `MERGE_WINDOW_S` continues one step."""
-        moment = time.monotonic()
-        (name, last), self._last = self._last, (what, moment)
-        if what and what == name and moment - last < MERGE_WINDOW_S and self._before:
-            return
-        self._before = [*self._before[1 - MAX_STEPS :], now]
-        self._after = []
-
-    def undo(self, now: EditSnapshot) -> EditSnapshot | None:
-        """Return the snapshot before the last step; None: there is none."""
-        return self._exchange(self._before, self._after, now)
-
-    def redo(self, now: EditSnapshot) -> EditSnapshot | None:
-        """Return the last undone snapshot; None: there is none."""
-        return self._exchange(self._after, self._before, now)
-
-    def _exchange(self, out: list[EditSnapshot], into: list[EditSnapshot], now: EditSnapshot) -> EditSnapshot | None:
-        self._last = ("", -np.inf)
-        if not out:
-            return None
-        into.append(now)
-        return out.pop()
-
-
 class Editor(Store):
     """Store with edits; an edit stops a running refinement, validation or replay."""
 
     def __init__(self, state: State) -> None:
         """Start without edits."""
         super().__init__(state)
-        self._history = History()
+        self._last_edit: tuple[str, float] = ("", -np.inf)
+        """Name of the last edit that could be continued, and its time."""
         self._prepared: HandObject | None = None
 
     def set_gizmo(self, gizmo: Gizmo) -> None:
@@ -134,11 +73,11 @@ class Editor(Store):
 
     def undo(self) -> None:
         """Undo the last change of pose, object or targets."""
-        self._exchange(self._history.undo)
+        self._exchange("undo_steps", "redo_steps")
 
     def redo(self) -> None:
         """Redo the last undone change."""
-        self._exchange(self._history.redo)
+        self._exchange("redo_steps", "undo_steps")
 
     # targets
 
@@ -217,9 +156,16 @@ class Editor(Store):
             self._prepared = prepared = HandObject.of(scene)
         return prepared
 
-    def _push(self, what: str) -> None:
-        """Push the present state onto the undo history, before a change."""
-        self._history.push(EditSnapshot.of(self._state), what)
+    def _with_step(self, state: State, what: str) -> State:
+        """Return the state with a step that can be undone, before `what` changes.
+
+        The same `what` within `MERGE_WINDOW_S` continues one step; an empty one is always a step of its own.
+        """
+        moment = time.monotonic()
+        (name, last), self._last_edit = self._last_edit, (what, moment)
+        if what and what == name and moment - last < MERGE_WINDOW_S and state.undo_steps:
+            return state
+        return replace(state, undo_steps=(*state.undo_steps[1 - MAX_STEPS :], state.snapshot), redo_steps=())
 
     def _edit(self, what: str, **changes: Any) -> None:
         """Apply an edit that can be undone; a running refinement, validation or recording stops."""
@@ -228,7 +174,7 @@ class Editor(Store):
 
     def _edited_state(self, state: State, what: str, **changes: Any) -> State:
         """Return the state after an edit that can be undone; `what` names a continued movement."""
-        self._push(what)
+        state = self._with_step(state, what)
         pose = changes.pop("pose", state.standing)
         # Results of another pose do not hold for this one.
         forgotten = {} if pose is state.pose else {"trial": None, "outcome": None}
@@ -240,13 +186,15 @@ class Editor(Store):
         if job is not None and job.kind in ("targets", "refine", "validate", "replay"):
             self.stop()
 
-    def _exchange(self, take: Callable[[EditSnapshot], EditSnapshot | None]) -> None:
+    def _exchange(self, out: str, into: str) -> None:
+        """Return to the last snapshot of the steps `out`, and add the present one to the steps `into`."""
         with self._lock:
-            found = take(EditSnapshot.of(self._state))
-            if found is not None:
-                self._interrupt()
-                nothing = dict.fromkeys(("frame", "motion", "trial", "outcome", "picked"))
-                self._set(pose=found.pose, targets=found.targets, T_world_object=found.T_world_object, **nothing)
-
-    def _become(self, state: State) -> None:
-        super()._become(replace(state, can_undo=self._history.can_undo, can_redo=self._history.can_redo))
+            now = self._state
+            *others, found = getattr(now, out) or (None,)
+            if found is None:
+                return
+            self._last_edit = ("", -np.inf)
+            self._interrupt()
+            nothing = dict.fromkeys(("frame", "motion", "trial", "outcome", "picked"))
+            steps = {out: tuple(others), into: (*getattr(now, into), now.snapshot)}
+            self._set(pose=found.pose, targets=found.targets, T_world_object=found.T_world_object, **nothing, **steps)

@@ -10,6 +10,7 @@ import types
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
+from operator import attrgetter
 from threading import RLock, Timer
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -127,7 +128,7 @@ class Form:
             self._wanted = self.value = value
             for name, entry in self._entries.items():
                 self._cancel_refusal(name)
-                self.handles[name].value = entry.write(value_of(value, name))
+                self.handles[name].value = entry.write(attrgetter(name)(value))
             self._set_visible(self._without_unused(value)[1])
 
     def _make(self, parts: Iterable[Entry | Section]) -> None:
@@ -144,7 +145,7 @@ class Form:
 
     def _make_widget(self, entry: Entry) -> Any:
         """Make the widget of a field."""
-        shown = entry.write(value_of(self.value, entry.name))
+        shown = entry.write(attrgetter(entry.name)(self.value))
         handle: Any
         if entry.widget == "choice":
             handle = self.gui.add_dropdown(entry.label, entry.choices, initial_value=shown, hint=entry.hint)
@@ -185,7 +186,7 @@ class Form:
         while more := self._hidden(value, hidden) - hidden:
             hidden |= more
             for name in more:
-                value = with_value(value, name, value_of(self._defaults, name))
+                value = with_value(value, name, attrgetter(name)(self._defaults))
         return value, hidden
 
     def _hidden(self, value: Any, hidden: Collection[str]) -> set[str]:
@@ -194,7 +195,7 @@ class Form:
             name
             for name, section in self._sections.items()
             if section.chosen_by
-            and (section.chosen_by in hidden or value_of(value, section.chosen_by) != section.choice)
+            and (section.chosen_by in hidden or attrgetter(section.chosen_by)(value) != section.choice)
         }
         return others | {name for name in self.unused(value) if name in self.handles}
 
@@ -217,7 +218,7 @@ class Form:
             if self._waiting.get(entry.name) is not timer:
                 return
             del self._waiting[entry.name]
-            self.handles[entry.name].value = entry.write(value_of(self._wanted, entry.name))
+            self.handles[entry.name].value = entry.write(attrgetter(entry.name)(self._wanted))
         self.on_error(words)
 
     def _cancel_refusal(self, name: str) -> None:
@@ -285,13 +286,6 @@ def label_of(name: str) -> str:
 def plain(text: str) -> str:
     """Return a text with options named as in a form: `--weights.stay-near` is "weights: stay near"."""
     return _OPTION.sub(lambda found: ": ".join(filter(None, found.groups())).replace("-", " "), text)
-
-
-def value_of(whole: Any, name: str) -> Any:
-    """Return the value of the field `name` of a dataclass, such as `weights.contact`."""
-    for step in name.split("."):
-        whole = getattr(whole, step)
-    return whole
 
 
 def with_value(whole: Any, name: str, value: Any) -> Any:

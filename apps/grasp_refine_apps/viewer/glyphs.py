@@ -43,16 +43,13 @@ def friction_cones(
 
     The half angle is atan(friction). The forces that friction allows are those in the cone.
     """
+    import trimesh
+
     height = CONE_HEIGHT * obj.diagonal
-    angle = 2.0 * np.pi * np.arange(CONE_SIDES) / CONE_SIDES
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    normal, point = np.asarray(normal, dtype=np.float64), np.asarray(point, dtype=np.float64)
-    rim = point[:, None] + height * (normal[:, None] + friction * (tangents(normal) @ circle).mT)
-    lid = point[:, None] + height * normal[:, None]
-    # For each cone: its apex, the centre of its cap, its rim.
-    vertices = np.concatenate([point[:, None], lid, rim], axis=1)
-    here, following = 2 + np.arange(CONE_SIDES), 2 + (np.arange(CONE_SIDES) + 1) % CONE_SIDES
-    sides = np.stack([np.zeros(CONE_SIDES, dtype=np.int64), following, here], axis=1)
-    top = np.stack([np.ones(CONE_SIDES, dtype=np.int64), here, following], axis=1)
-    faces = np.concatenate([sides, top]) + (2 + CONE_SIDES) * np.arange(len(point))[:, None, None]
+    cone = trimesh.creation.cone(friction * height, height, sections=CONE_SIDES)
+    # The apex of this cone is on its axis z, its base in the plane z = 0.
+    normal = np.asarray(normal, dtype=np.float64)
+    axes = np.concatenate([tangents(normal)[..., ::-1], -normal[..., None]], axis=-1)
+    vertices = (point + height * normal)[:, None] + np.asarray(cone.vertices) @ axes.mT
+    faces = np.asarray(cone.faces) + len(cone.vertices) * np.arange(len(point))[:, None, None]
     return vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32)

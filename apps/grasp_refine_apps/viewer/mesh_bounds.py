@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from grasp_refine.geometry.mesh import SUFFIXES
-from grasp_refine_apps.viewer.unpacking import UploadError
+from grasp_refine_apps.viewer.unpacking import UploadError, printable
 
 MAX_FACES = 300_000
 """Maximum triangles of a mesh, and of all meshes of a hand; scans have 16,000 to 262,000. Convex decomposition of a
@@ -160,7 +160,7 @@ def _glb(data: bytes, name: str) -> int:
         # As in its reader: a URI without embedded data names another file.
         if "base64," not in buffer.get("uri", "base64,"):
             raise UploadError(
-                f"{name}: keeps its data in another file, '{_short(buffer['uri'])}'; export it as one GLB file"
+                f"{name}: keeps its data in another file, '{printable(str(buffer['uri']))}'; export it as one GLB file"
             )
     nodes, meshes, rows = header.get("nodes", []), header.get("meshes", []), header.get("accessors", [])
     _check_parts(max(len(nodes), len(meshes), sum(len(mesh["primitives"]) for mesh in meshes)), name)
@@ -221,7 +221,3 @@ def safe_xml(data: bytes, name: str) -> Any:
     if root.getroottree().docinfo.doctype:
         raise UploadError(f"{name}: declares a DOCTYPE, which can grow without bound or name other files; remove it")
     return root
-
-
-def _short(text: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in str(text))[:80]

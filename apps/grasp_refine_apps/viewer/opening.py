@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_refine.core.errors import GraspRefineError, MeshError
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.mesh import Holes
-from grasp_refine.geometry.shapes import EMBEDDED, primitive_pieces
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.objects.source import needs_no_file
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
@@ -161,19 +161,11 @@ def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, control: Control) 
 
 def _object_of(name: str, scale: float, present: Object, control: Control) -> tuple[Object, str]:
     """Return the object that grasps name, if it is included, else the present one; a name is never taken as a path."""
-    if name in EMBEDDED or _is_primitive(name):
+    if needs_no_file(name):
         return load_object(name, scale=scale, progress=control.describe), ""
     if name == present.name:
         return present, ""
     return present, f"object '{name}' is unknown: its grasps are shown on '{present.name}'; upload its mesh"
-
-
-def _is_primitive(name: str) -> bool:
-    try:
-        primitive_pieces(name)
-    except MeshError:
-        return False
-    return True
 
 
 def _problem(

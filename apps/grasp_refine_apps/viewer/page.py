@@ -8,9 +8,8 @@ import socket
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Protocol, runtime_checkable
 
 import rich
 import viser
@@ -19,32 +18,24 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.viser_private import forbid_sharing, own_pages_only
 
-DRAW_RATE_HZ = 30.0
-"""Maximum drawing rate in hertz."""
+DRAW_PERIOD_S, SLOW_PERIOD_S = 1.0 / 30.0, 0.2
+"""Minimum seconds between two drawings, and between two of plots and numbers."""
 
 TITLE = "grasp-refine"
 
-
-@runtime_checkable
-class Drawn(Protocol):
-    """Part of the page that shows a state."""
-
-    def draw(self, state: State) -> None:
-        """Show a state."""
+Draw = Callable[[State], None]
+"""Function that shows a state on a part of the page."""
 
 
 class Drawer:
     """Thread that draws: always the newest state, never two at once."""
 
-    def __init__(self, parts: Sequence[Drawn], first: State) -> None:
-        """Prepare to draw the first state."""
-        self._parts, self._state = tuple(parts), first
-        self._wanted, self._closed = threading.Event(), False
+    def __init__(self, draws: Sequence[Draw], first: State, period: float = DRAW_PERIOD_S) -> None:
+        """Draw the first state, then newer ones; at most one in `period` seconds."""
+        self._draws, self._state, self._period = tuple(draws), first, period
+        self._wanted, self._closed = threading.Event(), threading.Event()
         self._wanted.set()
         self._thread = threading.Thread(target=self._run, name="viewer drawing", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def draw(self, state: State) -> None:
@@ -54,23 +45,20 @@ class Drawer:
 
     def close(self) -> None:
         """Stop the thread after the present drawing."""
-        self._closed = True
+        self._closed.set()
         self._wanted.set()
         self._thread.join(5.0)
 
     def _run(self) -> None:
-        while True:
-            self._wanted.wait()
+        while self._wanted.wait() and not self._closed.is_set():
             self._wanted.clear()
-            if self._closed:
-                return
             began, state = time.monotonic(), self._state
-            for part in self._parts:
+            for draw in self._draws:
                 try:
-                    part.draw(state)
+                    draw(state)
                 except Exception:  # noqa: BLE001 - one part that cannot be drawn must not take the others with it
                     traceback.print_exc()
-            time.sleep(max(0.0, 1.0 / DRAW_RATE_HZ - (time.monotonic() - began)))
+            self._closed.wait(max(0.0, self._period - (time.monotonic() - began)))
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:

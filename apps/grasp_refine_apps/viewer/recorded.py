@@ -46,16 +46,18 @@ def read_records(problem: Problem) -> Records | None:
     loaded = [load_npz(path) for path in files]
     if not all("hand_pose" in file.entries for file in loaded):
         return None
-    parts = [_of_file(file, problem) for file in loaded]
-    if sum(len(part.row) for part in parts) <= max(int(group.rows.max()) for group in problem.groups):
+    counts = [len(file.numbers("hand_pose", allowed="any")) for file in loaded]
+    if sum(counts) <= max(int(group.rows.max()) for group in problem.groups):
         return None
+    columns = [_columns(file, count) for file, count in zip(loaded, counts, strict=True)]
+    T, q = zip(*(_initial(file, count, problem) for file, count in zip(loaded, counts, strict=True)), strict=True)
     return Records(
-        file=np.repeat(np.arange(len(parts)), [len(part.row) for part in parts]),
-        row=np.concatenate([part.row for part in parts]),
+        file=np.repeat(np.arange(len(counts)), counts),
+        row=np.concatenate([np.arange(count) for count in counts]),
         files=files,
-        columns={key: np.concatenate([part.columns[key] for part in parts]) for key in parts[0].columns},
-        T=np.concatenate([part.T for part in parts]),
-        q=np.concatenate([part.q for part in parts]),
+        columns={key: np.concatenate([part[key] for part in columns]) for key in columns[0]},
+        T=np.concatenate(T),
+        q=np.concatenate(q),
     )
 
 
@@ -68,18 +70,15 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
     return files if all(path.suffix == ".npz" for path in files) else ()
 
 
-def _of_file(file: NpzFile, problem: Problem) -> Records:
-    """Read the records of one file; every measure has a value for each of its rows, known or not."""
-    count = len(file.numbers("hand_pose", allowed="any"))
+def _columns(file: NpzFile, count: int) -> dict[str, np.ndarray]:
+    """Read the measures of one file; each has a value for each of its rows, known or not."""
     columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
     # In files without provenance, entries of these names may mean anything.
     if "provenance" in file.entries:
         for key in set(columns) & set(file.entries):
             value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
-    T, q = _initial(file, count, problem)
-    row = np.arange(count)
-    return Records(np.zeros(count, dtype=int), row, (file.path,), columns, T, q)
+    return columns
 
 
 def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform
-from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.agreement import DisagreementError, check_agreement
 from grasp_refine.grasps.formats.folders import natural, object_folder
 from grasp_refine.grasps.formats.format import Format, Load, Part
 from grasp_refine.grasps.formats.leap_cache import LeapCache
@@ -27,9 +27,6 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, posed_scene
-
-FINGERTIP_TOLERANCE_M = 1e-6
-"""Maximum distance in metres between fingertips of the written grasp and of the one read again."""
 
 CANDIDATES_PER_LINK = 16
 """Surface points per link; unused here."""
@@ -136,15 +133,10 @@ def _check(grasps: GraspSet, parts: Sequence[Part], path: Path, hand: Hand, to: 
     """
     rows = np.concatenate([part.rows for part in sorted(parts, key=lambda part: natural(part.path))])
     again = reading(path, format=to.name, hand=hand).grasps
-    count = len(again)
-    if count != len(rows):
-        raise GraspFileError(f"format {to.name}: {len(rows)} grasps were written, {count} are read again")
-    distance = np.nan_to_num(fingertip_distances(grasps.select(rows), again, load), nan=np.inf).max()
-    if distance > FINGERTIP_TOLERANCE_M:
-        raise GraspFileError(
-            f"format {to.name}: read again, a fingertip is {distance:.3g} m from where it was, more than "
-            f"{FINGERTIP_TOLERANCE_M:g} m; nothing is saved"
-        )
+    try:
+        check_agreement(grasps.select(rows), again, load)
+    except DisagreementError as error:
+        raise GraspFileError(f"format {to.name}: {error}; nothing is saved") from None
 
 
 def _stem(grasps: GraspSet, to: Format) -> str:

@@ -17,7 +17,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.protocol import Protocol
-from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, check_replay
+from grasp_refine.validation.replay.replay import POSE_AXES, Replay, Stage, check_replay, object_contacts
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import HAND
 from grasp_refine_apps.viewer.pose import Pose
@@ -27,9 +27,6 @@ FRAME_RATE_HZ = 50
 
 MAX_DISPLACEMENT_M = 0.3
 """Displacement of the object in metres at which a motion ends: a lost one flies for many more."""
-
-CONTACT_DISTANCE_M = 5e-4
-"""Distance in metres below which a contact is shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,15 +212,11 @@ def _contacts(
 ) -> tuple[Float[np.ndarray, "_ 3"], ...]:
     """Contact points of the object in each frame, (c, 3)."""
     data = mujoco.MjData(model)
-    of_object = model.geom_bodyid == model.body(OBJECT).id
     found = []
     for frame in frames:
-        data.qpos[:] = replay.qpos[frame]
-        data.mocap_pos[:], data.mocap_quat[:] = replay.mocap_pos[frame], replay.mocap_quat[frame]
+        replay.set_frame(data, frame)
         with unlogged():
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
-        contact = data.contact
-        touching = (of_object[contact.geom].sum(axis=1) == 1) & (contact.dist < CONTACT_DISTANCE_M)
-        found.append(contact.pos[touching] @ T_start_world[:3, :3].T + T_start_world[:3, 3])
+        found.append(object_contacts(model, data) @ T_start_world[:3, :3].T + T_start_world[:3, 3])
     return tuple(found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -72,6 +71,18 @@ class DisplayOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class EditSnapshot:
+    """Snapshot of what a user can edit."""
+
+    pose: Pose
+    """Pose of the hand, object frame."""
+    targets: tuple[Target, ...]
+    """Target points of links on the object."""
+    T_world_object: Float[np.ndarray, "4 4"]
+    """Pose of the object (4, 4), world frame."""
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """State of the viewer: the open grasps, and all that is shown of one of them."""
 
@@ -86,7 +97,7 @@ class State:
     pose: Pose
     """Present pose of the hand: as in the file, edited, or refined."""
     settings: Any
-    """Options of refinement: a dataclass whose `config(nearest=...)` makes a `Config`, or raises."""
+    """Options of refinement: a dataclass with `config` for a `Config`, and `unused` for unused fields."""
     targets: tuple[Target, ...] = ()
     """Target points of links on the object; empty: links touch anywhere."""
     T_world_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
@@ -107,8 +118,6 @@ class State:
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
     trial: TrialResult | None = None
     """Simulation result of the grasp."""
-    trials_by_grasp: Mapping[int, TrialResult] = field(default_factory=dict)
-    """Simulation results of the grasps of the collection as in their file, by number, where known."""
     motion: ShownMotion | None = None
     """Shown simulation."""
     motion_frame: int = 0
@@ -117,10 +126,10 @@ class State:
     """Display options of the scene."""
     side_by_side: bool = False
     """Whether the input grasp is drawn beside, with its own object."""
-    can_undo: bool = False
-    """Whether there is something to undo."""
-    can_redo: bool = False
-    """Whether there is something to do again."""
+    undo_steps: tuple[EditSnapshot, ...] = ()
+    """Snapshots before the edits that can be undone, the last one last."""
+    redo_steps: tuple[EditSnapshot, ...] = ()
+    """Snapshots that were undone, the last one last."""
     notice: Notice | None = None
     """Last message to the user."""
     change: int = 0
@@ -139,6 +148,11 @@ class State:
     def standing(self) -> Pose:
         """Pose of the hand for the next command: as shown, except in a simulation, which is only displayed."""
         return self.pose if self.motion is not None else self.shown
+
+    @property
+    def snapshot(self) -> EditSnapshot:
+        """Snapshot of what a user can edit."""
+        return EditSnapshot(self.standing, self.targets, self.T_world_object)
 
     @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.state import Job, JobKind, Notice, State
-from grasp_refine_apps.viewer.worker import Control, Stopped, Worker
+from grasp_refine_apps.viewer.worker import Control, Stopped
 
 Change = Callable[[State], State]
 """Function from the present state to the next one."""
+
+CLOSE_TIMEOUT_S = 1.0
+"""Longest wait for the present job at the end, seconds."""
 
 Made = TypeVar("Made")
 
@@ -26,8 +32,10 @@ class Store:
         self._listeners: list[Callable[[State], None]] = []
         self._notices = 0
         self._state = state
-        self._worker = Worker()
         self._control: Control | None = None
+        self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._worker = threading.Thread(target=self._run_jobs, name="viewer worker", daemon=True)
+        self._worker.start()
 
     @property
     def state(self) -> State:
@@ -48,7 +56,8 @@ class Store:
     def close(self) -> None:
         """Stop the running job and the worker; waits only briefly for a job that does not stop at once."""
         self._halt()
-        self._worker.close(1.0)
+        self._jobs.put(None)
+        self._worker.join(CLOSE_TIMEOUT_S)
 
     def run_job(self, kind: JobKind, what: str, work: Callable[[Control], Change | None]) -> bool:
         """Start a job in the worker, unless another one is running; measuring is stopped for it.
@@ -67,7 +76,7 @@ class Store:
             control = Control(lambda share, now: self._update_from_job(control, share=share, what=now))
             self._control = control
             self._set(job=Job(kind, what))
-            self._worker.do(lambda: self._work(control, work), lambda error: self._failed(control, error))
+            self._jobs.put(partial(self._work, control, work))
             return True
 
     def stop(self) -> None:
@@ -85,37 +94,37 @@ class Store:
             if self._state.job is not None:
                 self._set(job=None)
 
+    def _run_jobs(self) -> None:
+        """Do one job after the other; those before it have usually been stopped then."""
+        while (job := self._jobs.get()) is not None:
+            job()
+
     def _work(self, control: Control, work: Callable[[Control], Change | None]) -> None:
-        if control.stopped:
-            return
+        """Do a job, and make its change of the state unless it was stopped; a failure is reported to the user."""
+        failure = ""
         try:
-            change = work(control)
-        except GraspRefineError as error:
-            if not control.stopped:
-                self._failed(control, error)
+            change = None if control.stopped else work(control)
+            with self._lock:
+                if change is not None and not control.stopped:
+                    self._become(change(self._state))
+        except Stopped:
             return
-        with self._lock:
-            if control.stopped:
-                raise Stopped
-            self._control = None
-            self._become(replace(self._state if change is None else change(self._state), job=None))
-            self._ended()
-
-    def _ended(self) -> None:
-        """Hook for the end of a job; called with the lock held."""
-
-    def _failed(self, control: Control, error: BaseException) -> None:
-        """Report a failed job."""
+        except GraspRefineError as error:
+            failure = str(error)
+        except Exception as error:  # noqa: BLE001 - a job that fails must not end all others; the user is told
+            traceback.print_exc()
+            failure = f"this failed ({type(error).__name__}: {error}); see the terminal"
         with self._lock:
             if control.stopped:
                 return
             self._control = None
             self._set(job=None)
-            known = isinstance(error, GraspRefineError)
-            self.notify(
-                str(error) if known else f"this failed ({type(error).__name__}: {error}); see the terminal", True
-            )
+            if failure:
+                self.notify(failure, bad=True)
             self._ended()
+
+    def _ended(self) -> None:
+        """Hook for the end of a job; called with the lock held."""
 
     def _update_from_job(self, control: Control, *, share: float | None = None, what: str = "", **changes: Any) -> None:
         """Change the state on behalf of a job, unless it was stopped meanwhile."""

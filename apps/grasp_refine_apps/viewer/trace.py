@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine_apps.viewer.contacts import contacts_of
+from grasp_refine_apps.viewer.contacts import contacts_of, distances_text
 from grasp_refine_apps.viewer.pose import Pose, Target
 
 
@@ -37,6 +37,10 @@ class Trace:
         """Return the number of iterations."""
         return len(self.loss)
 
+    def text(self, k: int) -> str:
+        """Text on the measures of an iteration."""
+        return distances_text(float(self.contact_error[k]), float(self.penetration[k]))
+
     def pose(self, k: int) -> Pose:
         """Return the pose of the hand in an iteration."""
         return Pose(self.T[k], self.q[k])
@@ -44,6 +48,11 @@ class Trace:
 
 INITIAL_CAPACITY = 256
 """Initial capacity in iterations; it is doubled when it is used up."""
+
+
+def subsample(count: int, limit: int) -> Int[np.ndarray, " k"]:
+    """Return at most `limit` of `count` indices from 0, evenly spaced, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
 
 
 class Recorder:

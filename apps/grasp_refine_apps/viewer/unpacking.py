@@ -11,6 +11,7 @@ import zlib
 from pathlib import Path
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 
 MAX_FILES = 2000
 """Maximum files in a zip: a hand has about a hundred, a folder of grasps one per grasp."""
@@ -25,11 +26,15 @@ MAX_LEVELS = 12
 """Maximum levels of a path; ROS packages have five."""
 MAX_PATH_BYTES = 240
 """Maximum bytes of a file's path in the zip; file systems take 255 for each part."""
-KEPT_SUFFIXES = (".urdf", ".toml", ".obj", ".stl", ".ply", ".glb", ".off", ".dae", ".npz", ".npy", ".pickle", ".pkl")
+GRASP_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
+"""Suffixes of grasp files."""
+KEPT_SUFFIXES = (".urdf", ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
 """Suffixes of unpacked files; nothing here reads other files, such as textures and programs."""
 IGNORED_PATHS = re.compile(r"(^|/)(__MACOSX/|\._)")
 """Metadata files that macOS adds to its zips, with the same suffixes."""
 
+MAX_SHOWN_CHARS = 80
+"""Maximum characters of a text from a file in a message."""
 ENTRY_SIGNATURE = b"PK\x01\x02"
 """Signature of each file's entry in the central directory of a zip."""
 COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -83,8 +88,8 @@ def _check_sizes(name: str, entries: list[zipfile.ZipInfo], size: int) -> None:
     for entry in entries:
         if entry.file_size > MAX_FILE_BYTES:
             raise UploadError(
-                f"{name}: '{_shown(entry)}' would unpack to {_mib(entry.file_size)}, more than {_mib(MAX_FILE_BYTES)}; "
-                "leave it out, or simplify the mesh"
+                f"{name}: '{printable(entry.orig_filename)}' would unpack to {_mib(entry.file_size)}, more than "
+                f"{_mib(MAX_FILE_BYTES)}; leave it out, or simplify the mesh"
             )
     total = sum(entry.file_size for entry in entries)
     if total > MAX_UNPACKED_BYTES:
@@ -100,7 +105,7 @@ def _check_sizes(name: str, entries: list[zipfile.ZipInfo], size: int) -> None:
 
 def _place(name: str, entry: zipfile.ZipInfo) -> Path:
     """Return the path of an entry, relative to the folder, after checking it."""
-    path, shown = entry.filename, _shown(entry)
+    path, shown = entry.filename, printable(entry.orig_filename)
     if entry.flag_bits & 1:
         raise UploadError(f"{name}: is encrypted; pack it again without a password")
     if entry.compress_type not in COMPRESSION_METHODS:
@@ -144,8 +149,9 @@ def _write(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> None
         shutil.copyfileobj(source, target, BLOCK_BYTES)
 
 
-def _shown(entry: zipfile.ZipInfo) -> str:
-    return "".join(char if char.isprintable() else "?" for char in entry.orig_filename)[:80]
+def printable(text: str) -> str:
+    """Return the beginning of a text from a file, without unprintable characters."""
+    return "".join(char if char.isprintable() else "?" for char in text)[:MAX_SHOWN_CHARS]
 
 
 def _mib(size: int) -> str:

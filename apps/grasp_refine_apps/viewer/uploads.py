@@ -19,7 +19,7 @@ from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.hands.source import HAND_TOML
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
-from grasp_refine_apps.viewer.unpacking import UploadError, unpack
+from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack
 
 Kind = Literal["mesh", "hand", "grasps"]
 
@@ -30,8 +30,6 @@ MAX_SESSION_BYTES = 2**29
 MAX_NAME_CHARS = 100
 """Maximum characters of a file's name that are kept."""
 
-GRASP_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
-"""Suffixes of grasp files."""
 UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", *GRASP_SUFFIXES)
 """Suffixes of files that can be uploaded."""
 ZIP_SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
@@ -57,7 +55,7 @@ class Upload:
 
 
 class Uploads:
-    """Uploads of a session, each in its own folder below one that is deleted at the end; a context manager."""
+    """Uploads of a session, each in its own folder below one that is deleted at the end."""
 
     def __init__(self) -> None:
         """Make the folder, readable by this user alone; it is deleted with the process at the latest."""
@@ -90,14 +88,6 @@ class Uploads:
     def close(self) -> None:
         """Delete all of it."""
         self._delete()
-
-    def __enter__(self) -> Uploads:
-        """Return the uploads."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Delete all of it."""
-        self.close()
 
 
 def store_upload(name: str, content: bytes, folder: Path) -> Upload:

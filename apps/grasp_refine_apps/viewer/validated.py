@@ -8,6 +8,7 @@ from math import degrees, isnan
 
 import numpy as np
 
+from grasp_refine.results.simulated import closing_line
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import Protocol
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
@@ -160,12 +161,7 @@ class TrialResult:
     @property
     def closed_by(self) -> str:
         """Source of the simulated pregrasp and squeeze in one line; empty where that is not known."""
-        words = {"file": "of the file", "own": "our own"}
-        if not self.closing:
-            return ""
-        if len(set(self.closing.values())) == 1:
-            return f"pregrasp and squeeze are {words[self.closing['squeeze']]}"
-        return f"the pregrasp is {words[self.closing['pregrasp']]}, the squeeze {words[self.closing['squeeze']]}"
+        return closing_line(self.closing).plain if self.closing else ""
 
     def words(self, result: DirectionResult) -> str:
         """Describe the result of one direction, such as "turned by 15.2° after 0.2 s, 4 links still touched it"."""

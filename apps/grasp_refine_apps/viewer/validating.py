@@ -15,7 +15,6 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine.validation.protocol import SETTINGS, Protocol
 from grasp_refine.validation.replay.record import record
@@ -54,32 +53,21 @@ def protocol_of(setting: str, friction: float | None = None) -> Protocol:
     return SETTINGS[setting].with_friction(friction)
 
 
-class Validator:
-    """Hands and worlds for MuJoCo, made at their first use and cached for the next grasp."""
+MakeWorld = Callable[[Scene, Protocol], World]
+"""Function that returns the world in which grasps of a scene are simulated; raises a GraspRefineError if it cannot."""
 
-    def __init__(self) -> None:
-        """Start with empty caches."""
-        self._model = lru_cache(MAX_HANDS)(model_of)
-        self._world = lru_cache(MAX_WORLDS)(self._built)
 
-    def model(self, hand: Hand) -> HandModel:
-        """Return the model of a hand.
+def world_cache() -> MakeWorld:
+    """Return a function that makes worlds for MuJoCo, and keeps them and their hands for the next grasp."""
+    make_hand = lru_cache(MAX_HANDS)(model_of)
 
-        Raises:
-            HandError: its MJCF cannot be used.
-        """
-        return self._model(hand)
+    @lru_cache(MAX_WORLDS)
+    def make_world(hand: Hand, obj: Object, protocol: Protocol, table: Plane | None) -> World:
+        return build_world(make_hand(hand), obj, protocol, table)
 
-    def world(self, scene: Scene, protocol: Protocol) -> World:
-        """Return the world in which grasps of a scene are simulated.
-
-        Raises:
-            GraspRefineError: MuJoCo cannot make the hand or the world.
-        """
-        return self._world(scene.hand, scene.object, protocol, scene.table if protocol.tabletop else None)
-
-    def _built(self, hand: Hand, obj: Object, protocol: Protocol, table: Plane | None) -> World:
-        return build_world(self._model(hand), obj, protocol, table)
+    return lambda scene, protocol: make_world(
+        scene.hand, scene.object, protocol, scene.table if protocol.tabletop else None
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +107,11 @@ class PosedGrasp:
         return motion_of(of_file, scene.hand, own), owners
 
 
-def run_trial(validator: Validator, grasp: PosedGrasp, protocol: Protocol, control: Control) -> TrialResult:
+def run_trial(make_world: MakeWorld, grasp: PosedGrasp, protocol: Protocol, control: Control) -> TrialResult:
     """Simulate one grasp.
 
     Args:
-        validator: Cache of compiled models.
+        make_world: Function of `world_cache`.
         grasp: The grasp.
         protocol: Protocol of the simulation.
         control: Receives the progress, and can stop the simulation.
@@ -134,7 +122,7 @@ def run_trial(validator: Validator, grasp: PosedGrasp, protocol: Protocol, contr
     """
     control.report(0.0, PREPARING)
     control.check()
-    world = validator.world(grasp.scene, protocol)
+    world = make_world(grasp.scene, protocol)
     control.check()
     motion, owners = grasp.motion(control.check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"
@@ -146,12 +134,12 @@ def run_trial(validator: Validator, grasp: PosedGrasp, protocol: Protocol, contr
 
 
 def record_direction(
-    validator: Validator, grasp: PosedGrasp, trial: TrialResult, direction: str, control: Control
+    make_world: MakeWorld, grasp: PosedGrasp, trial: TrialResult, direction: str, control: Control
 ) -> ShownMotion:
     """Simulate one direction again, this time recorded.
 
     Args:
-        validator: Cache of compiled models.
+        make_world: Function of `world_cache`.
         grasp: The grasp; its motion is only needed where the result has none.
         trial: Result of the trial.
         direction: One of its directions.
@@ -166,14 +154,14 @@ def record_direction(
     control.report(0.0, PREPARING)
     control.check()
     hand, protocol = grasp.scene.hand, trial.protocol
-    world = validator.world(grasp.scene, protocol)
+    world = make_world(grasp.scene, protocol)
     motion = grasp.motion(control.check)[0] if trial.motion is None else trial.motion
     pushing = "lifting the object" if protocol.tabletop else f"pushing along {direction}"
     observer = trial_observer(protocol, pushing, control)
     replay = record(world, motion, direction, name=grasp.scene.object.name, hand=hand.name, also=observer)
     if replay is None:
         raise GraspRefineError(f"nothing to watch: {trial.words(trial.results[0])}")
-    return shown_motion(hand, validator.model(hand), replay, world.model)
+    return shown_motion(hand, world.hand, replay, world.model)
 
 
 def trial_observer(protocol: Protocol, pushing: str, control: Control) -> StepCallback:

@@ -10,7 +10,7 @@ import viser
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine_apps.viewer.camera import FirstCamera, first_camera_of, fit_camera
+from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
@@ -64,7 +64,7 @@ class View:
             return
         found = contacts_of(nodes.prepared, shown.T_object_root, shown.q)
         self._camera = first_camera_of(found, state.T_world_object, aspect=ASPECT_RATIO)
-        across = np.cross(self._camera.look_at - self._camera.position, self._camera.up)
+        across = np.cross(self._camera.look_at - self._camera.position, UP)
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)
 
@@ -79,12 +79,12 @@ class View:
             back = camera.position - camera.look_at
             back /= np.linalg.norm(back)
             both = np.concatenate([points, other])
-            camera = fit_camera(both, both.mean(axis=0), back, ASPECT_RATIO, camera.field_of_view)
-        self.server.initial_camera.up = camera.up
+            camera = fit_camera(both, both.mean(axis=0), back, ASPECT_RATIO)
+        self.server.initial_camera.up = UP
         clients = [client.camera for client in self.server.get_clients().values()]
         for client in clients:
-            client.up_direction = camera.up
+            client.up_direction = UP
         places: list[Any] = [self.server.initial_camera, *clients]
         for place in places:
-            place.fov, place.near, place.far = camera.field_of_view, NEAR_PLANE_M, FAR_PLANE_M
+            place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
             place.position, place.look_at = camera.position, camera.look_at

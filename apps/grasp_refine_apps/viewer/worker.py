@@ -1,11 +1,9 @@
-"""Worker thread for long jobs, one at a time; jobs can be paused, stepped and stopped."""
+"""Control of a long job in the worker thread: it can be paused, stepped and stopped."""
 
 from __future__ import annotations
 
 import threading
-import traceback
 from collections.abc import Callable
-from queue import SimpleQueue
 
 
 class Stopped(Exception):
@@ -71,33 +69,3 @@ class Control:
         with self._changed:
             self._steps += 1
             self._changed.notify_all()
-
-
-class Worker:
-    """Worker thread; jobs wait for those before them, which have usually been stopped then."""
-
-    def __init__(self) -> None:
-        """Start the thread."""
-        self._jobs: SimpleQueue[tuple[Callable[[], None], Callable[[BaseException], None]] | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="viewer worker", daemon=True)
-        self._thread.start()
-
-    def do(self, job: Callable[[], None], failed: Callable[[BaseException], None]) -> None:
-        """Do a job after those before it; `failed` is called with its exception, except `Stopped`."""
-        self._jobs.put((job, failed))
-
-    def close(self, timeout: float = 5.0) -> None:
-        """End the thread after the present job, which should have been stopped; wait at most `timeout` seconds."""
-        self._jobs.put(None)
-        self._thread.join(timeout)
-
-    def _run(self) -> None:
-        while (entry := self._jobs.get()) is not None:
-            job, failed = entry
-            try:
-                job()
-            except Stopped:
-                pass
-            except Exception as error:  # noqa: BLE001 - a job that fails must not end all others; the user is told
-                traceback.print_exc()
-                failed(error)

@@ -5,11 +5,37 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.formats.format import Load
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
+
+MAX_DIFFERENCE_M = 1e-6
+"""Largest distance of a fingertip, metres, at which a written grasp is read as the same."""
+
+
+class DisagreementError(GraspFileError):
+    """A written file that is read as other grasps."""
+
+
+def check_agreement(before: GraspSet, after: GraspSet, load: Load) -> float:
+    """Return the largest distance in metres of a fingertip of the grasps in a written file from where it was.
+
+    Raises:
+        DisagreementError: it is above `MAX_DIFFERENCE_M`, or the numbers of grasps differ.
+    """
+    if len(before) != len(after):
+        raise DisagreementError(f"{len(before)} grasps were written, {len(after)} are read")
+    distances = fingertip_distances(before, after, load)
+    worst = int(np.argmax(np.nan_to_num(distances, nan=np.inf)))
+    if not distances[worst] <= MAX_DIFFERENCE_M:
+        raise DisagreementError(
+            f"read again, the fingertips of grasp {worst} ('{before.object[worst]}') are {distances[worst]:.3g} m from "
+            f"their original positions, more than {MAX_DIFFERENCE_M:g} m"
+        )
+    return float(distances[worst])
 
 
 def fingertip_distances(one: GraspSet, other: GraspSet, load: Load) -> Float[np.ndarray, " N"]:

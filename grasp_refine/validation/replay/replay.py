@@ -23,6 +23,8 @@ OBJECT = "object"
 """Name of the object's body and of its free joint."""
 POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Names of the seven values of a free joint; a ball joint has the last four."""
+CONTACT_GAP_M = 5e-4
+"""Gap in metres below which the object is shown in contact."""
 
 
 class Stage(IntEnum):
@@ -81,6 +83,11 @@ class Replay:
         """Return the number of frames."""
         return len(self.time)
 
+    def set_frame(self, data: mujoco.MjData, frame: int) -> None:
+        """Set the joint values and the root's target of a frame; poses of bodies follow by MuJoCo's kinematics."""
+        data.qpos[:] = self.qpos[frame]
+        data.mocap_pos[:], data.mocap_quat[:] = self.mocap_pos[frame], self.mocap_quat[frame]
+
     @property
     def object_pose(self) -> Float[np.ndarray, "T 7"]:
         """Pose of the object (T, 7), xyz wxyz, in the world.
@@ -137,6 +144,13 @@ def qpos_names(model: mujoco.MjModel) -> tuple[str, ...]:
         axes = POSE_AXES[-(end - start) :]
         names.extend([name] if end - start == 1 else [f"{name} {axis}" for axis in axes])
     return tuple(names)
+
+
+def object_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "n 3"]:
+    """Return the points (n, 3) in the world at which the object is within `CONTACT_GAP_M` of anything else."""
+    contact = data.contact
+    of_object = model.geom_bodyid[contact.geom] == model.body(OBJECT).id
+    return contact.pos[(of_object.sum(axis=1) == 1) & (contact.dist < CONTACT_GAP_M)].copy()
 
 
 def check_replay(model: mujoco.MjModel, replay: Replay) -> None:

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from command_line import refused
+from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.listing import FORMATS, FormatName
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands import convert
 from refusals import assert_names
 
 
@@ -117,7 +117,7 @@ def test_an_output_that_reads_otherwise_is_not_kept(
     file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     # A limit that rounding alone does not reach.
-    monkeypatch.setattr(convert, "MAX_DIFFERENCE_M", -1.0)
+    monkeypatch.setattr(agreement, "MAX_DIFFERENCE_M", -1.0)
     Path("old.npz").write_text("old")
     for output, to in (("bench", "dexgraspbench"), ("old.npz", "ours")):
         before = sorted(Path().rglob("*"))

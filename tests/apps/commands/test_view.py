@@ -53,14 +53,14 @@ def test_results_are_opened_with_the_grasps_as_they_came_and_what_simulation_sai
     state = opened(results / "allegro_mug.npz", results / "report.json").state
     assert len(state.collection) == 2
     assert np.abs(state.initial.q - state.pose.q).max() > 1e-2
-    assert set(state.trials_by_grasp) == {0, 1} and state.trial is state.trials_by_grasp[0]
-    assert [trial.held for trial in state.trials_by_grasp.values()] == [False, True]
+    assert set(state.collection.trials) == {0, 1} and state.trial is state.collection.trials[0]
+    assert [trial.held for trial in state.collection.trials.values()] == [False, True]
     assert state.collection.columns["held"].values.tolist() == ["failed", "held"]
 
 
 def test_a_report_alone_opens_the_file_that_it_is_about(results: Path) -> None:
     state = opened(results / "report.json").state
-    assert len(state.collection) == 2 and len(state.trials_by_grasp) == 2
+    assert len(state.collection) == 2 and len(state.collection.trials) == 2
 
 
 def test_a_replay_is_opened_with_its_motion(results: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.validation.replay.replay import Replay, Stage
-from grasp_refine_apps.report.caption import state_of
+from grasp_refine_apps.report.film import state_of
 from recorded_gripper import recorded_gripper
 
 

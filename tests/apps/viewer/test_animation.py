@@ -11,14 +11,13 @@ import pytest
 from browser import ViserPage, until
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.camera import FirstCamera
-from grasp_refine_apps.viewer.film import Film, Frame
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.shapes import LinkPoses, object_shapes, visual_shapes
+from grasp_refine_apps.viewer.shapes import LinkPoses, visual_shapes
 from open_viewer import example
 
 pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
-from grasp_refine_apps.viewer.animation import animation_html  # noqa: E402
+from grasp_refine_apps.viewer.animation import Film, Frame, animation_html  # noqa: E402
 
 STEPS = 11
 
@@ -39,9 +38,8 @@ def film(scene: Scene) -> Film:
         line = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]])
         lines = (line, np.array([[200, 0, 200]], dtype=np.uint8)) if k else ()
         frames.append(Frame(Pose(up @ T, q), f"step {k} < {STEPS}", *lines, T_object=down))
-    camera = FirstCamera(np.array([0.0, -0.7, 0.2]), np.array([0.0, 0.0, 0.05]), np.array([0.0, 0.0, 1.0]), 0.8)
-    shapes, obj = visual_shapes(scene.hand), object_shapes(scene.object, "mesh")
-    return Film("a <hand> & a mug", shapes, LinkPoses.of(scene.hand), obj, frames, camera)
+    camera = FirstCamera(np.array([0.0, -0.7, 0.2]), np.array([0.0, 0.0, 0.05]))
+    return Film("a <hand> & a mug", scene.hand, scene.object, frames, camera)
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +63,14 @@ def test_it_plays_from_disk_again_and_again(film: Film, page: str, tmp_path: Pat
     file.write_text(page, encoding="utf-8")
     # Small: what is drawn without a graphics card takes its time.
     opened = open_page(file.as_uri(), size=(480, 360))
-    last = len(film.hand) - 1
+    shapes, poses = visual_shapes(film.hand), LinkPoses.of(film.hand)
+    last = len(shapes) - 1
     opened.wait_for_node(f"/hand/{last}")
     opened.wait_for_scene()
 
     first = film.frames[0].pose
-    T = film.poses(first.T_object_root, first.q)
-    x, y, z = T[film.hand[last].link][:3, 3]
+    T = poses(first.T_object_root, first.q)
+    x, y, z = T[shapes[last].link][:3, 3]
     hand, mug, captions = [], [], set()
 
     def seen() -> bool:
@@ -87,7 +86,7 @@ def test_it_plays_from_disk_again_and_again(film: Film, page: str, tmp_path: Pat
     assert len(set(np.array(mug)[:, 2].round(3))) >= 3 and -0.05 - 1e-6 < np.min(mug) and np.max(mug) < 1e-6
     assert captions <= {frame.caption for frame in film.frames} | {""}
 
-    np.testing.assert_allclose(opened.pose("/ghost/0")[:3, 3], T[film.hand[0].link][:3, 3], atol=1e-5)
+    np.testing.assert_allclose(opened.pose("/ghost/0")[:3, 3], T[shapes[0].link][:3, 3], atol=1e-5)
     np.testing.assert_allclose(opened.camera()[:3, 3], film.camera.position, atol=1e-5)
     asked = {address.split("?")[0] for address in opened.requests if not address.startswith(("blob:", "data:"))}
     assert asked == {file.as_uri()}, "nothing is fetched"

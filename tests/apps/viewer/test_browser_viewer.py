@@ -134,6 +134,8 @@ def test_a_grasp_is_seen_refined_scrubbed_and_reloaded(viewer: Viewer, page: Vis
     page.enter("Iteration", 3)
     until(lambda: marked(page) == 3, "the line in the chart at that iteration")
     until(lambda: not np.allclose(page.pose(THUMB), end, atol=1e-4), "the hand of that iteration")
+    # The chart and the heading are drawn independently.
+    until(lambda: not heading(page).startswith("contact error 0.00 mm"), "its numbers")
     shown, numbers, errors = page.pose(THUMB), heading(page), contact_errors(page)
     page.reload()
     page.wait_for_node(THUMB)
@@ -303,6 +305,7 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     until(lambda: np.allclose(page.pose(thumb), came, atol=1e-6), "the thumb as it came")
 
     page.choose("Solver", "descent")  # which takes its time
+    page.wait_for_text("Derivative")  # an option of descent: the choice has arrived
     page.click("Start")
     until(lambda: len(contact_errors(page)) > 20, "it refines again")
     page.close()  # which stops nothing

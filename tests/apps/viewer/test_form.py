@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import inf
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -23,7 +24,6 @@ from grasp_refine_apps.viewer.form import (
     docs_of,
     parts_of,
     plain,
-    value_of,
     with_value,
 )
 from refusals import assert_names, refused
@@ -88,7 +88,7 @@ def test_a_folder_knows_which_choice_it_belongs_to():
 )
 def test_what_is_written_is_read_back(settings: Settings):
     for name, entry in SETTINGS.items():
-        value = value_of(settings, name)
+        value = attrgetter(name)(settings)
         assert entry.read(entry.write(value)) == value, name
 
 
@@ -141,7 +141,7 @@ def test_text_that_is_no_value_is_refused(name: str, text: str, named: tuple[str
 
 def test_a_field_inside_another_is_replaced():
     changed = with_value(Settings(), "weights.wrench", 0.5)
-    assert changed.weights.wrench == 0.5 and value_of(changed, "weights.contact") == 1.0
+    assert changed.weights.wrench == 0.5 and attrgetter("weights.contact")(changed) == 1.0
     with refused(GraspRefineError, "damping", "0"):
         with_value(Settings(), "levenberg_marquardt.damping", 0.0)
 

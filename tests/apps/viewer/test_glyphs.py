@@ -48,13 +48,15 @@ def test_cones_open_into_the_object_by_the_angle_of_friction(friction: float):
     assert vertices.dtype == np.float32 and faces.dtype == np.uint32
     height = CONE_HEIGHT * DIAGONAL
     for number in range(2):
-        tip, *others = vertices.reshape(2, -1, 3)[number].astype(float)
-        np.testing.assert_allclose(tip, point[number], atol=1e-8)
-        away = np.array(others[1:]) - tip
+        away = vertices.reshape(2, -1, 3)[number].astype(float) - point[number]
         along = away @ normal[number]
-        np.testing.assert_allclose(along, height, rtol=1e-5)
         across = np.linalg.norm(away - along[:, None] * normal[number], axis=1)
-        np.testing.assert_allclose(across / along, friction, rtol=1e-4)
+        # The apex, the centre of the base, and its rim.
+        tip, rim = along < height / 2, across > height * friction / 2
+        assert (np.count_nonzero(tip), np.count_nonzero(rim), len(away)) == (1, CONE_SIDES, CONE_SIDES + 2)
+        np.testing.assert_allclose(away[tip], 0.0, atol=1e-8)
+        np.testing.assert_allclose(along[~tip], height, rtol=1e-5)
+        np.testing.assert_allclose(across[rim] / along[rim], friction, rtol=1e-4)
     mesh = trimesh.Trimesh(vertices, faces)
     assert mesh.is_watertight and mesh.body_count == 2
     pyramid = CONE_SIDES / 2 * np.sin(2 * np.pi / CONE_SIDES) * friction**2 * height**3 / 3

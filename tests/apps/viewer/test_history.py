@@ -1,67 +1,78 @@
 """Undo and redo of a user's edits."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
+from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer import editing
-from grasp_refine_apps.viewer.editing import EditSnapshot, History
-from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.controller import Controller
+from open_viewer import controller
 
 
-def at(x: float) -> EditSnapshot:
-    return EditSnapshot(Pose(np.eye(4), np.array([x])), (), np.eye(4))
+@pytest.fixture
+def viewer(problem: Problem) -> Iterator[Controller]:
+    made = controller(problem)
+    yield made
+    made.close()
 
 
-def value(snapshot: EditSnapshot | None) -> float:
-    assert snapshot is not None
-    return float(snapshot.pose.q[0])
+def at(viewer: Controller) -> tuple[float, float]:
+    """The first two joint values, which the tests set."""
+    first, second = viewer.state.pose.q[:2].tolist()
+    return first, second
 
 
-def test_undo_and_redo_walk_through_what_was() -> None:
-    past = History()
-    assert not past.can_undo and not past.can_redo
-    past.push(at(0.0))
-    past.push(at(1.0))
-    now = at(2.0)
-    assert value(now := past.undo(now)) == 1.0
-    assert value(now := past.undo(now)) == 0.0
-    assert past.undo(now) is None
-    assert value(now := past.redo(now)) == 1.0
-    assert value(now := past.redo(now)) == 2.0
-    assert past.redo(now) is None
+def undone(viewer: Controller) -> list[tuple[float, float]]:
+    """Undo all steps; where each one leads."""
+    found = []
+    while viewer.state.undo_steps:
+        viewer.undo()
+        found.append(at(viewer))
+    return found
 
 
-def test_a_new_change_forgets_what_was_undone() -> None:
-    past = History()
-    past.push(at(0.0))
-    now = past.undo(at(1.0))
-    past.push(now)
-    assert past.can_undo and not past.can_redo
+def test_undo_and_redo_walk_through_what_was(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", 0.0)
+    start = at(viewer)
+    viewer.undo()
+    viewer.redo()
+    assert at(viewer) == start and not viewer.state.redo_steps
+    for value in (0.1, 0.2):
+        viewer.set_joint(0, value)
+    assert undone(viewer) == [(0.1, start[1]), start]
+    viewer.undo()
+    assert at(viewer) == start
+    for value in (0.1, 0.2, 0.2):
+        viewer.redo()
+        assert at(viewer)[0] == value
+    # A new change forgets what was undone.
+    viewer.undo()
+    viewer.set_joint(1, 0.3)
+    assert not viewer.state.redo_steps and undone(viewer)[0] == (0.1, start[1])
 
 
-def test_a_movement_is_one_step_and_another_joint_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    moments = iter([0.0, 0.1, 0.2, 0.3, 5.0])
-    monkeypatch.setattr(editing.time, "monotonic", lambda: next(moments))
-    past = History()
-    past.push(at(0.0), "joint 1")
-    past.push(at(1.0), "joint 1")
-    past.push(at(2.0), "joint 2")
-    past.push(at(3.0), "joint 2")
-    past.push(at(4.0), "joint 2")  # long after
-    now = at(5.0)
-    steps = []
-    while (found := past.undo(now)) is not None:
-        now = found
-        steps.append(value(now))
-    assert steps == [4.0, 2.0, 0.0]
+def test_a_movement_is_one_step_and_another_joint_another(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", np.inf)
+    start = at(viewer)
+    for joint, value in ((0, 0.1), (0, 0.2), (1, 0.3), (1, 0.4)):
+        viewer.set_joint(joint, value)
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", 0.0)  # long after
+    viewer.set_joint(1, 0.5)
+    assert undone(viewer) == [(0.2, 0.4), (0.2, start[1]), start]
+    # What is changed after an undo is a step of its own.
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", np.inf)
+    viewer.redo()
+    viewer.set_joint(1, 0.6)
+    assert len(viewer.state.undo_steps) == 2
 
 
-def test_only_so_many_steps_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_so_many_steps_are_kept(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", 0.0)
     monkeypatch.setattr(editing, "MAX_STEPS", 3)
-    past = History()
     for k in range(10):
-        past.push(at(float(k)))
-    now, steps = at(10.0), 0
-    while (found := past.undo(now)) is not None:
-        now, steps = found, steps + 1
-    assert steps == 3 and value(now) == 7.0
+        viewer.set_joint(0, 0.01 * k)
+    assert [value for value, _ in undone(viewer)] == [0.08, 0.07, 0.06]

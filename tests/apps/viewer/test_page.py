@@ -73,22 +73,19 @@ def test_the_newest_state_is_drawn_and_a_part_that_breaks_does_not_harm_others(
     drawn: list[int] = []
     release, last = threading.Event(), threading.Event()
 
-    class Slow:
-        def draw(self, state: State) -> None:
-            release.wait(PATIENCE_S)
-            drawn.append(state.change)
-            if state.change == 9:
-                last.set()
+    def slow(state: State) -> None:
+        release.wait(PATIENCE_S)
+        drawn.append(state.change)
+        if state.change == 9:
+            last.set()
 
-    class Broken:
-        def draw(self, state: State) -> None:
-            raise ValueError("broken")
+    def broken(state: State) -> None:
+        raise ValueError("broken")
 
     made = controller()
     states = [replace(made.state, change=change) for change in range(10)]
     made.close()
-    drawer = Drawer([Broken(), Slow()], states[0])
-    drawer.start()
+    drawer = Drawer([broken, slow], states[0])
     for state in states[1:]:
         drawer.draw(state)
     release.set()
@@ -97,3 +94,19 @@ def test_the_newest_state_is_drawn_and_a_part_that_breaks_does_not_harm_others(
     # The first may have begun before the others came.
     assert drawn in ([9], [0, 9])
     assert "ValueError: broken" in capsys.readouterr().err
+
+
+def test_a_slow_drawer_draws_once_in_its_period_and_ends_at_once() -> None:
+    drawn, first = [], threading.Event()
+
+    def draw(state: State) -> None:
+        drawn.append(state.change)
+        first.set()
+
+    made = controller()
+    made.close()
+    drawer = Drawer([draw], made.state, period=600.0)
+    assert first.wait(PATIENCE_S)
+    drawer.draw(replace(made.state, change=made.state.change + 1))
+    drawer.close()
+    assert drawn == [made.state.change]

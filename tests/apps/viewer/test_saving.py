@@ -14,6 +14,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3
+from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
@@ -21,9 +22,8 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine_apps.viewer import saving
 from grasp_refine_apps.viewer.pose import Pose, Target
-from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
+from grasp_refine_apps.viewer.saving import MAX_STEM_CHARS, Saved, grasp_file, grasp_set
 from refusals import refused
 
 BASES = {"shadow": "palm", "allegro": "base_link", "leap": "palm_lower"}
@@ -129,7 +129,7 @@ def test_what_is_read_as_another_grasp_is_not_handed_out(monkeypatch: pytest.Mon
     def astray(grasps: GraspSet, *_: object) -> np.ndarray:
         return np.full(len(grasps), 2e-6)
 
-    monkeypatch.setattr(saving, "fingertip_distances", astray)
+    monkeypatch.setattr(agreement, "fingertip_distances", astray)
     with refused(GraspFileError, "2e-06 m", "1e-06 m"):
         grasp_file(hand("allegro"), shown("allegro"), "ours")
 
@@ -139,7 +139,7 @@ def test_a_name_from_a_file_names_no_folder():
     saved = grasp_file(hand("allegro"), grasps, "ours")
     assert saved.name == "_allegro_.._.._etc_cron.d_x_y_ours.npz"
     long = replace(shown("allegro"), object=np.array(["x" * 150]))
-    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == saving.MAX_STEM_CHARS + len(".zip")
+    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == MAX_STEM_CHARS + len(".zip")
 
 
 def test_several_grasps_keep_their_order(unpacked: Callable[[Saved], Path]):

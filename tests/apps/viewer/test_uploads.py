@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,7 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_a_session_has_a_limit_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(uploads, "MAX_SESSION_BYTES", 3 * len(OBJ))
-    with Uploads() as session:
+    with closing(Uploads()) as session:
         assert session.path.stat().st_mode & 0o077 == 0
         first, second = session.receive("a.obj", OBJ), session.receive("a.obj", OBJ)
         assert first.folder != second.folder and first.source.read_bytes() == second.source.read_bytes()

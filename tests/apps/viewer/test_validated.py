@@ -11,8 +11,11 @@ import pytest
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE, TABLETOP, Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
-from grasp_refine_apps.viewer.validated_html import motion_html, notes_html, trial_html
 from refusals import assert_names
+
+pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+
+from grasp_refine_apps.viewer.panels.validate_panel import motion_html, notes_html, trial_html  # noqa: E402
 
 OWN = {"pregrasp": "own", "squeeze": "own"}
 

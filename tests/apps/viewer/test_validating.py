@@ -28,7 +28,14 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, protocol_of, record_direction, run_trial
+from grasp_refine_apps.viewer.validating import (
+    MakeWorld,
+    PosedGrasp,
+    protocol_of,
+    record_direction,
+    run_trial,
+    world_cache,
+)
 from grasp_refine_apps.viewer.worker import Control, Stopped
 from open_viewer import ignored, stopped_at
 from refusals import assert_names, refused
@@ -56,8 +63,8 @@ def grasp(scene: Scene) -> PosedGrasp:
 
 
 @pytest.fixture(scope="module")
-def validator() -> Validator:
-    return Validator()
+def make_world() -> MakeWorld:
+    return world_cache()
 
 
 def file_pose(scene: Scene) -> Pose:
@@ -75,16 +82,16 @@ def lifted(scene: Scene, by: float) -> Pose:
     return Pose(T, scene.q[0])
 
 
-def test_a_trial_says_what_validate_says(validator: Validator, group: Group, scene: Scene, grasp: PosedGrasp) -> None:
+def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, scene: Scene, grasp: PosedGrasp) -> None:
     protocol = protocol_of("force-closure", 0.15)
     told: list[tuple[float | None, str]] = []
     control = Control(lambda share, what: told.append((share, what)))
-    trial = run_trial(validator, replace(grasp, file_grasp=group.grasps), protocol, control)
+    trial = run_trial(make_world, replace(grasp, file_grasp=group.grasps), protocol, control)
     # What `validate` simulates; linear algebra may round otherwise the second time.
     assert trial.motion is not None
     np.testing.assert_allclose(trial.motion.q, group.motion().q, atol=1e-9)
     np.testing.assert_allclose(trial.motion.T_world_root, group.motion().T_world_root, atol=1e-9)
-    expected = simulate(validator.world(scene, protocol), trial.motion)
+    expected = simulate(make_world(scene, protocol), trial.motion)
     # To the last bit.
     for d, result in enumerate(trial.results):
         assert result.direction == expected.directions[d]
@@ -104,10 +111,10 @@ def test_a_trial_says_what_validate_says(validator: Validator, group: Group, sce
     assert_names(parts[3], "6")
 
 
-def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: Scene, grasp: PosedGrasp) -> None:
-    trial = run_trial(validator, grasp, protocol_of("force-closure", 0.15), ignored())
+def test_the_watched_motion_ends_as_the_trial_says(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
+    trial = run_trial(make_world, grasp, protocol_of("force-closure", 0.15), ignored())
     lost = next(result for result in trial.results if not result.held)
-    motion = record_direction(validator, grasp, trial, lost.direction, ignored())
+    motion = record_direction(make_world, grasp, trial, lost.direction, ignored())
     assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
     # What was found at a check is what is shown in the frame of that time.
     frame = int(np.searchsorted(motion.time - motion.time[0], 0.8 + lost.time_s + 1e-9)) - 1
@@ -120,7 +127,7 @@ def test_the_watched_motion_ends_as_the_trial_says(validator: Validator, scene: 
     assert trial.motion is not None
     np.testing.assert_allclose(motion.T_root[0], trial.motion.T_world_root[0, 0], atol=1e-12)
     np.testing.assert_allclose(motion.q[0], trial.motion.q[0, 0], atol=1e-12)
-    held = record_direction(validator, grasp, replace(trial, motion=None), "+x", ignored())
+    held = record_direction(make_world, grasp, replace(trial, motion=None), "+x", ignored())
     assert held.held and not held.lost.any()
 
 
@@ -145,7 +152,7 @@ def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
     np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
 
 
-def test_a_grasp_of_others_is_closed_as_its_file_says(validator: Validator, shared_assets: Path) -> None:
+def test_a_grasp_of_others_is_closed_as_its_file_says(make_world: MakeWorld, shared_assets: Path) -> None:
     """DexGraspBench, where it comes from, finds that all grasps of this bottle hold."""
     bottle = "core_bottle_523cddb320608c09a37f3fc191551700"
     sources = Sources(
@@ -156,38 +163,38 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(validator: Validator, shar
     )
     (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
     bottle_grasp = PosedGrasp(group.scene, file_pose(group.scene), group.grasps)
-    trial = run_trial(validator, bottle_grasp, FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, bottle_grasp, FORCE_CLOSURE, ignored())
     assert trial.held and trial.closing == {"pregrasp": "file", "squeeze": "file"}
-    motion = record_direction(validator, bottle_grasp, trial, "-y", ignored())
+    motion = record_direction(make_world, bottle_grasp, trial, "-y", ignored())
     assert motion.held and len(motion) == 141 and motion.time[-1] - motion.time[0] == pytest.approx(2.8)
     assert group.grasps.pregrasp is not None
     np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
 
 
-def test_what_was_compiled_is_kept(validator: Validator, scene: Scene) -> None:
-    world = validator.world(scene, FORCE_CLOSURE)
-    assert validator.world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
-    assert validator.world(scene, STRICT) is not world
-    assert validator.model(scene.hand) is world.hand
+def test_what_was_compiled_is_kept(make_world: MakeWorld, scene: Scene) -> None:
+    world = make_world(scene, FORCE_CLOSURE)
+    assert make_world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
+    assert make_world(scene, STRICT) is not world
+    assert make_world(scene, STRICT).hand is world.hand
     # Only what is lifted stands on a table.
     low, high = (replace(scene, table=Plane(offset=offset)) for offset in (-0.05, -0.02))
-    assert validator.world(low, TABLETOP) is not validator.world(high, TABLETOP)
-    assert validator.world(low, FORCE_CLOSURE) is validator.world(high, FORCE_CLOSURE) is world
+    assert make_world(low, TABLETOP) is not make_world(high, TABLETOP)
+    assert make_world(low, FORCE_CLOSURE) is make_world(high, FORCE_CLOSURE) is world
 
 
-Doing = Callable[[Validator, PosedGrasp, Control], object]
+Doing = Callable[[MakeWorld, PosedGrasp, Control], object]
 
 
-def simulating(validator: Validator, grasp: PosedGrasp, control: Control) -> object:
-    return run_trial(validator, grasp, protocol_of("force-closure", 0.15), control)
+def simulating(make_world: MakeWorld, grasp: PosedGrasp, control: Control) -> object:
+    return run_trial(make_world, grasp, protocol_of("force-closure", 0.15), control)
 
 
-def recording(validator: Validator, grasp: PosedGrasp, control: Control) -> object:
-    trial = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
-    return record_direction(validator, grasp, trial, "+x", control)
+def recording(make_world: MakeWorld, grasp: PosedGrasp, control: Control) -> object:
+    trial = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
+    return record_direction(make_world, grasp, trial, "+x", control)
 
 
-def cpu_seconds_to_stop(validator: Validator, grasp: PosedGrasp, doing: Doing, at: float) -> float:
+def cpu_seconds_to_stop(make_world: MakeWorld, grasp: PosedGrasp, doing: Doing, at: float) -> float:
     """CPU time (s) that goes by until it stops when that share is done."""
     reached, ended = threading.Event(), []
 
@@ -199,7 +206,7 @@ def cpu_seconds_to_stop(validator: Validator, grasp: PosedGrasp, doing: Doing, a
 
     def work() -> None:
         with pytest.raises(Stopped):
-            doing(validator, grasp, control)
+            doing(make_world, grasp, control)
         ended.append(time.process_time())
 
     thread = threading.Thread(target=work)
@@ -214,13 +221,13 @@ def cpu_seconds_to_stop(validator: Validator, grasp: PosedGrasp, doing: Doing, a
 
 @pytest.mark.parametrize(("doing", "at"), [(simulating, 0.1), (simulating, 0.9), (recording, 0.5)])
 def test_stop_takes_effect_at_once(
-    validator: Validator, scene: Scene, grasp: PosedGrasp, doing: Doing, at: float
+    make_world: MakeWorld, scene: Scene, grasp: PosedGrasp, doing: Doing, at: float
 ) -> None:
-    before = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
+    before = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
     # A few milliseconds each; a whole trial takes seconds.
-    assert min(cpu_seconds_to_stop(validator, grasp, doing, at) for _ in range(3)) < 0.2
+    assert min(cpu_seconds_to_stop(make_world, grasp, doing, at) for _ in range(3)) < 0.2
     # Nothing of it is left: the next trial is that from before.
-    after = run_trial(validator, grasp, FORCE_CLOSURE, ignored())
+    after = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
     assert [result.reason for result in after.results] == [result.reason for result in before.results]
     moved = [[result.displacement_m for result in trial.results] for trial in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
@@ -232,24 +239,24 @@ def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, grasp: PosedGrasp)
 
 
 def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
-    validator: Validator, scene: Scene, grasp: PosedGrasp
+    make_world: MakeWorld, scene: Scene, grasp: PosedGrasp
 ) -> None:
     pose = file_pose(scene)
     inside = Pose(pose.T_object_root.copy(), pose.q)
     towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
     inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
-    trial = run_trial(validator, posed(grasp, inside), FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, posed(grasp, inside), FORCE_CLOSURE, ignored())
     assert trial.before_push == Reason.PENETRATES and not trial.watchable
     depth = f"{1e3 * trial.penetration_m:.1f} mm"
     assert_names(trial.verdict, depth)
     with refused(GraspRefineError, depth):
-        record_direction(validator, posed(grasp, inside), trial, "+x", ignored())
+        record_direction(make_world, posed(grasp, inside), trial, "+x", ignored())
 
 
-def test_a_direction_that_is_none_is_refused(validator: Validator, scene: Scene, grasp: PosedGrasp) -> None:
-    trial = run_trial(validator, posed(grasp, lifted(scene, 1.0)), FORCE_CLOSURE, ignored())
+def test_a_direction_that_is_none_is_refused(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
+    trial = run_trial(make_world, posed(grasp, lifted(scene, 1.0)), FORCE_CLOSURE, ignored())
     with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
-        record_direction(validator, posed(grasp, lifted(scene, 1.0)), trial, "lift", ignored())
+        record_direction(make_world, posed(grasp, lifted(scene, 1.0)), trial, "lift", ignored())
 
 
 def test_settings_and_friction_that_cannot_be_are_refused() -> None:

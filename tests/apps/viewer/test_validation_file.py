@@ -20,7 +20,7 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import HELD, REASON
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.validating import PosedGrasp, Validator, run_trial
+from grasp_refine_apps.viewer.validating import PosedGrasp, run_trial, world_cache
 from grasp_refine_apps.viewer.validation_file import read_validation
 from open_viewer import ignored
 from refusals import assert_names, refused
@@ -51,7 +51,7 @@ def test_what_validate_wrote_is_what_a_trial_finds(folder: Path) -> None:
     for number, read in found.items():
         scene = collection.scene(number)
         grasp = PosedGrasp(scene, Pose(scene.T_world_root[0], scene.q[0]))
-        trial = run_trial(Validator(), grasp, read.protocol, ignored())
+        trial = run_trial(world_cache(), grasp, read.protocol, ignored())
         assert (trial.verdict, trial.conditions, trial.closed_by) == (read.verdict, read.conditions, read.closed_by)
         assert [trial.words(result) for result in trial.results] == [read.words(result) for result in read.results]
         for one, other in zip(trial.results, read.results, strict=True):
@@ -67,15 +67,15 @@ def test_what_validate_wrote_is_what_a_trial_finds(folder: Path) -> None:
 
 
 def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: Path) -> None:
-    trials_by_grasp = read_validation(folder / "run.json")
-    before = trials_by_grasp.of(opened(EXAMPLE, 0, 1))
+    read = read_validation(folder / "run.json")
+    before = read.of(opened(EXAMPLE, 0, 1))
     assert [before[n].verdict for n in (0, 1)] == [
         read_validation(folder / "validate.json").of(opened(EXAMPLE, 0, 1))[n].verdict for n in (0, 1)
     ]
     assert before[0].closed_by == ""
     # Grasp 1 was asked for first.
     document = json.loads((folder / "run.json").read_text())
-    after = trials_by_grasp.of(opened(folder / "allegro_mug.npz"))
+    after = read.of(opened(folder / "allegro_mug.npz"))
     assert sorted(after) == [0, 1] and [grasp["row"] for grasp in document["grasps"]] == [1, 0]
     for number, grasp in enumerate(document["grasps"]):
         simulation = grasp["simulation"]["after"]
@@ -159,11 +159,11 @@ def test_other_files_are_refused(tmp_path: Path, text: str, named: tuple[str, ..
 
 def test_documents_about_other_grasps_are_refused(folder: Path, tmp_path: Path) -> None:
     other = opened(resource_dir("robots") / "allegro" / "example_bottle.npz", 0)
-    trials_by_grasp = read_validation(folder / "validate.json")
+    read = read_validation(folder / "validate.json")
     with refused(GraspFileError, folder / "validate.json", "example_bottle.npz"):
-        trials_by_grasp.of(other)
+        read.of(other)
     with refused(GraspFileError, folder / "validate.json", "2 grasps"):
-        trials_by_grasp.of(opened(EXAMPLE, 3))
+        read.of(opened(EXAMPLE, 3))
     document = json.loads((folder / "run.json").read_text())
     for grasp in document["grasps"]:
         grasp["quality"]["after"] = 0.25

@@ -1,8 +1,7 @@
-"""A widget that a user and states move at the same time; and what is drawn now or soon."""
+"""A widget that a user and states move at the same time."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -14,7 +13,7 @@ from websocket_page import Page, until
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine_apps.viewer.panels import widgets  # noqa: E402
-from grasp_refine_apps.viewer.panels.widgets import LiveInput, RateLimit  # noqa: E402
+from grasp_refine_apps.viewer.panels.widgets import LiveInput  # noqa: E402
 
 
 @pytest.fixture
@@ -67,28 +66,3 @@ def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monke
     slider.handle.remove()
     time.sleep(0.3)  # a thread that raised would fail this test
     assert slider.handle.value == 5.0
-
-
-def test_what_comes_fast_is_drawn_now_and_then_and_the_last_always():
-    drawn: list[int] = []
-    paced = RateLimit(0.1, drawn.append)
-    began = time.monotonic()
-    for number in range(50):
-        paced(number)
-        time.sleep(0.005)
-    seconds = time.monotonic() - began
-    until(lambda: drawn[-1] == 49)
-    assert drawn[0] == 0 and drawn == sorted(drawn) and len(drawn) <= seconds / 0.1 + 2
-
-
-def test_what_is_closed_draws_nothing():
-    drawn: list[int] = []
-    before = set(threading.enumerate())
-    paced = RateLimit(60.0, drawn.append)
-    paced(1)
-    paced(2)
-    (timer,) = set(threading.enumerate()) - before
-    paced.close()
-    paced(3)
-    timer.join()
-    assert drawn == [1]

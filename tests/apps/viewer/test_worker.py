@@ -1,11 +1,11 @@
-"""Jobs are done one at a time, paused, taken step by step, and stopped at once."""
+"""Jobs are paused, taken step by step, and stopped at once."""
 
 import threading
 import time
 
 import pytest
 
-from grasp_refine_apps.viewer.worker import Control, Stopped, Worker
+from grasp_refine_apps.viewer.worker import Control, Stopped
 from running_processes import PATIENCE_S, soon
 
 
@@ -64,24 +64,3 @@ def test_a_paused_job_can_be_stopped() -> None:
     threading.Thread(target=job).start()
     control.stop()
     assert ended.wait(PATIENCE_S)
-
-
-def test_the_worker_does_jobs_in_order_and_survives_those_that_fail(capsys: pytest.CaptureFixture[str]) -> None:
-    done: list[int] = []
-    failures: list[BaseException] = []
-    worker = Worker()
-
-    def stopped() -> None:
-        raise Stopped
-
-    def broken() -> None:
-        raise ValueError("broken")
-
-    worker.do(lambda: done.append(1), failures.append)
-    worker.do(stopped, failures.append)
-    worker.do(broken, failures.append)
-    worker.do(lambda: done.append(2), failures.append)
-    worker.close(PATIENCE_S)
-    assert done == [1, 2]
-    assert [str(error) for error in failures] == ["broken"]
-    assert "ValueError: broken" in capsys.readouterr().err

@@ -1,19 +1,39 @@
-"""Complete viewer: server, controller, view and panels."""
+"""The viewer: scene, heading with measures of the shown grasp, and tabs, on a server."""
 
 from __future__ import annotations
 
+import html
 from threading import Timer
 from types import TracebackType
+from typing import Any
 
 import viser
 
+from grasp_refine_apps.viewer.colors import distance_legend
+from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.page import Drawer, address, close_server
-from grasp_refine_apps.viewer.panels.page_panel import PagePanel
+from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, address, close_server
+from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
+from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
+from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
+from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
+from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
+from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
+from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.view import View
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
+
+PANELS = (
+    ("Refine", RefinePanel),
+    ("Edit", EditPanel),
+    ("Validate", ValidatePanel),
+    ("Browse", BrowsePanel),
+    ("Files", ExportPanel),
+    ("View", DisplayPanel),
+)
+"""Titles and panels of the tabs."""
 
 
 class Viewer:
@@ -24,18 +44,48 @@ class Viewer:
         self.server, self.controller = server, controller
         self.view = View(server, controller)
         self.view.draw(controller.state)
+        self._last_notice = 0
         # No browser should show buttons that cannot be used yet.
         with server.atomic():
-            self.panel = PagePanel(server, controller, self.view)
-            for part in (self.panel, *self.panel.panels):
-                part.draw(controller.state)
-        self._drawer = Drawer([self.view, self.panel, *self.panel.panels], controller.state)
-        controller.listen(self._drawer.draw)
-        self._drawer.start()
-        server.on_client_connect(lambda client: self._drawer.draw(controller.state))
+            self._heading = server.gui.add_html("")
+            tabs = server.gui.add_tab_group()
+            self.panels: list[Any] = []
+            for title, kind in PANELS:
+                with tabs.add_tab(title):
+                    self.panels.append(kind(server, controller))
+            draws = (self._draw_heading, self._notify, *(panel.draw for panel in self.panels))
+            # Functions that draw what need not follow each iteration of a refinement.
+            slow_draws = [draw for panel in self.panels for draw in getattr(panel, "slow_draws", ())]
+            for draw in (*draws, *slow_draws):
+                draw(controller.state)
+        self._drawers = (
+            Drawer([self.view.draw, *draws], controller.state),
+            Drawer(slow_draws, controller.state, SLOW_PERIOD_S),
+        )
+        for drawer in self._drawers:
+            controller.listen(drawer.draw)
+        server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
         self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
         self._measuring.daemon = True
         self._measuring.start()
+
+    def _draw_heading(self, state: State) -> None:
+        text = _heading(state, self.view)
+        if self._heading.content != text:
+            self._heading.content = text
+
+    def _notify(self, state: State) -> None:
+        """Show a new notice; one from before the first client is shown to that client."""
+        notice, clients = state.notice, self.server.get_clients().values()
+        if notice is not None and notice.number != self._last_notice and clients:
+            self._last_notice = notice.number
+            for client in clients:
+                client.add_notification(
+                    "This did not work" if notice.bad else "grasp-refine",
+                    notice.text,
+                    color="red" if notice.bad else "blue",
+                    auto_close_seconds=None if notice.bad else 8.0,
+                )
 
     def _prepare(self) -> None:
         """Load what the first refinement needs, and measure grasps whose files have no measures."""
@@ -61,7 +111,39 @@ class Viewer:
     def close(self) -> None:
         """Stop the running job, and the server."""
         self._measuring.cancel()
-        self.panel.close()
+        for panel in self.panels:
+            if hasattr(panel, "close"):
+                panel.close()
         self.controller.close()
-        self._drawer.close()
+        for drawer in self._drawers:
+            drawer.close()
         close_server(self.server)
+
+
+def _heading(state: State, view: View) -> str:
+    """Name and measures of the shown grasp as HTML."""
+    collection, found = state.collection, view.contacts
+    name = f"{collection.hand.name} on {collection.label(state.number)}"
+    lines = [f"<b>{html.escape(name)}</b>"]
+    if state.motion is not None:
+        lines.append(html.escape(state.motion.text(state.motion_frame)))
+    elif found is not None:
+        lines.append(distances_text(found.contact_error, found.penetration))
+    style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
+    return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
+
+
+def _scale() -> str:
+    """Colours of distances in one line of HTML."""
+    swatch = "display:inline-block;width:0.8em;height:0.8em;border-radius:50%;vertical-align:-0.05em"
+    parts = [
+        f'<span><span style="{swatch};background:rgb{color}"></span> {text}</span>' for text, color in distance_legend()
+    ]
+    return (
+        '<div style="display:flex;justify-content:space-between;font-size:0.78em;opacity:0.85;margin-top:0.2em">'
+        f"{''.join(parts)}</div>"
+    )
+
+
+SCALE = _scale()
+"""Legend of the colours of points and lines between links and object."""

@@ -11,13 +11,9 @@ from grasp_refine.core.se3 import exp_so3, log_so3, transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.joints import Joints
-from grasp_refine_apps.viewer.panels.timeline import millimetres
-from grasp_refine_apps.viewer.panels.widgets import LiveInput, RateLimit, in_a_row, on_click
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_click
 from grasp_refine_apps.viewer.shapes import LinkPoses
 from grasp_refine_apps.viewer.state import Gizmo, State
-
-UPDATE_PERIOD_S = 0.2
-"""Seconds between two updates of numbers and sliders."""
 
 
 class EditPanel:
@@ -70,27 +66,25 @@ class EditPanel:
         on_click(self.auto, controller.clear_targets)
         on_click(self.nearest, controller.target_nearest_points)
         self.joints = Joints(gui, controller)
-        self._numbers = RateLimit(UPDATE_PERIOD_S, self._draw_numbers)
+        self.slow_draws = (self._draw_numbers,)
         self._poses: tuple[Hand, LinkPoses] | None = None
 
     def draw(self, state: State) -> None:
         """Show a state."""
-        self.undo.disabled, self.redo.disabled = not state.can_undo, not state.can_redo
+        self.undo.disabled, self.redo.disabled = not state.undo_steps, not state.redo_steps
         for body, checkbox in self.gizmos.items():
             checkbox.show(state.gizmo == body)
         self.picking.show(state.picking)
         self.auto.disabled = not state.targets
-        self._numbers(state)
 
     def close(self) -> None:
-        """Stop drawing."""
-        self._numbers.close()
+        """Stop moving sliders."""
         self.joints.close()
         for live in (*self.gizmos.values(), self.picking, self.position, self.rotation):
             live.close()
 
     def _draw_numbers(self, state: State) -> None:
-        """Update the numbers that follow every iteration of a refinement, at a limited rate."""
+        """Update numbers and sliders, which would follow every iteration of a refinement."""
         shown, hand = state.shown, state.collection.hand
         if self._poses is None or self._poses[0] is not hand:
             self._poses = hand, LinkPoses.of(hand)
@@ -144,6 +138,6 @@ def targets_text(state: State, poses: LinkPoses) -> str:
     for target in state.targets:
         miss = np.linalg.norm(transform_points(T[target.link], target.point_link) - target.point_object)
         x, y, z = (f"{1e3 * value:.0f}" for value in target.point_object)
-        rows.append(f"| {target.link} | {millimetres(float(miss))} | {x}, {y}, {z} |")
+        rows.append(f"| {target.link} | {1e3 * miss:.2f} | {x}, {y}, {z} |")
     lines.append("\n".join(("| link | miss, mm | on object, mm |", "|:---|---:|---:|", *rows)))
     return "\n\n".join(lines)

@@ -10,12 +10,12 @@ import numpy as np
 import viser
 from PIL import Image
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
-from grasp_refine_apps.viewer.animation import animation_html
+from grasp_refine_apps.viewer.animation import animation_html, film_of
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.film import film_of
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, open_upload
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
 from grasp_refine_apps.viewer.state import JobKind, State
@@ -35,16 +35,10 @@ BUSY_MESSAGE = "another job is running: wait until it ends, or stop it, then try
 class ExportPanel:
     """Open grasps, uploads and downloads; downloads go only to the browser that requests them."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller, uploads: Uploads | None = None) -> None:
-        """Make the widgets inside the tab or folder that is open.
-
-        Args:
-            server: The server.
-            controller: The controller.
-            uploads: Storage of uploads; None: a new folder, deleted by `close`.
-        """
+    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+        """Make the widgets inside the tab or folder that is open."""
         self._server, self._controller = server, controller
-        self.uploads = uploads or Uploads()
+        self.uploads = Uploads()
         self._collection: Collection | None = None
         gui = server.gui
         self.opened = gui.add_html("")
@@ -197,7 +191,7 @@ def open_html(collection: Collection) -> str:
     if problem.notes:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in problem.notes)
         text += (
-            f"<details><summary>{len(problem.notes)} note{'' if len(problem.notes) == 1 else 's'}</summary>"
+            f"<details><summary>{count_text(len(problem.notes), 'note')}</summary>"
             f'<ul style="margin:0.3em 0;padding-left:1.2em">{notes}</ul></details>'
         )
     style = "padding:0.5em 1em;line-height:1.5;font-size:0.85em;overflow-wrap:anywhere;max-height:18em;overflow:auto"
@@ -229,6 +223,6 @@ def _stem(state: State) -> str:
 def _sentence(collection: Collection) -> str:
     count = len(collection)
     objects = ", ".join(dict.fromkeys(group.object for group in collection.problem.groups))
-    what = f"{count} grasp{'' if count == 1 else 's'} of {collection.hand.name} on {objects}"
+    what = f"{count_text(count, 'grasp')} of {collection.hand.name} on {objects}"
     drawn = ", drawn at random" if collection.problem.sampled and count > 1 else ""
     return f"{what}{drawn}"[:300]

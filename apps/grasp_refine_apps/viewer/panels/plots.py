@@ -8,11 +8,9 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine_apps.viewer.panels.widgets import RateLimit
-from grasp_refine_apps.viewer.trace import Trace
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.trace import Trace, subsample
 
-UPDATE_PERIOD_S = 0.2
-"""Seconds between two updates."""
 MAX_POINTS = 400
 """Maximum points of a curve."""
 MIN_LENGTH_MM = 1e-3
@@ -43,14 +41,10 @@ class Plot:
             visible=False,
         )
         self._drawn: tuple[Trace | None, int | None] = (None, None)
-        self.show = RateLimit(UPDATE_PERIOD_S, self._draw)
-        """Plots a trace (or none), with a line at an iteration (None: the last)."""
 
-    def close(self) -> None:
-        """Stop plotting."""
-        self.show.close()
-
-    def _draw(self, trace: Trace | None, frame: int | None) -> None:
+    def draw(self, state: State) -> None:
+        """Plot the iterations of a state, with a line at the one that is shown."""
+        trace, frame = state.trace, state.frame
         if (trace, frame) == self._drawn:
             return
         self._drawn = trace, frame
@@ -73,8 +67,8 @@ def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
     """
     last = len(trace) - 1
     frame = last if frame is None else min(frame, last)
-    kept = np.unique(np.linspace(0, last, min(last + 1, MAX_POINTS - 3)).round().astype(int))
-    kept = np.sort(np.append(np.union1d(kept, [frame]), [frame, frame]))
+    kept = np.union1d(subsample(last + 1, MAX_POINTS - 3), [frame])
+    kept = np.sort(np.append(kept, [frame, frame]))
     lengths = np.stack((trace.contact_error, trace.penetration, np.sqrt(np.maximum(trace.loss, 0.0))))[:, kept]
     lengths = np.maximum(1e3 * lengths, MIN_LENGTH_MM)
     line = np.full(len(kept), np.nan)

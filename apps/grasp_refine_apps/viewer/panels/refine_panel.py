@@ -10,11 +10,13 @@ import viser
 from grasp_refine.core.plurals import count_text
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.table import measure_text
 from grasp_refine.results.verdict import HOLDS, should_hold
+from grasp_refine.validation.measures import COMPARED
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot
-from grasp_refine_apps.viewer.panels.timeline import Timeline, millimetres
+from grasp_refine_apps.viewer.panels.timeline import Timeline
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
 from grasp_refine_apps.viewer.pose import targets_of
 from grasp_refine_apps.viewer.state import State
@@ -56,6 +58,7 @@ class RefinePanel:
         self.text = gui.add_markdown("")
         self.bar: Any = gui.add_progress_bar(0.0)
         self.plot = Plot(gui)
+        self.slow_draws = (self.plot.draw,)
         with gui.add_folder("Timeline"):
             self.timeline = Timeline(gui, controller)
         with gui.add_folder("Settings, from the next start on"):
@@ -65,7 +68,7 @@ class RefinePanel:
                 controller.set_settings,
                 lambda words: controller.notify(words, bad=True),
                 check=lambda settings: settings.config(),
-                unused=unused,
+                unused=lambda settings: [name for name, _ in settings.unused()],
                 first=FIRST_SETTINGS,
                 left_out=HIDDEN_SETTINGS,
             )
@@ -92,32 +95,12 @@ class RefinePanel:
         self.text.content = job_text(state)
         self.bar.value = 0.0 if refined is None else 100.0 * (refined.share or 0.0)
         self.bar.animated = refined is not None and not paused and refined.share is None
-        self.plot.show(state.trace, state.frame)
         self.timeline.draw(state)
         self.form.show(state.settings)
 
     def close(self) -> None:
-        """Stop playing and plotting."""
+        """Stop playing."""
         self.timeline.close()
-        self.plot.close()
-
-
-def unused(settings: Any) -> set[str]:
-    """Names of the settings without effect given the others: `config` refuses them."""
-    names: set[str] = set()
-    if settings.solver == "levenberg-marquardt":
-        names |= {"derivative", "neighborhood", "transport", "weights.joint_limits"}
-    else:
-        names |= {"width", "max_move", "seconds", "starts", "geometry_only", "weights.wrench"}
-        if not hasattr(getattr(settings, settings.derivative.replace("-", "_")), "neighborhood"):
-            names.add("neighborhood")
-    if settings.geometry_only:
-        names |= {"starts", "weights.wrench"}
-    if settings.weights.wrench == 0.0:
-        names.add("starts")
-    if settings.weights.stay_near == 0.0:
-        names.add("scales")
-    return names
 
 
 def job_text(state: State) -> str:
@@ -138,9 +121,7 @@ def outcome_text(outcome: Outcome) -> str:
     """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
     rows = (
-        ("contact error, mm", [millimetres(value) for value in outcome["contact_error"][0]]),
-        ("penetration, mm", [millimetres(value) for value in outcome["penetration"][0]]),
-        ("quality, 0 to 1", ["-" if np.isnan(value) else f"{value:.2f}" for value in outcome.quality[0]]),
+        (measure.headline, [measure_text(measure, value) for value in outcome[measure.key][0]]) for measure in COMPARED
     )
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
     count, seconds = int(outcome["iterations"][0]), float(outcome["wall_s"][0])

@@ -56,15 +56,5 @@ def numbers(state: State) -> str:
         return "Each iteration of a refinement can be shown here."
     if state.frame is None and state.job is None and not state.pose.same(trace.pose(k)):
         return "The hand was moved since: drag the timeline to see the refinement again."
-    error, depth = (millimetres(float(values[k])) for values in (trace.contact_error, trace.penetration))
     label = trace.label[k]
-    return f"**{label[:1].upper()}{label[1:]}**: contact error {error} mm, penetration {depth} mm"
-
-
-def millimetres(metres: float) -> str:
-    """A length in mm, without the unit; a dash where it is not known."""
-    if np.isnan(metres):
-        return "–"
-    if 0.0 < metres < 1e-6:
-        return "< 0.001"
-    return f"{1e3 * metres:.{3 if metres < 1e-4 else 2}f}"
+    return f"**{label[:1].upper()}{label[1:]}**: {trace.text(k)}"

@@ -1,10 +1,10 @@
-"""Widgets that users and states change at the same time, drawing at a limited rate, and buttons in a row."""
+"""Widgets that users and states change at the same time, and buttons in a row."""
 
 from __future__ import annotations
 
 from asyncio import TimerHandle
 from collections.abc import Callable, Sequence
-from threading import Lock, Timer
+from threading import Lock
 from time import monotonic
 from typing import Any
 
@@ -97,50 +97,6 @@ class LiveInput:
         # In this order: `_settle`, in another thread, must not take a value for known that it may still overwrite.
         self._until = monotonic() + HOLD_S
         self._known = self.handle.value
-
-
-class RateLimit:
-    """Rate limit of a drawing function, at most one call in a period: the newest arguments are never left out."""
-
-    def __init__(self, period: float, draw: Callable[..., None]) -> None:
-        """Limit `draw`, which is called with the arguments of this, never twice at once; `period` is in seconds."""
-        self._period, self._draw = period, draw
-        self._lock = Lock()
-        self._wanted: tuple[Any, ...] = ()
-        self._last = float("-inf")
-        self._timer: Timer | None = None
-        self._closed = False
-
-    def __call__(self, *wanted: Any) -> None:
-        """Draw these arguments, unless newer ones come first."""
-        with self._lock:
-            self._wanted = wanted
-            if self._timer is not None or self._closed:
-                return
-            wait = self._last + self._period - monotonic()
-            if wait <= 0:
-                self._now()
-                return
-            self._timer = Timer(wait, self._late)
-            self._timer.daemon = True
-            self._timer.start()
-
-    def close(self) -> None:
-        """Stop drawing."""
-        with self._lock:
-            self._closed = True
-            if self._timer is not None:
-                self._timer.cancel()
-
-    def _late(self) -> None:
-        with self._lock:
-            self._timer = None
-            if not self._closed:
-                self._now()
-
-    def _now(self) -> None:
-        self._last = monotonic()
-        self._draw(*self._wanted)
 
 
 def in_a_row(gui: viser.GuiApi, buttons: Sequence[viser.GuiButtonHandle]) -> None:
