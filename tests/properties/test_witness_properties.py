@@ -31,6 +31,7 @@ from grasp_refine.witness.rings import Neighbor
 from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
 from twists import FIELDS
 
+HALF = settings(max_examples=settings().max_examples // 2)
 FEWER = settings(max_examples=max(8, settings().max_examples // 3))
 
 CONVEX = {
@@ -186,12 +187,14 @@ def test_the_whole_world_moved_is_the_same_world(
     np.testing.assert_allclose(moved.distance, w.distance, rtol=0, atol=2 * meeting.tolerance(T_a, T_b))
 
 
+@HALF
 @given(meetings())
 def test_bodies_in_the_other_order_are_as_far_apart(meeting: Meeting) -> None:
     w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
     np.testing.assert_allclose(other.distance, w.distance, rtol=0, atol=2 * meeting.tolerance())
 
 
+@HALF
 @given(meetings(("ball", "capsule"), batch=6).filter(lambda meeting: meeting.a != meeting.b))
 def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) -> None:
     """Points of a ball and a capsule are unique while the centre of the ball is not on the axis of the capsule."""
@@ -207,6 +210,7 @@ def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) ->
 # the batch
 
 
+@HALF
 @given(meetings(batch=5), st.lists(st.integers(0, 4), min_size=1, max_size=7))
 def test_each_answer_is_the_one_that_it_has_alone(meeting: Meeting, rows: list[int]) -> None:
     """In any order, alone, and with others asked twice: bit for bit."""
