@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -234,21 +233,6 @@ def test_nothing_is_remembered_between_calls(first: Meeting, second: Meeting, se
         for name in ("distance", "point_a", "point_b", "normal", "status", "winner", "num_queries"):
             np.testing.assert_array_equal(getattr(again, name), getattr(one, name), err_msg=name)
             np.testing.assert_array_equal(getattr(new, name), getattr(one, name), err_msg=name)
-
-
-@FEWER
-@given(meetings(batch=6))
-@pytest.mark.skipif("native" not in engines(), reason="the Python engine has one thread")
-def test_the_number_of_threads_is_of_no_account(meeting: Meeting) -> None:
-    pairs = pairs_of(meeting.a, meeting.b, meeting.size, "native")
-    limit = np.full((60, 1), np.inf)
-    T_a, T_b = (np.ascontiguousarray(np.tile(T, (10, 1, 1, 1))) for T in (meeting.T_a, meeting.T_b))
-    expected = query(pairs, meeting.T_a, meeting.T_b)
-    for threads in (1, 2, 7):
-        found = Witness(*pairs.search.query(None, T_a, T_b, limit, None, threads))
-        for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
-            tiled = np.tile(getattr(expected, name), (10, *(1,) * (getattr(expected, name).ndim - 1)))
-            np.testing.assert_array_equal(getattr(found, name), tiled, err_msg=name)
 
 
 # gradients
