@@ -311,8 +311,7 @@ def loss_gradient(
     return np.concatenate([gradient_along_twists(T_root.grad.numpy(), T), joints.grad.numpy().T])
 
 
-@pytest.mark.parametrize("other", ["sphere", "hull"])
-@pytest.mark.parametrize("name", ["allegro", "shadow"])
+@pytest.mark.parametrize(("name", "other"), [("allegro", "sphere"), ("shadow", "hull")])
 def test_signed_distance_to_root_and_joints_end_to_end(name: str, other: str, request: pytest.FixtureRequest) -> None:
     hand = request.getfixturevalue(name)
     links = [contact.link for contact in hand.contacts]
