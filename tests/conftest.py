@@ -1,10 +1,14 @@
 """Fixtures that several tests share."""
 
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+# One thread, as the commands take: of two processes of tests on two cores, each would wait for the other's threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from readme import ROOT, TEXT
+from readme import ROOT
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -37,12 +37,3 @@ def test_it_cites_this_version() -> None:
     assert isinstance(CITATION["version"], str) and CITATION["version"] == PROJECT["version"]
     assert CITATION["license"] == PROJECT["license"]
     assert CITATION["keywords"] == PROJECT["keywords"]
-
-
-def test_the_paper_is_the_one_that_the_readme_names() -> None:
-    (paper,) = CITATION["references"]
-    assert paper["url"] in TEXT and paper["title"] in " ".join(TEXT.split())
-    names = ", ".join(author["family-names"] for author in paper["authors"])
-    assert names in " ".join(TEXT.split())
-    (identifier,) = paper["identifiers"]
-    assert identifier["value"].removeprefix("arXiv:") == paper["url"].rpartition("/")[2]

@@ -65,11 +65,10 @@ def contents(wheel: Path) -> set[str]:
         return {name for name in archive.namelist() if ".dist-info/" not in name}
 
 
-@pytest.fixture
-def source(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the sources: building in the checkout would leave files there."""
-    copy = tmp_path / "source"
-    copy.mkdir()
+    copy = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE", ".gitignore"):
         shutil.copy(ROOT / name, copy)
     for folder in PLACES:
@@ -77,8 +76,25 @@ def source(tmp_path: Path) -> Path:
     return copy
 
 
-def test_the_wheel_holds_both_packages_with_their_data(source: Path, tmp_path: Path):
-    wheel = build(source, "build_wheel", tmp_path / "wheel")
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel without the compiled engine."""
+    return build(source, "build_wheel", tmp_path_factory.mktemp("wheel") / "built")
+
+
+@pytest.fixture(scope="module")
+def checkout(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the sources to be installed as an editable."""
+    return shutil.copytree(source, tmp_path_factory.mktemp("checkout") / "source")
+
+
+@pytest.fixture(scope="module")
+def editable(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of an editable install of `checkout`."""
+    return build(checkout, "build_editable", tmp_path_factory.mktemp("editable") / "built")
+
+
+def test_the_wheel_holds_both_packages_with_their_data(source: Path, wheel: Path):
     assert wheel.name == "grasp_refine-0.1.0-py3-none-any.whl"
     assert contents(wheel) == wanted(source)
     typed = {f"{package}/py.typed" for package in ("grasp_refine", "grasp_refine_apps")}
@@ -88,8 +104,8 @@ def test_the_wheel_holds_both_packages_with_their_data(source: Path, tmp_path: P
     assert any(name.startswith("grasp_refine/robots/allegro/") for name in contents(wheel))
 
 
-def test_the_wheel_names_its_command_and_licence(source: Path, tmp_path: Path):
-    with zipfile.ZipFile(build(source, "build_wheel", tmp_path / "wheel")) as archive:
+def test_the_wheel_names_its_command_and_licence(wheel: Path):
+    with zipfile.ZipFile(wheel) as archive:
         info = {Path(name).name: name for name in archive.namelist() if ".dist-info/" in name}
         commands = archive.read(info["entry_points.txt"]).decode().replace(" ", "")
         assert "refine-grasp=grasp_refine_apps.cli:main" in commands
@@ -183,9 +199,9 @@ def test_a_checkout_is_imported_by_the_paths_of_pytest():
     assert imported(*MODULES, paths=paths) == in_checkout(ROOT) | {"version": "0+not.installed"}
 
 
-def test_an_installed_wheel_finds_its_folders(source: Path, tmp_path: Path):
+def test_an_installed_wheel_finds_its_folders(wheel: Path, tmp_path: Path):
     site = tmp_path / "site"
-    with zipfile.ZipFile(build(source, "build_wheel", tmp_path / "wheel")) as archive:
+    with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     assert imported(*MODULES, site=site) == {
         "version": "0.1.0",
@@ -194,33 +210,33 @@ def test_an_installed_wheel_finds_its_folders(source: Path, tmp_path: Path):
     }
 
 
-def test_an_editable_install_sees_the_checkout(source: Path, tmp_path: Path):
+def test_an_editable_install_sees_the_checkout(checkout: Path, editable: Path, tmp_path: Path):
     site = tmp_path / "site"
-    with zipfile.ZipFile(build(source, "build_editable", tmp_path / "wheel")) as archive:
+    with zipfile.ZipFile(editable) as archive:
         archive.extractall(site)
     later = {
-        "grasp_refine.added_later": source / "grasp_refine/added_later.py",
-        "grasp_refine.core.added_later": source / "grasp_refine/core/added_later.py",
-        "grasp_refine_apps.added_later.module": source / "apps/grasp_refine_apps/added_later/module.py",
+        "grasp_refine.added_later": checkout / "grasp_refine/added_later.py",
+        "grasp_refine.core.added_later": checkout / "grasp_refine/core/added_later.py",
+        "grasp_refine_apps.added_later.module": checkout / "apps/grasp_refine_apps/added_later/module.py",
     }
     for path in later.values():
         path.parent.mkdir(exist_ok=True)
         path.write_text("")
         (path.parent / "__init__.py").touch()
-    assert imported(*MODULES, *later, site=site) == in_checkout(source) | {
+    assert imported(*MODULES, *later, site=site) == in_checkout(checkout) | {
         "version": "0.1.0",
         **{name: str(path) for name, path in later.items()},
     }
 
 
-def test_an_editable_install_tells_checkers_of_types_two_folders(source: Path, tmp_path: Path):
+def test_an_editable_install_tells_checkers_of_types_two_folders(checkout: Path, editable: Path):
     """They read paths from the .pth file, and run no import hook. The parent of the checkout was among them."""
-    with zipfile.ZipFile(build(source, "build_editable", tmp_path / "wheel")) as archive:
+    with zipfile.ZipFile(editable) as archive:
         (listed,) = (archive.read(name).decode() for name in archive.namelist() if name.endswith(".pth"))
-        copied = [name for name in contents(Path(archive.filename)) if "/" in name]
+        copied = [name for name in contents(editable) if "/" in name]
     assert [line for line in listed.splitlines() if not line.startswith("import ")] == [
-        str(source),
-        str(source / "apps"),
+        str(checkout),
+        str(checkout / "apps"),
     ]
     assert copied == [], "a copy of data would go stale"
 

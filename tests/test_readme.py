@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import tomllib
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,12 +12,12 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hands.hand import HAND_TOML, load_hand
-from grasp_refine.results.verdict import HOLDS, should_hold
+from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.metrics import metrics
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
-from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, python_block, run_python, section
+from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, run_python, section
 
 BENCHES = ("bench align", "bench queries", "bench stability", "bench grasp", "bench hold", "bench --gate")
 
@@ -45,9 +44,7 @@ def test_the_example_of_the_layer_runs():
     assert gradient.isfinite().all() and gradient.abs().max() > 0
 
 
-def test_the_loss_of_ones_own_takes_fifteen_lines_and_is_minimised():
-    lines = [line for line in python_block("optimizer.step").splitlines() if line.strip()]
-    assert len([line for line in lines if not re.match(r"import |from ", line)]) == 15
+def test_the_loss_of_ones_own_is_minimised():
     witness = run_python("optimizer.step")["witness"]
     assert witness.distance.shape == (4, 4)
     assert (witness.distance - 0.002).abs().max() < 1e-3
@@ -69,9 +66,11 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     shutil.copy(resource_dir("robots") / "allegro" / "allegro.urdf", "my_hand.urdf")
     names: dict[str, object] = {}
     for block in facade_blocks():
-        exec(compile(block, "python.md", "exec"), names)
-    assert len(load_grasps("refined.npz")) == 16 and len(shown[0]) == 16
-    assert names["held"].all() and len(load_grasps("held.npz")) == 8 and len(load_grasps("two.npz")) == 2
+        # Three grasps show what sixteen do.
+        few = re.sub(r"(sample_grasps\(hand, \w+, )\d+", r"\g<1>3", block)
+        exec(compile(few, "python.md", "exec"), names)
+    assert len(load_grasps("refined.npz")) == 3 and len(shown[0]) == 3
+    assert names["held"].all() and len(load_grasps("held.npz")) == 3 and len(load_grasps("two.npz")) == 2
 
 
 PYTHON = ("refine(scene", "simulate(", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
@@ -148,13 +147,6 @@ def test_links_outside_the_site_lead_somewhere(page: str):
         assert not anchor or anchor in anchors(path.read_text(encoding="utf-8")), link
 
 
-def test_the_places_of_the_house_exist():
-    cells = re.findall(r"^\| `(.*?)` \|", section("docs/pages/developing.md", "The house"), re.MULTILINE)
-    assert len(cells) >= 15
-    for place in cells:
-        assert (ROOT / place).is_dir(), place
-
-
 def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
     for command in ("run", "batch", "validate", "view", "hands", "convert", "assets fetch", *BENCHES):
@@ -165,27 +157,6 @@ def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str
     elsewhere = {"--help", "--scheduler-file", "--nworkers", "--nthreads", "--parsable", "--wrap", "--strict", "--part"}
     assert {"--hand", "--transport", "--distance.coupling", "--preset"} <= named
     assert named - elsewhere <= known
-
-
-def test_the_quality_from_which_on_grasps_should_hold_is_told():
-    told = re.findall(r"(?:quality|from|\() ?(0\.\d{3}) (?:or more|on)", TEXT)
-    assert len(told) >= 3 and set(told) == {f"{HOLDS:.3f}"}
-
-
-@pytest.mark.parametrize(
-    ("heading", "bench"),
-    [
-        ("Alignment", "align"),
-        ("Queries", "queries"),
-        ("Grasps", "grasp"),
-        ("Stability", "stability"),
-    ],
-)
-def test_the_presets_of_the_benchmarks_are_listed(heading: str, bench: str):
-    presets = import_module(f"grasp_refine_apps.bench.{bench}.presets").PRESETS
-    table = section("docs/pages/benchmarks.md", heading).partition("\n| Preset |")[2].partition("\n\n")[0]
-    listed = re.findall(r"`([\w-]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
-    assert set(listed) == set(presets)
 
 
 def test_what_python_blocks_import_is_in_the_reference():

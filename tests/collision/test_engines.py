@@ -99,7 +99,7 @@ def assert_same_answers(found: Witness, other: Witness) -> None:
 def test_both_engines_give_the_same_answers_cold_and_warm(
     both: tuple[Pairs, Pairs], spread: float, cutoff: float
 ) -> None:
-    T_a, T_b = scattered(8, spread)
+    T_a, T_b = scattered(5, spread)
     previous = None
     for _ in range(3):
         found, other = (query(pairs, T_a, T_b, cutoff=cutoff, previous=previous) for pairs in both)

@@ -92,7 +92,7 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> str:
     return error
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_in_the_midst_of_a_decomposition(
     tmp_path: Path, start: Starter, ring: tuple[str | Path, ...], number: signal.Signals
 ):
@@ -126,7 +126,7 @@ Batch.step = endless
 """The command, whose first step of a simulation takes days, in C++ and without the GIL."""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGHUP])
 def test_in_the_midst_of_a_simulation(start: Starter, number: signal.Signals):
     """An interruption once waited for the end of what C++ had been told to simulate."""
     process = start(ENDLESS_SIMULATION, "run", "--object", "rounded_box", "--geometry-only", "--validate")

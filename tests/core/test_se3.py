@@ -1,7 +1,6 @@
 """Rotations and rigid transforms: closed forms at 0, near 0 and at pi, in NumPy and torch, with their gradients."""
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
 from grasp_refine.core import se3
@@ -23,12 +22,6 @@ def poses(count: int, seed: int = 2) -> np.ndarray:
     return T
 
 
-# exponential and logarithm
-
-
-# transforms
-
-
 def test_small_operations_match_numpy() -> None:
     a, b = np.random.default_rng(5).normal(size=(2, 4, 7, 3))
     np.testing.assert_allclose(se3.cross(a, b), np.cross(a, b), atol=1e-15)
@@ -38,25 +31,7 @@ def test_small_operations_match_numpy() -> None:
     np.testing.assert_allclose(se3.vee(symmetric + symmetric.T), 0.0, atol=1e-15)
 
 
-def test_inverse_and_points() -> None:
-    T, p = poses(6), np.random.default_rng(7).normal(size=(6, 3))
-    np.testing.assert_allclose(se3.inverse(T), np.linalg.inv(T), atol=1e-14)
-    homogeneous = np.concatenate([p, np.ones((6, 1))], axis=1)
-    np.testing.assert_allclose(se3.transform_points(T, p), np.einsum("nij,nj->ni", T, homogeneous)[:, :3], atol=1e-14)
-    np.testing.assert_array_equal(se3.transform(T[:, :3, :3], T[:, :3, 3]), T)
-
-
 # gradients as wrenches and twists
-
-
-def test_ambient_gradient_pairs_like_its_wrench() -> None:
-    rng = np.random.default_rng(11)
-    T, wrench, twist = poses(6), rng.normal(size=(6, 6)), rng.normal(size=(6, 6))
-    G = se3.ambient_gradient(T, wrench)
-    np.testing.assert_array_equal(G[:, 3], 0.0)
-    power = (G * (generators(twist) @ T)).sum((1, 2))
-    np.testing.assert_allclose(power, (wrench * twist).sum(1), atol=1e-13)
-    torch.testing.assert_close(torch.from_numpy(G), se3.ambient_gradient(torch.from_numpy(T), torch.from_numpy(wrench)))
 
 
 def test_body_gradient_has_half_the_derivative_along_body_rotations() -> None:
@@ -73,17 +48,6 @@ def test_body_gradient_of_a_wrench_is_that_wrench_seen_from_the_body() -> None:
     found = se3.body_gradient(T, se3.ambient_gradient(T, wrench))
     seen = se3.matvec(se3.adjoint(T).mT, wrench)
     np.testing.assert_allclose(found, seen * [1, 1, 1, 0.5, 0.5, 0.5], atol=1e-13)
-
-
-# quaternions
-
-
-def test_quaternions_are_w_first_and_match_scipy() -> None:
-    quarter = se3.quaternion_from_matrix(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])))
-    np.testing.assert_allclose(np.abs(quarter), [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-15)
-    turns = Rotation.random(50, random_state=14)
-    xyzw = turns.as_quat()
-    np.testing.assert_allclose(se3.matrix_from_quaternion(xyzw[:, [3, 0, 1, 2]]), turns.as_matrix(), atol=1e-14)
 
 
 def test_every_function_takes_any_batch_shape() -> None:

@@ -1,6 +1,7 @@
 """CoACD in its own process: what it is asked for, and what becomes of its failures."""
 
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,15 +17,23 @@ TUBE = trimesh.creation.annulus(0.2, 0.4, 0.5, sections=12)
 VERTICES, FACES = np.asarray(TUBE.vertices), np.asarray(TUBE.faces, dtype=np.int64)
 
 
-def test_parts_cover_the_mesh():
-    parts = decompose(VERTICES, FACES, Decomposition(mcts_iterations=60), single=True)
+QUICK = Decomposition(mcts_iterations=60)
+
+
+@pytest.fixture(scope="module")
+def parts() -> list[np.ndarray]:
+    """The tube, cut by one thread."""
+    return decompose(VERTICES, FACES, QUICK, single=True, threads=1)
+
+
+def test_parts_cover_the_mesh(parts):
     volume = sum(trimesh.convex.convex_hull(corners).volume for corners in parts)
     assert len(parts) > 3
     assert volume == pytest.approx(TUBE.volume, rel=0.1)
 
 
 def test_the_most_pieces_can_be_set():
-    assert len(decompose(VERTICES, FACES, Decomposition(max_pieces=3), single=True)) == 3
+    assert len(decompose(VERTICES, FACES, replace(QUICK, max_pieces=3), single=True)) == 3
 
 
 @pytest.mark.parametrize(
@@ -64,10 +73,9 @@ def test_an_abort_inside_coacd_is_an_error_here():
         convex_pieces(TUBE, config, name="tube")
 
 
-def test_the_number_of_threads_changes_nothing():
-    config = Decomposition(mcts_iterations=60)
-    one, two = (decompose(VERTICES, FACES, config, single=True, threads=threads) for threads in (1, 2))
-    assert [part.tobytes() for part in one] == [part.tobytes() for part in two]
+def test_the_number_of_threads_changes_nothing(parts):
+    two = decompose(VERTICES, FACES, QUICK, single=True, threads=2)
+    assert [part.tobytes() for part in parts] == [part.tobytes() for part in two]
 
 
 def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):

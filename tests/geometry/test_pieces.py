@@ -36,14 +36,39 @@ def pose(seed: int) -> np.ndarray:
     return T
 
 
-@pytest.fixture
-def bracket() -> trimesh.Trimesh:
+def l_shape() -> trimesh.Trimesh:
     """An L of two boxes: 4 x 4 x 2 cm less a quarter."""
     whole = trimesh.creation.box([4, 4, 2])
     quarter = trimesh.creation.box([4, 4, 4])
     quarter.apply_translation([2.5, 2.5, 0])
     mesh = trimesh.boolean.difference([whole, quarter])
     return mesh.apply_scale(0.01)
+
+
+@pytest.fixture
+def bracket() -> trimesh.Trimesh:
+    return l_shape()
+
+
+@pytest.fixture(scope="module")
+def parts() -> list[np.ndarray]:
+    """What CoACD cuts the bracket into, as it gives it."""
+    found, decompose = [], pieces_module.decompose
+
+    def record(*given, **options):
+        found.extend(decompose(*given, **options))
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pieces_module, "decompose", record)
+        convex_pieces(l_shape())
+    return found
+
+
+@pytest.fixture
+def known_cut(parts, monkeypatch):
+    """Whatever is cut becomes the parts of the bracket, without a search of half a second."""
+    monkeypatch.setattr(pieces_module, "decompose", lambda *_, **__: parts)
 
 
 def test_hull_keeps_the_corners_of_a_box_and_nothing_inside():
@@ -179,7 +204,7 @@ def same(one, other, scale=1.0):
         np.testing.assert_array_equal(a.faces, b.faces)
 
 
-def test_an_entry_serves_the_mesh_again_at_every_scale(bracket, tmp_path):
+def test_an_entry_serves_the_mesh_again_at_every_scale(bracket, known_cut, tmp_path):
     lines = []
     folder = tmp_path / "deep" / "pieces"
     first = convex_pieces(bracket, cache=folder, progress=lines.append)
@@ -192,7 +217,7 @@ def test_an_entry_serves_the_mesh_again_at_every_scale(bracket, tmp_path):
     assert [entry.suffix for entry in folder.iterdir()] == [".npz"]
 
 
-def test_other_settings_and_other_meshes_have_entries_of_their_own(bracket, tmp_path):
+def test_other_settings_and_other_meshes_have_entries_of_their_own(bracket, known_cut, tmp_path):
     convex_pieces(bracket, cache=tmp_path)
     convex_pieces(bracket, Decomposition(threshold=0.2), cache=tmp_path)
     bracket.vertices[0] += 1e-4
@@ -218,7 +243,7 @@ def broken_entries():
 
 
 @pytest.mark.parametrize("kind", [*broken_entries(), "cut short", "flipped byte"])
-def test_a_broken_entry_is_rebuilt(bracket, tmp_path, kind):
+def test_a_broken_entry_is_rebuilt(bracket, known_cut, tmp_path, kind):
     first = convex_pieces(bracket, cache=tmp_path)
     (entry,) = tmp_path.iterdir()
     good = entry.read_bytes()
@@ -250,7 +275,7 @@ def test_an_entry_that_fails_while_it_is_written_leaves_nothing_behind(tmp_path,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(bracket, tmp_path):
+def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(bracket, known_cut, tmp_path):
     (tmp_path / "file").write_text("in the way")
     lines = []
     assert convex_pieces(bracket, cache=tmp_path / "file" / "pieces", progress=lines.append)

@@ -10,7 +10,7 @@ import yourdfpy
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import HandError
-from grasp_refine.core.se3 import exp_se3, exp_so3, inverse, transform_points
+from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain, integrate
@@ -150,25 +150,6 @@ def test_links_that_only_the_root_moves(allegro: Hand) -> None:
 def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand, kinematics: type) -> None:
     with refused(HandError, "allegro", "knee", "base_link, ", "link_3.0_tip"):
         kinematics(allegro, ["base_link", "knee"])
-
-
-# steps of the root
-
-
-def test_the_root_moves_by_v_and_turns_by_w_about_its_origin() -> None:
-    rng = np.random.default_rng(3)
-    T, dx = exp_se3(rng.normal(size=(4, 6))), rng.normal(size=(4, 6))
-    after = integrate(T, dx)
-    np.testing.assert_allclose(after[:, :3, 3], T[:, :3, 3] + dx[:, :3], atol=1e-15)
-    np.testing.assert_allclose(after[:, :3, :3], exp_so3(dx[:, 3:]) @ T[:, :3, :3], atol=1e-14)
-    np.testing.assert_array_equal(after[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
-
-
-def test_rounding_of_the_rotation_does_not_accumulate() -> None:
-    rounded = exp_se3(np.random.default_rng(4).normal(size=(4, 6))).astype(np.float32).astype(float)
-    R = integrate(rounded, np.zeros((4, 6)))[:, :3, :3]
-    error = np.abs(R.swapaxes(-1, -2) @ R - np.eye(3)).max()
-    assert error < 1e-12 < np.abs(rounded[:, :3, :3].swapaxes(-1, -2) @ rounded[:, :3, :3] - np.eye(3)).max()
 
 
 # derivatives
@@ -330,8 +311,7 @@ def loss_gradient(
     return np.concatenate([gradient_along_twists(T_root.grad.numpy(), T), joints.grad.numpy().T])
 
 
-@pytest.mark.parametrize("other", ["sphere", "hull"])
-@pytest.mark.parametrize("name", ["allegro", "shadow"])
+@pytest.mark.parametrize(("name", "other"), [("allegro", "sphere"), ("shadow", "hull")])
 def test_signed_distance_to_root_and_joints_end_to_end(name: str, other: str, request: pytest.FixtureRequest) -> None:
     hand = request.getfixturevalue(name)
     links = [contact.link for contact in hand.contacts]

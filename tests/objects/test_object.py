@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from grasp_refine.core.errors import AssetError, MeshError
+from grasp_refine.geometry import pieces
 from grasp_refine.geometry.pieces import Decomposition
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.objects import object
@@ -158,13 +159,16 @@ def test_convex_bodies_in_one_file_are_the_pieces(tmp_path: Path, cache: Path):
     assert not cache.exists()
 
 
-def test_a_cavity_is_no_piece(tmp_path: Path, cache: Path):
+def test_a_cavity_is_no_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Both surfaces are convex, yet they are cut as one body: as pieces of their own the cavity would be solid."""
+    cut: list[np.ndarray] = []
+    monkeypatch.setattr(pieces, "decompose", lambda vertices, *_, **__: cut.append(vertices) or [vertices])
     shell = trimesh.creation.box(extents=(2, 2, 2))
     cavity = trimesh.creation.box(extents=(1, 1, 1))
     cavity.invert()
     trimesh.util.concatenate([shell, cavity]).export(tmp_path / "hollow.obj")
-    pieces = load_object(tmp_path / "hollow.obj", candidates=64, cache=cache).body.pieces
-    assert len(pieces) > 1
+    load_object(tmp_path / "hollow.obj", candidates=64, cache=None)
+    assert [len(vertices) for vertices in cut] == [16]
 
 
 def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -28,14 +29,23 @@ ALLEGRO = resource_dir("robots") / "allegro"
 QUICK = ("--geometry-only", "--index", "0")
 
 
-@pytest.fixture
-def result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A result on a box of millimetres that is called like one of ours."""
-    monkeypatch.chdir(tmp_path)
-    load_object("rounded_box").mesh.apply_scale(1000).export("mine.obj")
+@pytest.fixture(scope="module")
+def refined(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a box of millimetres that is called like one of ours, and a result on it."""
+    folder = tmp_path_factory.mktemp("refined")
+    load_object("rounded_box").mesh.apply_scale(1000).export(folder / "mine.obj")
     grasps = ALLEGRO / "example_rounded_box.npz"
     run = ["run", *QUICK, "--grasps", str(grasps), "--object", "mine.obj", "--unit", "mm", "--out", "out"]
-    assert main(run) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(run) == 0
+    return folder
+
+
+@pytest.fixture
+def result(refined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The result, in a copy of its folder, in which commands run."""
+    monkeypatch.chdir(shutil.copytree(refined, tmp_path, dirs_exist_ok=True))
     return tmp_path / "out" / "allegro_rounded_box.npz"
 
 

@@ -54,11 +54,12 @@ def test_steps_of_first_order_solvers_keep_rotations_orthonormal(dtype: str) -> 
     assert crooked(T[:, :3, :3].numpy()) < PRECISIONS[dtype][0]
 
 
+@pytest.mark.parametrize("count", [2000, pytest.param(LONG, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-def test_steps_of_levenberg_marquardt_keep_rotations_orthonormal(dtype: str) -> None:
+def test_steps_of_levenberg_marquardt_keep_rotations_orthonormal(dtype: str, count: int) -> None:
     steps = random_steps(8).astype(dtype)
     T = np.tile(np.eye(4, dtype=dtype), (8, 1, 1))
-    for i in range(LONG):
+    for i in range(count):
         T = integrate(T, steps[i % 100])
     assert T.dtype == dtype and crooked(T[:, :3, :3]) < PRECISIONS[dtype][0]
 
@@ -77,15 +78,16 @@ def test_a_helix_of_ten_turns_does_not_drift(count: int, dtype: str) -> None:
     np.testing.assert_allclose(T.double().numpy(), exp_se3(step.double().numpy() * count), atol=PRECISIONS[dtype][1])
 
 
+@pytest.mark.parametrize("count", [2000, pytest.param(LONG, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("solver", [Descent(), pytest.param(Adam(), marks=pytest.mark.slow)], ids=["descent", "adam"])
-def test_ten_thousand_steps_in_single_precision_leave_neither_rotations_nor_limits(solver: Descent | Adam) -> None:
+def test_steps_in_single_precision_leave_neither_rotations_nor_limits(solver: Descent | Adam, count: int) -> None:
     rng = np.random.default_rng(0)
     lower, upper = np.array([-0.5, 0.0, -3.0]), np.array([0.5, 0.01, 3.0])
     point = Point(np.tile(np.eye(4), (8, 1, 1)), np.zeros((8, 3)))
     gradients = rng.normal(size=(100, 8, 9)) * np.logspace(-12, 6, 8)[:, None]
     gradients[:, 7] = 0.0
     state = first_state(solver, point, np.arange(8) % 3)
-    for i in range(LONG):
+    for i in range(count):
         point, state = one_step(solver, point, gradients[i % 100], state, lower, upper, dtype=torch.float32)
         if i % 100 == 0:
             assert (point.q >= lower).all() and (point.q <= upper).all()

@@ -213,7 +213,7 @@ def test_one_step_of_a_grasp_is_the_one_that_it_takes_alone(
     """To 1e-9, alone and in any order; a whole run alone ends with the same status, and a loss that is as good."""
     scene = around(prepared.hand, prepared.object, 4, seed)
     scene = aimed(scene, seed) if plan == "targets" else scene
-    for iterations, whole_run in ((2, False), (25, True)):
+    for iterations, whole_run in ((2, False), (15, True)):
         config = PLANS[plan](iterations)
         whole = refine(scene, config, prepared=prepared)
         for rows in ([alone],) if whole_run else (order, [alone]):
@@ -235,7 +235,7 @@ def test_nothing_is_remembered_between_refinements(hand: Hand, ball: Object, see
     scene = around(hand, ball, 3, seed)
     scene = aimed(scene, seed) if plan == "targets" else scene
     shared = HandObject(hand, ball)
-    config = PLANS[plan](15)
+    config = PLANS[plan](10)
     expected = refine(scene, config, prepared=HandObject(hand, ball))
     for other in sorted(PLANS):
         between = around(hand, ball, 5, seed + 1)

@@ -23,7 +23,9 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
 
-FEWEST = settings(max_examples=max(5, settings().max_examples // 6))
+FEWER, FEWEST = (
+    settings(max_examples=max(least, settings().max_examples // part)) for least, part in ((12, 3), (5, 6))
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -261,6 +263,7 @@ def assert_same(found: Minimum, rows: np.ndarray, other: Minimum) -> None:
     np.testing.assert_array_equal(found.point.q, other.point.q[rows])
 
 
+@FEWER
 @given(hills, solvers, st.sampled_from([1, 2, 3]), seeds)
 def test_members_do_not_see_each_other(problem: Hills, options: dict[str, Any], width: int, seed: int) -> None:
     """Few at a time or all at once, alone or not, called again after something else: to the last bit."""
@@ -379,6 +382,7 @@ def test_limits_in_single_precision_lie_within_the_true_ones(lows: list[float], 
         np.testing.assert_array_equal(one.numpy(), other)
 
 
+@FEWER
 @given(hills, kinds, schedules, st.sampled_from(DTYPES), seeds)
 def test_descent_keeps_the_best_within_the_limits(
     problem: Hills, kind: Any, options: dict[str, Any], dtype: str, seed: int

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -31,6 +30,7 @@ from grasp_refine.witness.rings import Neighbor
 from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
 from twists import FIELDS
 
+HALF = settings(max_examples=settings().max_examples // 2)
 FEWER = settings(max_examples=max(8, settings().max_examples // 3))
 
 CONVEX = {
@@ -186,12 +186,14 @@ def test_the_whole_world_moved_is_the_same_world(
     np.testing.assert_allclose(moved.distance, w.distance, rtol=0, atol=2 * meeting.tolerance(T_a, T_b))
 
 
+@HALF
 @given(meetings())
 def test_bodies_in_the_other_order_are_as_far_apart(meeting: Meeting) -> None:
     w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
     np.testing.assert_allclose(other.distance, w.distance, rtol=0, atol=2 * meeting.tolerance())
 
 
+@HALF
 @given(meetings(("ball", "capsule"), batch=6).filter(lambda meeting: meeting.a != meeting.b))
 def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) -> None:
     """Points of a ball and a capsule are unique while the centre of the ball is not on the axis of the capsule."""
@@ -207,6 +209,7 @@ def test_bodies_in_the_other_order_touch_at_the_same_points(meeting: Meeting) ->
 # the batch
 
 
+@HALF
 @given(meetings(batch=5), st.lists(st.integers(0, 4), min_size=1, max_size=7))
 def test_each_answer_is_the_one_that_it_has_alone(meeting: Meeting, rows: list[int]) -> None:
     """In any order, alone, and with others asked twice: bit for bit."""
@@ -230,21 +233,6 @@ def test_nothing_is_remembered_between_calls(first: Meeting, second: Meeting, se
         for name in ("distance", "point_a", "point_b", "normal", "status", "winner", "num_queries"):
             np.testing.assert_array_equal(getattr(again, name), getattr(one, name), err_msg=name)
             np.testing.assert_array_equal(getattr(new, name), getattr(one, name), err_msg=name)
-
-
-@FEWER
-@given(meetings(batch=6))
-@pytest.mark.skipif("native" not in engines(), reason="the Python engine has one thread")
-def test_the_number_of_threads_is_of_no_account(meeting: Meeting) -> None:
-    pairs = pairs_of(meeting.a, meeting.b, meeting.size, "native")
-    limit = np.full((60, 1), np.inf)
-    T_a, T_b = (np.ascontiguousarray(np.tile(T, (10, 1, 1, 1))) for T in (meeting.T_a, meeting.T_b))
-    expected = query(pairs, meeting.T_a, meeting.T_b)
-    for threads in (1, 2, 7):
-        found = Witness(*pairs.search.query(None, T_a, T_b, limit, None, threads))
-        for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
-            tiled = np.tile(getattr(expected, name), (10, *(1,) * (getattr(expected, name).ndim - 1)))
-            np.testing.assert_array_equal(getattr(found, name), tiled, err_msg=name)
 
 
 # gradients

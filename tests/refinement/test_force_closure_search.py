@@ -19,7 +19,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-CONFIG = Config(starts=3)
+CONFIG, TWO_STARTS = Config(starts=3), Config(starts=2)
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +44,19 @@ def hard(scene: Scene) -> Scene:
 @pytest.fixture(scope="module")
 def held(hard: Scene, prepared: HandObject) -> Refinement:
     return refine(hard, CONFIG, prepared=prepared)
+
+
+@pytest.fixture(scope="module")
+def by_geometry(hard: Scene, prepared: HandObject) -> Refinement:
+    """The same with their contacts closed, whatever the forces."""
+    return refine(hard, replace(CONFIG, weights=replace(CONFIG.weights, wrench=0.0)), prepared=prepared)
+
+
+@pytest.fixture(scope="module")
+def told(hard: Scene, prepared: HandObject) -> tuple[Refinement, list[tuple[int, int, float]]]:
+    """The same from two starts, and what was told meanwhile."""
+    said: list[tuple[int, int, float]] = []
+    return refine(hard, TWO_STARTS, lambda *now: said.append(now), prepared=prepared), said
 
 
 def judged(scene: Scene, prepared: HandObject, T: np.ndarray, q: np.ndarray) -> Quality:
@@ -79,12 +92,11 @@ def test_quality_is_not_worse_than_before(scene: Scene, hard: Scene, held: Refin
 
 
 def test_forces_that_balance_are_never_worse_than_closed_contacts(
-    hard: Scene, held: Refinement, prepared: HandObject
+    hard: Scene, held: Refinement, by_geometry: Refinement, prepared: HandObject
 ) -> None:
     """The attempt by geometry alone is one of those of which the best counts."""
-    plain = refine(hard, replace(CONFIG, weights=replace(CONFIG.weights, wrench=0.0)), prepared=prepared)
-    by_geometry, by_forces = (judged(hard, prepared, found.T_world_root, found.q) for found in (plain, held))
-    assert (by_forces.score <= by_geometry.score + 1e-6).all() and (by_forces.score < by_geometry.score - 0.01).any()
+    closed, balanced = (judged(hard, prepared, found.T_world_root, found.q).score for found in (by_geometry, held))
+    assert (balanced <= closed + 1e-6).all() and (balanced < closed - 0.01).any()
 
 
 def test_what_holds_touches_and_penetrates_nothing(hard: Scene, held: Refinement, prepared: HandObject) -> None:
@@ -113,29 +125,26 @@ def test_good_grasps_are_not_tried_again(hard: Scene, held: Refinement, prepared
     assert (held.starts[score > GOOD_QUALITY] >= CONFIG.starts).all()
 
 
-def test_more_starts_are_never_worse(
-    hard: Scene, held: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_starts_are_never_worse(hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch) -> None:
     """None is good enough here, so that all are tried; the first starts are the same ones."""
     monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", -1.0)
     scores, starts = [], []
     two = rows(hard, [0, 2])
-    for count in (1, 3):
+    for count in (1, 2):
         found = refine(two, replace(CONFIG, starts=count), prepared=prepared)
         scores.append(judged(two, prepared, found.T_world_root, found.q).score)
         starts.append(found.starts)
     assert (scores[1] <= scores[0] + 1e-6).all()
-    np.testing.assert_array_equal(starts[1] - starts[0], 2)
+    np.testing.assert_array_equal(starts[1] - starts[0], 1)
 
 
 def test_a_grasp_that_is_good_at_once_takes_one_start(
-    hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
+    hard: Scene, by_geometry: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", np.inf)
     found = refine(hard, CONFIG, prepared=prepared)
     np.testing.assert_array_equal(found.starts, 1)
-    plain = refine(hard, replace(CONFIG, weights=replace(CONFIG.weights, wrench=0.0)), prepared=prepared)
-    np.testing.assert_allclose(found.q, plain.q, atol=0.05)
+    np.testing.assert_allclose(found.q, by_geometry.q, atol=0.05)
 
 
 def test_a_grasp_alone_is_the_same_grasp(
@@ -148,8 +157,8 @@ def test_a_grasp_alone_is_the_same_grasp(
     tried = int(np.argmax(together.starts))
     assert together.starts[tried] > 1 and together.starts.min() < together.starts.max()
     same(refine(rows(hard, [tried]), CONFIG, prepared=prepared), together, [0], [tried])
-    order = [2, 0, 3, 1]
-    same(refine(rows(hard, order), CONFIG, prepared=prepared), together, [0, 1, 2, 3], order)
+    order = [3, 0]
+    same(refine(rows(hard, order), CONFIG, prepared=prepared), together, [0, 1], order)
 
 
 def test_same_seed_same_result_and_another_seed_another(
@@ -172,31 +181,30 @@ def test_same_seed_same_result_and_another_seed_another(
 # budgets and ends
 
 
-def test_a_budget_of_time_ends_the_search(hard: Scene, prepared: HandObject) -> None:
+def test_a_budget_of_time_ends_the_search(hard: Scene, held: Refinement, prepared: HandObject) -> None:
     """At most one stage of few iterations is begun when there is hardly any time."""
-    free = refine(hard, replace(CONFIG, starts=6), prepared=prepared)
-    short = refine(hard, replace(CONFIG, starts=6, seconds=1e-6), prepared=prepared)
-    assert short.iterations.max() <= 6 < free.iterations.max()
+    short = refine(hard, replace(CONFIG, seconds=1e-6), prepared=prepared)
+    assert short.iterations.max() <= 6 < held.iterations.max()
     np.testing.assert_array_equal(short.starts, 1)
     assert np.isfinite(short.q).all() and np.isfinite(short.loss).all()
 
 
-def test_progress_is_told_and_counts_up(hard: Scene, prepared: HandObject) -> None:
-    said: list[tuple[int, int, float]] = []
-    found = refine(hard, replace(CONFIG, starts=2), lambda *now: said.append(now), prepared=prepared)
+def test_progress_is_told_and_counts_up(told: tuple[Refinement, list[tuple[int, int, float]]]) -> None:
+    found, said = told
     done, ticks, loss = (np.array(column) for column in zip(*said, strict=True))
     np.testing.assert_array_equal(ticks, np.arange(1, len(ticks) + 1))
     assert (np.diff(done) >= 0).all() and done[-1] <= 4 and np.isfinite(loss).all()
     assert (found.cpu_s > 0).all() and (found.wall_s > 0).all() and (found.queries >= found.iterations).all()
 
 
-def test_grasps_that_are_nowhere_near_or_nowhere_at_all_spoil_no_other(hard: Scene, prepared: HandObject) -> None:
-    config = replace(CONFIG, starts=2)
-    clean = refine(hard, config, prepared=prepared)
+def test_grasps_that_are_nowhere_near_or_nowhere_at_all_spoil_no_other(
+    hard: Scene, told: tuple[Refinement, list[tuple[int, int, float]]], prepared: HandObject
+) -> None:
+    clean, _ = told
     T, q = hard.T_world_root.copy(), hard.q.copy()
     T[1, 0, 3] += 1.0
     q[2, 4] = np.nan
-    found = refine(replace(hard, T_world_root=T, q=q), config, prepared=prepared)
+    found = refine(replace(hard, T_world_root=T, q=q), TWO_STARTS, prepared=prepared)
     assert found.status[1] == Status.NO_TARGET and found.status[2] == Status.NOT_FINITE
     np.testing.assert_array_equal(found.T_world_root[1], T[1])
     np.testing.assert_array_equal(found.q[1], q[1])

@@ -125,19 +125,6 @@ def test_each_member_has_its_own_phase_and_memory(solver: FirstOrder) -> None:
     np.testing.assert_allclose(state.memory[2:3], own.memory, rtol=1e-14)
 
 
-@both
-def test_joints_never_leave_their_limits(solver: FirstOrder) -> None:
-    solver, rng = replace(solver, step_joints=0.3), np.random.default_rng(6)
-    lower, upper = -np.ones(5), np.array([0.5, 1.0, 1.0, 1.0, np.inf])
-    point = Point(np.tile(np.eye(4), (8, 1, 1)), rng.uniform(-1, 0.5, (8, 5)))
-    state = first_state(solver, point)
-    for _ in range(300):
-        push = rng.normal(size=(8, 11)) + rng.choice([-3, 3], (8, 1))
-        point, state = one_step(solver, point, push, state, lower, upper)
-        assert (point.q >= lower).all() and (point.q <= upper).all()
-    assert (point.q == lower).any() and (point.q[:, :4] == upper[:4]).any()
-
-
 def test_a_joint_that_starts_beyond_a_limit_may_only_come_back() -> None:
     q = np.array([[1.5, -1.5], [1.5, -1.5]])
     point = Point(np.tile(np.eye(4), (2, 1, 1)), q)

@@ -269,17 +269,6 @@ def test_a_member_does_not_depend_on_who_else_is_there_nor_on_their_number(width
     assert len({*together.status}) > 1
 
 
-def test_a_member_alone_is_the_same_member() -> None:
-    a, start = np.linspace(-0.5, 0.5, 20), start_of(20, 3, spread=3.0)
-    solver = replace(SOLVER, restarts=4, iterations=120)
-    together = minimise(Waves(a), start, solver, 1e-16)
-    for m in (0, 7, 19):
-        status = np.full(20, Status.NO_TARGET)
-        status[m] = Status.RUNNING
-        alone = minimise(Waves(a), start, solver, 1e-16, status=status)
-        equal(alone, together, slice(m, m + 1), slice(m, m + 1))
-
-
 class Spoilt(Waves):
     """Some members have no loss at all, and some only in places."""
 
