@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
 from grasp_refine_apps.bench.align.bodies import Kind
-from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS, Preset
+from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.study import AlignStudy
-from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
+from grasp_refine_apps.bench.derivatives import NeighborhoodName
+from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers
 from grasp_refine_apps.report.command_line import flag
 
@@ -120,7 +121,7 @@ class BenchAlign:
         Raises:
             GraspRefineError: options that do not go together, or meshes that cannot be used.
         """
-        return run_benchmark("bench align", replace(self, json=None, html=None, overwrite=False), self, self.study())
+        return run_benchmark("bench align", self, self.study())
 
     def study(self) -> AlignStudy:
         """Return the study that the options define.
@@ -138,31 +139,13 @@ class BenchAlign:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
             )
-        preset = PRESETS[self.preset] if self.preset is not None else Preset(self._variants())
+        study = PRESETS[self.preset] if self.preset is not None else AlignStudy(self._variants())
         check_device(self.device, self.dtype)
-        if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
+        if self.seconds is not None and any(variant.solver != "descent" for variant in study.variants):
             raise GraspRefineError(
                 "--seconds is for descent only: levenberg-marquardt ends each task on its own, so give --budgets"
             )
-        budgets = preset.budgets if self.budgets is None else self.budgets
-        timed: list[dict[str, Any]] = (
-            [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
-        )
-        return AlignStudy(
-            variants=tuple(
-                dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
-            ),
-            meshes=self.meshes,
-            kinds=tuple(dict.fromkeys(self.kinds)),
-            classes=preset.classes if self.classes is None else tuple(dict.fromkeys(self.classes)),
-            pairs=preset.pairs if self.pairs is None else self.pairs,
-            targets=preset.targets if self.targets is None else self.targets,
-            seed=self.seed,
-            dtype=self.dtype,
-            device=self.device,
-            threads=self.threads,
-            workers=self.workers,
-        )
+        return replace(study, **given(self, AlignStudy))
 
     def _variants(self) -> tuple[Variant, ...]:
         """Return every combination of the compared options; options that a method ignores are not varied."""
@@ -176,7 +159,15 @@ class BenchAlign:
         if self.epsilon is not None and "patch" not in witnesses:
             raise GraspRefineError("--epsilon is for the patch witness only: leave it out, or give --witnesses patch")
         made = [
-            Variant(method, near, coupling, margin=margin, step_size=size)
+            Variant(
+                method,
+                near,
+                coupling,
+                transport=Variant.transport if self.transport is None else self.transport,
+                optimise=self.optimise or Variant.optimise,
+                margin=margin,
+                step_size=size,
+            )
             for method, near, coupling, margin, size in product(
                 self.methods or ("distance",),
                 self.neighborhoods or ("adaptive",),
@@ -185,12 +176,6 @@ class BenchAlign:
                 self.step_sizes or (Variant.step_size,),
             )
         ]
-        changes: dict[str, Any] = {}
-        if self.transport is not None:
-            changes["transport"] = self.transport
-        if self.optimise is not None:
-            changes["optimise"] = self.optimise
-        made = [replace(variant, **changes) for variant in made]
         by_solver = {
             "descent": made,
             "levenberg-marquardt": [Variant.least_squares(margin=m) for m in self.margins or (Variant.margin,)],

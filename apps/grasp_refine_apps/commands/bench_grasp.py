@@ -114,8 +114,7 @@ class BenchGrasp:
             GraspRefineError: options that do not go together, or grasps that cannot be used.
         """
         torch.set_num_threads(self.options.threads)
-        invoked = replace(self, options=replace(self.options, json=None, html=None, overwrite=False))
-        return run_benchmark("bench grasp", invoked, self.options, self.study())
+        return run_benchmark("bench grasp", self, self.study())
 
     def study(self) -> GraspStudy:
         """Return the study that the options define.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,8 +13,8 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
-from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy, Preset
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
+from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
@@ -75,17 +75,8 @@ class BenchHold:
         check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps without targets")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset()
         # The tensors of a batch of grasps are small.
         torch.set_num_threads(1)
-        study = HoldStudy(
-            self.inputs,
-            options.starts or preset.starts,
-            options.count if options.count is not None else preset.count,
-            tuple(dict.fromkeys(options.settings)),
-            width=options.width,
-            seed=options.seed,
-            threads=options.threads,
-        )
-        invoked = replace(self, options=replace(options, json=None, html=None, overwrite=False))
-        return run_benchmark("bench hold", invoked, options, study)
+        preset = PRESETS[options.preset] if options.preset is not None else {}
+        study = HoldStudy(self.inputs, **{**preset, **given(options, HoldStudy)})
+        return run_benchmark("bench hold", self, study)

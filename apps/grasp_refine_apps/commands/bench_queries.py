@@ -82,8 +82,7 @@ class BenchQueries:
         Raises:
             GraspRefineError: options that do not go together, or an engine or example that is not available.
         """
-        study = QueryStudy(self.preset_of(), self.measurement())
-        return run_benchmark("bench queries", replace(self, json=None, html=None, overwrite=False), self, study)
+        return run_benchmark("bench queries", self, QueryStudy(self.preset_of(), self.measurement()))
 
     def preset_of(self) -> Preset:
         """Return the experiment that the options define.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from tyro.conf import DisallowNone, arg
 
@@ -15,7 +15,7 @@ from grasp_refine_apps.bench.stability.cases import Engine as EngineName
 from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
 from grasp_refine_apps.commands.options import Overwrite, check_numbers
 
 PresetName = Literal["full", "quick", "smoke"]
@@ -86,8 +86,7 @@ class BenchStability:
         Raises:
             GraspRefineError: a number out of its range, or an engine that is not available.
         """
-        study = StabilityStudy(self.tasks(), self.seed, self.workers)
-        return run_benchmark("bench stability", replace(self, json=None, html=None, overwrite=False), self, study)
+        return run_benchmark("bench stability", self, StabilityStudy(self.tasks(), self.seed, self.workers))
 
     def tasks(self) -> tuple[Task, ...]:
         """Return the tasks that the options define.
@@ -99,11 +98,7 @@ class BenchStability:
         check_comparison(self, ())
         if self.diagonals is not None and min(self.diagonals) == 0:
             raise GraspRefineError("--diagonals must be above 0 metres, got 0")
-        chosen_options: dict[str, Any] = {
-            option.name: tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
-            for option in fields(Part)
-            if (value := getattr(self, option.name, None)) is not None
-        }
+        chosen_options = given(self, Part)
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
         measures = chosen_options.pop("measures", get_args(Measure))
         parts = [

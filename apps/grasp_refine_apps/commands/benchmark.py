@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -78,6 +78,15 @@ def check_comparison(options: Options, compared: Sequence[str]) -> None:
                 )
 
 
+def given(options: Options, study: type) -> dict[str, Any]:
+    """Return the options that are given, not None, and are fields of a class; each value of a tuple once."""
+    return {
+        field.name: tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
+        for field in fields(study)
+        if (value := getattr(options, field.name, None)) is not None
+    }
+
+
 def progress_bar(console: Console) -> Progress:
     """Make a bar that disappears at the end, and is shown only in a terminal."""
     return Progress(
@@ -92,19 +101,22 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def run_benchmark(command: str, invoked: Any, options: Options, study: Study) -> int:
+def run_benchmark(command: str, invoked: Any, study: Study) -> int:
     """Run a study, write and show its results, and return the exit code.
 
     Args:
         command: Words of the command, such as "bench align".
-        invoked: Dataclass of the command, for the invocation and the settings.
-        options: Its part with the options common to all benchmarks.
+        invoked: Dataclass of the command; it, or its field `options`, has the options common to all benchmarks.
         study: The study.
 
     Raises:
         GraspRefineError: files that cannot be written, or inputs that the study cannot use.
     """
     wall, cpu = time.perf_counter(), cpu_seconds()
+    options: Options = getattr(invoked, "options", invoked)
+    # Where results are written says nothing about them.
+    silent = replace(options, json=None, html=None, overwrite=False)
+    invoked = silent if invoked is options else replace(invoked, options=silent)
     files = [path for path in (options.json, options.html) if path is not None]
     check_writable(*files, overwrite=options.overwrite)
     with progress_bar(screen(stderr=True)) as bar:

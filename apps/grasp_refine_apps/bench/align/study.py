@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ class AlignStudy:
     """Settings of a run."""
 
     variants: tuple[Variant, ...]
-    """Variants to compare."""
+    """Variants to compare, at the largest budget."""
     meshes: Path | None = None
     """Folder of meshes; None: the embedded objects."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
@@ -35,6 +35,10 @@ class AlignStudy:
     """Pairs of bodies of each kind."""
     targets: int = 64
     """Accepted targets of each pair."""
+    budgets: tuple[int, ...] = (2000,)
+    """Budgets in iterations that every variant is run at; empty: each variant has its own."""
+    seconds: tuple[float, ...] = ()
+    """Budgets in CPU seconds instead."""
     seed: int = 0
     """Seed of pairs, tasks and samples."""
     dtype: str = "float64"
@@ -57,7 +61,7 @@ class AlignStudy:
             raise GraspRefineError("no pair has an accepted task: something else is always in the way")
         pairs, tasks = zip(*drawn, strict=True)
         found = alignments(
-            self.variants,
+            self.budgeted_variants(),
             pairs,
             tasks,
             seed=self.seed,
@@ -74,6 +78,12 @@ class AlignStudy:
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
         """Return error against time, swept settings, and tables pooled, by class of targets, and by pair."""
         return report.report(rows, f"{self.targets} targets a pair, seed {self.seed}")
+
+    def budgeted_variants(self) -> list[Variant]:
+        """Return each distinct variant at each of its budgets."""
+        budgets: list[dict[str, Any]] = [{"budget": None, "budget_s": s} for s in self.seconds]
+        budgets = budgets or [{"budget": n} for n in self.budgets] or [{}]
+        return list(dict.fromkeys(replace(variant, **budget) for variant in self.variants for budget in budgets))
 
     def _drawn(self, say: Callable[[str], None]) -> list[tuple[BodyPair, Tasks]]:
         """Draw the pairs of each kind, and the tasks of each pair."""

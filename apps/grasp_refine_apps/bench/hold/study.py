@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -20,22 +21,8 @@ from grasp_refine_apps.bench.hold.measure import Group, GroupResult, GroupTask, 
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Report, Table
 
-STARTS = (1, 6)
-"""Default numbers of starts."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """An experiment."""
-
-    starts: tuple[int, ...] = STARTS
-    """Numbers of starts."""
-    count: int | None = None
-    """Largest number of grasps on each object at each scale; None: all."""
-
-
-PRESETS: Mapping[str, Preset] = MappingProxyType({"smoke": Preset(starts=(1, 2), count=2)})
-"""Name -> experiment."""
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({"smoke": {"starts": (1, 2), "count": 2}})
+"""Name of an experiment -> its fields of `HoldStudy`."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +31,7 @@ class HoldStudy:
 
     spec: ProblemSpec
     """The grasps."""
-    starts: tuple[int, ...] = STARTS
+    starts: tuple[int, ...] = (1, 6)
     """Numbers of starts."""
     count: int | None = None
     """Largest number of grasps on each object at each scale; None: all."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,13 +14,10 @@ from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.levenberg_marquardt import (
-    TOLERANCE_M2,
-    AlignLevenbergMarquardt,
-    run_levenberg_marquardt,
-)
+from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE_M2, run_levenberg_marquardt
 from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
@@ -49,7 +44,7 @@ def errors_at(pair: BodyPair, tasks: Tasks, T_b: np.ndarray, margin: float) -> n
 def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, margin: float):
     tasks = accepted(pair, 12)
     before = errors_at(pair, tasks, tasks.T_world_b, margin)
-    result = run_levenberg_marquardt([pair], [tasks], AlignLevenbergMarquardt(margin, 200))
+    result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(margin=margin, budget=200))
     assert (result.error[tasks.reachable, 0] < 1e-8).mean() >= 0.8
     assert (result.error[:, 0] <= before).all()
     np.testing.assert_array_equal(result.last_error, result.error)
@@ -66,10 +61,8 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
 
 def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
     tasks = accepted(OTHER, 9)
-    solver = AlignLevenbergMarquardt(1e-3, 60)
-    runs = [
-        run_levenberg_marquardt([OTHER], [tasks], its).T_world_b for its in (solver, solver, replace(solver, seed=1))
-    ]
+    solver = Variant.least_squares(budget=60)
+    runs = [run_levenberg_marquardt([OTHER], [tasks], solver).T_world_b for _ in range(2)]
     np.testing.assert_array_equal(runs[0], runs[1])
     problems = [AlignProblem([OTHER], [tasks], 0.0, seed) for seed in (0, 1)]
     now = Point(tasks.T_world_b, np.zeros((len(tasks), 0)))
@@ -81,7 +74,7 @@ def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
 @pytest.mark.parametrize("pair", [PAIR, CONCAVE], ids=["convex", "concave"])
 def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
     tasks = accepted(pair, 9)
-    solver = AlignLevenbergMarquardt(1e-3, 60)
+    solver = Variant.least_squares(budget=60)
     together = run_levenberg_marquardt([OTHER, pair], [accepted(OTHER, 6), tasks], solver)
     for i in range(len(tasks)):
         alone = run_levenberg_marquardt([pair], [tasks.take(np.array([i]))], solver)
@@ -93,7 +86,7 @@ def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
 
 def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
     few = [accepted(PAIR, 6), accepted(OTHER, 6).take(np.arange(2))]
-    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, AlignLevenbergMarquardt(1e-3, 30))
+    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, Variant.least_squares(budget=30))
     assert result.error.shape == (len(few[0]), 2)
     assert (result.iterations[2:, 1] == 0).all() and (result.iterations[:2, 1] > 0).all()
     np.testing.assert_array_equal(result.error[2:4, 1], result.error[:2, 1])
@@ -102,8 +95,8 @@ def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
 def test_the_patch_solves_targets_on_faces():
     tasks = accepted(BOXES, 40, ("face-face",))
     plain, patch = (
-        run_levenberg_marquardt([BOXES], [tasks], AlignLevenbergMarquardt(1e-3, 200, witness))
-        for witness in (None, Patch(1e-5))
+        run_levenberg_marquardt([BOXES], [tasks], Variant.least_squares(budget=200, witness=witness, epsilon=1e-5))
+        for witness in ("plain", "patch")
     )
     pairs, poses = Pairs((BOXES.a,), (BOXES.b,)), (tasks.T_world_a, patch.T_world_b[:, 0])
     found = query(pairs, *(T[:, None] for T in poses)).reshape(-1)
@@ -148,5 +141,5 @@ def test_the_supporting_face_is_the_one_that_faces_outward_most():
 
 def test_progress_grows_to_one_at_most():
     shares: list[float] = []
-    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], AlignLevenbergMarquardt(1e-3, 60), progress=shares.append)
+    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], Variant.least_squares(budget=60), progress=shares.append)
     assert shares == sorted(shares) and 0.0 < shares[0] and shares[-1] <= 1.0
