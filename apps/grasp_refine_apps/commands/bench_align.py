@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
 from grasp_refine_apps.bench.derivatives import NeighborhoodName
 from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device, check_numbers
 from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -109,9 +109,9 @@ class BenchAlign:
     """Threads of torch in each process; more than one is slower for matrices this small."""
     workers: int = 1
     """Processes. CPU times are least disturbed with 1."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 

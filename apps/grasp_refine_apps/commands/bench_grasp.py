@@ -16,12 +16,13 @@ from grasp_refine.hands.hand import list_hands, needs_urdf
 from grasp_refine.pipeline.example import EXAMPLE_HAND
 from grasp_refine.pipeline.spec import AUTO, SAMPLE
 from grasp_refine.refinement.config import Config
-from grasp_refine_apps.bench.grasp.presets import PLACES, PRESETS, DerivativeName, Kind, Preset, SolverName, Variant
+from grasp_refine_apps.bench.grasp.presets import BATCHES, EVERY_HAND, PLACES, PRESETS
 from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Disturbance
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.bench.grasp.variants import DerivativeName, Kind, SolverName, Variant
+from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
 SetName = Literal[
@@ -30,8 +31,6 @@ SetName = Literal[
 
 COMPARED = ("tasks", "solvers", "derivatives", "budgets")
 """Options that choose the comparison; a preset excludes them."""
-BATCHES = (1, 16, 64, 256)
-"""Default batch sizes."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +88,9 @@ class Options:
     """Threads of torch in each process."""
     workers: int = 1
     """Processes. CPU times are least disturbed with 1."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times in ms."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with a plot of error over time to this file."""
     overwrite: Overwrite = False
 
@@ -127,24 +126,18 @@ class BenchGrasp:
         check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset(self._variants())
-        variants = preset.variants
+        study = PRESETS[options.preset] if options.preset is not None else GraspStudy(self._variants())
+        variants = study.variants
         if options.workers > 1 and any(variant.processes is not None for variant in variants):
             raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
         if options.batches is not None:
             variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
-        return GraspStudy(
-            self._sources(),
+        return replace(
+            study,
             variants=tuple(dict.fromkeys(variants)),
-            kinds=preset.kinds if options.tasks is None else tuple(dict.fromkeys(options.tasks)),
-            count=preset.count if options.count is None else options.count,
-            scenes=preset.scenes if options.scenes is None else options.scenes,
-            singles=preset.singles if options.singles is None else options.singles,
+            sources=self._sources(),
             disturbance=Disturbance(options.shift, options.turn, options.noise),
-            tolerance=options.tolerance,
-            seed=options.seed,
-            threads=options.threads,
-            workers=options.workers,
+            **given(options, GraspStudy),
         )
 
     def _variants(self) -> tuple[Variant, ...]:
@@ -175,7 +168,7 @@ class BenchGrasp:
             if not plain:
                 return ((inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", (inputs,)),)
             hands = [hand]
-            if options.preset is not None and PRESETS[options.preset].every_hand:
+            if options.preset in EVERY_HAND:
                 hands = [name for name in list_hands() if not needs_urdf(name)]
             return tuple(
                 (f"{name} examples", tuple(replace(inputs, hand=name, grasps=path) for path in _examples(name)))
@@ -187,7 +180,7 @@ class BenchGrasp:
                 "--object-name, --scale, --grasps and --index"
             )
         folder, found = options.assets, []
-        sampled = options.preset is not None and PRESETS[options.preset].every_hand
+        sampled = options.preset in EVERY_HAND
         usual = tuple(name for name, place in PLACES.items() if sampled or place.sampled is None)
         for name in dict.fromkeys(options.sets or usual):
             path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]

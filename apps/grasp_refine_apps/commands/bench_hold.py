@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
@@ -16,7 +15,7 @@ from grasp_refine.validation.protocol import SettingName
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
 from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
 
 PresetName = Literal["smoke"]
 
@@ -45,9 +44,9 @@ class Options:
     """CPU threads of the simulation; refinement uses one."""
     seed: int = 0
     """Random seed."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times in ms."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with a plot of success over time to this file."""
     overwrite: Overwrite = False
 

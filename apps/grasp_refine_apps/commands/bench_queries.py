@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.queries.cases import Kind, State, cases_of
 from grasp_refine_apps.bench.queries.measure import Measurement, MethodName
 from grasp_refine_apps.bench.queries.peers import PeerName
-from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS, Kind, Preset, State, cases_of
+from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS
 from grasp_refine_apps.bench.queries.study import QueryStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
@@ -70,9 +70,9 @@ class BenchQueries:
     """Number of grasps of each example: its own, then disturbed ones."""
     seed: int = 0
     """Seed of bodies, poses and solvers."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times of queries in us."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
@@ -82,20 +82,24 @@ class BenchQueries:
         Raises:
             GraspRefineError: options that do not go together, or an engine or example that is not available.
         """
-        return run_benchmark("bench queries", self, QueryStudy(self.preset_of(), self.measurement()))
+        return run_benchmark("bench queries", self, self.study())
 
-    def preset_of(self) -> Preset:
-        """Return the experiment that the options define.
+    def study(self) -> QueryStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: a number out of its range, or options that do not go together.
+            GraspRefineError: a number out of its range, options that do not go together, or an engine that is not
+                available.
         """
         check_numbers(self)
         check_comparison(self, COMPARED)
         for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
             if values and min(values) < least:
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
-        preset = PRESETS[self.preset] if self.preset is not None else DEFAULT
+        study = PRESETS[self.preset] if self.preset is not None else DEFAULT
+        names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
+        how = replace(study.measurement, **{**given(self, Measurement), "engines": names})
+        study = replace(study, measurement=how, **given(self, QueryStudy))
         custom = any(getattr(self, name) is not None for name in COMPARED)
         if custom:
             cases = cases_of(
@@ -105,34 +109,15 @@ class BenchQueries:
                 self.states or (MIXED.state,),
                 self.batches or BATCHES,
             )
-            preset = replace(preset, cases=cases)
-        shown = not custom if self.skips is None else self.skips
-        if self.count is not None:
-            preset = replace(preset, count=self.count)
-        if not shown:
+            study = replace(study, cases=cases)
+        if custom if self.skips is None else not self.skips:
             if any(getattr(self, name) is not None for name in ("hands", "objects", "count")):
                 raise GraspRefineError("--hands, --objects and --count are for skips: add --skips, or leave them out")
-            if not preset.cases:
+            if not study.cases:
                 raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
-            return replace(preset, examples=())
+            return replace(study, examples=())
         hands, objects = (
-            tuple(dict.fromkeys(names or (both[side] for both in preset.examples)))
+            tuple(dict.fromkeys(names or (both[side] for both in study.examples)))
             for side, names in enumerate((self.hands, self.objects))
         )
-        return replace(preset, examples=tuple(product(hands, objects)))
-
-    def measurement(self) -> Measurement:
-        """Return how cases are measured.
-
-        Raises:
-            GraspRefineError: as `preset_of`, or an engine that is not available.
-        """
-        preset = self.preset_of()
-        return Measurement(
-            engines=tuple(chosen(name) for name in dict.fromkeys(self.engines or engines())),
-            methods=tuple(dict.fromkeys(self.methods)),
-            peers=tuple(dict.fromkeys(self.peers)),
-            rounds=preset.rounds if self.rounds is None else self.rounds,
-            least_s=preset.least_s,
-            seed=self.seed,
-        )
+        return replace(study, examples=tuple(product(hands, objects)))

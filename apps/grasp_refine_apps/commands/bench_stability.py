@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from tyro.conf import DisallowNone, arg
@@ -16,7 +15,7 @@ from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
 from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
 
 PresetName = Literal["full", "quick", "smoke"]
 
@@ -74,9 +73,9 @@ class BenchStability:
     """Processes."""
     seed: int = 0
     """Seed of bodies and poses."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with heat maps to this file."""
     overwrite: Overwrite = False
 

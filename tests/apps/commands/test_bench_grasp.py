@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from command_line import refused
 from grasp_refine.assets.embedded import resource_dir
@@ -17,18 +15,10 @@ from grasp_refine_apps.bench.grasp.presets import PLACES
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
-pytestmark = pytest.mark.usefixtures("workplace")
+pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 BOX = ("bench", "grasp", "--object", "rounded_box")
 TINY = (*BOX, "--count", "2", "--batches", "2")
-
-
-@pytest.fixture(autouse=True)
-def threads() -> Iterator[None]:
-    """What a run sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def document(*arguments: str | Path) -> dict[str, Any]:

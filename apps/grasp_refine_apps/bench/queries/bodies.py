@@ -10,7 +10,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, hull
-from grasp_refine_apps.bench.queries.presets import Case
+from grasp_refine_apps.bench.queries.cases import Case
 
 HALF_AXES_M = (0.05, 0.03, 0.02)
 """Half axes in metres of the ellipsoid of a convex body."""
@@ -41,9 +41,13 @@ def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float,
         half: Half axes in metres.
         T: Its pose (4, 4) in the body.
     """
-    directions = rng.normal(size=(vertices, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return hull((directions * half) @ T[:3, :3].T + T[:3, 3])
+    return hull(points_on_ellipsoid(rng, vertices, half) @ T[:3, :3].T + T[:3, 3])
+
+
+def points_on_ellipsoid(rng: np.random.Generator, count: int, half: tuple[float, float, float]) -> np.ndarray:
+    """Draw points (count, 3) on an ellipsoid with these half axes, about the origin."""
+    directions = rng.normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True) * half
 
 
 def make_body(pieces: int, vertices: int, seed: int) -> Body:

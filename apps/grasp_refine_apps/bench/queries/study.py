@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -20,9 +20,9 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.queries.bodies import nearby
+from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import PEERS
-from grasp_refine_apps.bench.queries.presets import Preset
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
 from grasp_refine_apps.bench.timing import one_thread
 
@@ -53,9 +53,13 @@ stayed in the batch, and so on."""
 class QueryStudy:
     """Settings of a run."""
 
-    preset: Preset
-    """Cases, and grasps on which skips are shown."""
-    measurement: Measurement
+    cases: tuple[Case, ...] = ()
+    """Cases to measure."""
+    examples: tuple[tuple[str, str], ...] = ()
+    """Hands and objects whose example grasps show the savings of skips."""
+    count: int = 16
+    """Grasps of each example: its own, then disturbed ones."""
+    measurement: Measurement = field(default_factory=Measurement)
     """How cases are measured."""
     workers: int = 1
 
@@ -65,12 +69,12 @@ class QueryStudy:
         Raises:
             GraspRefineError: a hand or an object without an example.
         """
-        found = [self.measurement.job(case) for case in self.preset.cases]
-        for hand, obj in self.preset.examples:
+        found = [self.measurement.job(case) for case in self.cases]
+        for hand, obj in self.examples:
             (group,) = load_problem(
                 ProblemSpec(hand=hand, object=obj), seed=self.measurement.seed, on_message=say
             ).groups
-            scene = several(group.scene, self.preset.count, self.measurement.seed)
+            scene = several(group.scene, self.count, self.measurement.seed)
             work = partial(skips, f"{hand}, {obj}", scene, self.measurement.seed)
             found.append(Job(f"{hand}, {obj}", work, 4.0))
         return found

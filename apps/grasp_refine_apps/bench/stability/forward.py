@@ -10,12 +10,13 @@ import numpy as np
 import torch
 
 from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Forward, State, Task
-from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
+from grasp_refine_apps.bench.stability.judging import FAULTS, AnswerFaults, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import PosedBodies, PoseSampler, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 from grasp_refine_apps.bench.stability.second import MUJOCO_TOLERANCE, SecondOpinion
@@ -91,7 +92,7 @@ def _answers(pairs: Pairs, posed: Sequence[PosedBodies], way: Forward, translati
             parts.append(layer(*(torch.from_numpy(T.astype(np.float32)) for T in (T_a, T_b))).detached())
         else:
             parts.append(query(pairs, T_a, T_b))
-    return Witness(*(np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])))
+    return join(*parts)
 
 
 def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[PosedBodies], most: int) -> dict[str, Any]:
@@ -114,19 +115,15 @@ def _counted(cell: Cell, judged: Sequence[AnswerFaults], able: Sequence[PoseSamp
     def count(name: str) -> int:
         return sum(int(getattr(one, name).sum()) for one in judged)
 
+    counts: dict[str, Any] = {name: count(name) for name in (*FAULTS, "collapsed")}
     errors = np.concatenate([one.error for one in judged])
     shares = np.concatenate([one.error / one.tolerance for one in judged])
     points = np.concatenate([one.points_error for one in judged])
     compared = np.isfinite(errors).any()
     return replace(
         cell,
-        failed=count("failed"),
-        not_finite=count("not_finite"),
-        wrong_distance=count("wrong_distance"),
-        wrong_sign=count("wrong_sign"),
-        wrong_points=count("wrong_points"),
+        **counts,
         points_compared=count("compared"),
-        collapsed=count("collapsed"),
         error_max=float(np.nanmax(shares)) if compared else None,
         distance_error_max_m=float(np.nanmax(errors)) if compared else None,
         points_error_max=float(np.nanmax(points)) if compared else None,

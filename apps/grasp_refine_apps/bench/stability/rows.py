@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Literal
 
 from grasp_refine_apps.bench.chart import Row
@@ -11,18 +12,22 @@ from grasp_refine_apps.bench.stability.cases import DTYPES
 
 Measure = Literal["forward", "derivative"]
 
-WRONG = (
-    "failed",
-    "not_finite",
-    "wrong_distance",
-    "wrong_sign",
-    "wrong_points",
-    "derivative_not_finite",
-    "derivative_unbounded",
-    "derivative_wrong_sign",
-    "derivative_unscaled",
+FAULT_LABELS = MappingProxyType(
+    {
+        "failed": "no answer",
+        "not_finite": "not finite",
+        "wrong_distance": "wrong distance",
+        "wrong_sign": "wrong sign",
+        "wrong_points": "wrong points",
+        "derivative_not_finite": "derivative not finite",
+        "derivative_unbounded": "derivative unbounded",
+        "derivative_wrong_sign": "wrong derivative",
+        "derivative_unscaled": "derivative does not scale",
+    }
 )
-"""Counts that should be 0. A refusal is a fault of the input, and faults of MuJoCo are its own."""
+"""Count that should be 0 -> its label. A refusal is a fault of the input, and faults of MuJoCo are its own."""
+
+WRONG = tuple(FAULT_LABELS)
 
 
 @dataclass(frozen=True)

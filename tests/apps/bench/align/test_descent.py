@@ -29,12 +29,9 @@ N = 6
 
 
 @pytest.fixture(autouse=True)
-def one_thread():
+def one_thread(threads: None):
     """Small matrices are slower with more."""
-    before = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def accepted(pair: BodyPair, count: int = N, seed: int = 0) -> Tasks:

@@ -14,8 +14,12 @@ from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE_M2, run_levenberg_marquardt
-from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
+from grasp_refine_apps.bench.align.levenberg_marquardt import (
+    TOLERANCE_M2,
+    AlignProblem,
+    run_levenberg_marquardt,
+    supporting,
+)
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import transform_points
@@ -31,12 +30,7 @@ PAIRS = [
 VARIANTS = (Variant(budget=4), Variant("finite-difference", budget=3))
 
 
-@pytest.fixture(autouse=True)
-def threads():
-    """What a job sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("threads")
 
 
 @pytest.fixture(scope="module")
