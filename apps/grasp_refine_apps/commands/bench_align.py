@@ -16,8 +16,8 @@ from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
 from grasp_refine_apps.bench.derivatives import NeighborhoodName
-from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device, check_numbers
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device
 from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -29,12 +29,10 @@ VARIED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "ste
 """Options that vary descent."""
 DESCENT_ONLY = (*VARIED, "dtype", "device")
 """Options that only descent reads."""
-COMPARED = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
-"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
-class BenchAlign:
+class BenchAlign(BenchCommand):
     """Measure run time against error on the alignment task of arXiv 2511.06267.
 
     Two random bodies, a target contact point on each: body 2 moves by normalised gradient descent, or by
@@ -42,6 +40,9 @@ class BenchAlign:
     |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
     the options is run on the same tasks. Without options, the paper's method on the embedded objects.
     """
+
+    command = "bench align"
+    compared = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
     """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
@@ -115,22 +116,12 @@ class BenchAlign:
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
-
-        Raises:
-            GraspRefineError: options that do not go together, or meshes that cannot be used.
-        """
-        return run_benchmark("bench align", self, self.study())
-
     def study(self) -> AlignStudy:
         """Return the study that the options define.
 
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
-        check_numbers(self)
-        check_comparison(self, COMPARED)
         for name in ("seconds", "epsilon"):
             value = getattr(self, name)
             if 0.0 in (value if isinstance(value, tuple) else (value,)):

@@ -18,9 +18,8 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
-from grasp_refine_apps.bench.gate.baseline import BASELINE, Verdict, judged, load_baseline, updated
+from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judged, load_baseline, updated
 from grasp_refine_apps.bench.gate.measures import measure
-from grasp_refine_apps.bench.gate.ratios import Group
 from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.benchmark import progress_bar
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite

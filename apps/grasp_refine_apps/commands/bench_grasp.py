@@ -7,7 +7,6 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets.embedded import resource_dir
@@ -20,17 +19,14 @@ from grasp_refine_apps.bench.grasp.presets import BATCHES, EVERY_HAND, PLACES, P
 from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Disturbance
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, Kind, SolverName, Variant
-from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
 SetName = Literal[
     "bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube", "sampled_barrett", "sampled_robotiq"
 ]
-
-COMPARED = ("tasks", "solvers", "derivatives", "budgets")
-"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
@@ -96,24 +92,18 @@ class Options:
 
 
 @dataclass(frozen=True)
-class BenchGrasp:
+class BenchGrasp(BenchCommand):
     """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
 
     All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
     Levenberg-Marquardt on the embedded Allegro examples.
     """
 
+    command = "bench grasp"
+    compared = ("tasks", "solvers", "derivatives", "budgets")
+
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
-
-    def execute(self) -> int:
-        """Run the command and return its exit code.
-
-        Raises:
-            GraspRefineError: options that do not go together, or grasps that cannot be used.
-        """
-        torch.set_num_threads(self.options.threads)
-        return run_benchmark("bench grasp", self, self.study())
 
     def study(self) -> GraspStudy:
         """Return the study that the options define.
@@ -122,8 +112,6 @@ class BenchGrasp:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         options = self.options
-        check_numbers(options)
-        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
         study = PRESETS[options.preset] if options.preset is not None else GraspStudy(self._variants())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
@@ -13,14 +12,11 @@ from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 
 PresetName = Literal["smoke"]
-
-COMPARED = ("starts",)
-"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class BenchHold:
+class BenchHold(BenchCommand):
     """Measure how many grasps hold in simulation, against the CPU time of refinement.
 
     The methods are: grasps as given, with pregrasps and squeezes of our own, refined by geometry only, and refined for
@@ -60,22 +56,20 @@ class BenchHold:
     mug.
     """
 
+    command = "bench hold"
+    compared = ("starts",)
+
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
+    def study(self) -> HoldStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: options that do not go together, or grasps that cannot be used.
+            GraspRefineError: targets, which the study does not use.
         """
         options = self.options
-        check_numbers(options)
-        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps without targets")
-        # The tensors of a batch of grasps are small.
-        torch.set_num_threads(1)
         preset = PRESETS[options.preset] if options.preset is not None else {}
-        study = HoldStudy(self.inputs, **{**preset, **given(options, HoldStudy)})
-        return run_benchmark("bench hold", self, study)
+        return HoldStudy(self.inputs, **{**preset, **given(options, HoldStudy)})

@@ -15,24 +15,24 @@ from grasp_refine_apps.bench.queries.measure import Measurement, MethodName
 from grasp_refine_apps.bench.queries.peers import PeerName
 from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS
 from grasp_refine_apps.bench.queries.study import QueryStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
 
-COMPARED = ("kinds", "pieces", "vertices", "states", "batches")
-"""Options that choose the measured cases; a preset excludes them."""
-
 
 @dataclass(frozen=True)
-class BenchQueries:
+class BenchQueries(BenchCommand):
     """Measure the cost of a witness query, forward and backward, against coal and MuJoCo, and what skips save.
 
     A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative gives the
     motion of these points with both bodies. Bodies and poses are generated. The peers, timed in the same run, query
     every pair of pieces. Without options: batches, vertices, pieces and states, one varied at a time, in a few minutes.
     """
+
+    command = "bench queries"
+    compared = ("kinds", "pieces", "vertices", "states", "batches")
 
     preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
     """An experiment: full (every combination, half an hour), skips (only what skips save), smoke (in seconds)."""
@@ -76,14 +76,6 @@ class BenchQueries:
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
-
-        Raises:
-            GraspRefineError: options that do not go together, or an engine or example that is not available.
-        """
-        return run_benchmark("bench queries", self, self.study())
-
     def study(self) -> QueryStudy:
         """Return the study that the options define.
 
@@ -91,8 +83,6 @@ class BenchQueries:
             GraspRefineError: a number out of its range, options that do not go together, or an engine that is not
                 available.
         """
-        check_numbers(self)
-        check_comparison(self, COMPARED)
         for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
             if values and min(values) < least:
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
@@ -100,7 +90,7 @@ class BenchQueries:
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
         how = replace(study.measurement, **{**given(self, Measurement), "engines": names})
         study = replace(study, measurement=how, **given(self, QueryStudy))
-        custom = any(getattr(self, name) is not None for name in COMPARED)
+        custom = any(getattr(self, name) is not None for name in self.compared)
         if custom:
             cases = cases_of(
                 self.kinds or ("convex", "mixed", "concave"),

@@ -14,20 +14,22 @@ from grasp_refine_apps.bench.stability.cases import Engine as EngineName
 from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, given, run_benchmark
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_numbers
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 
 PresetName = Literal["full", "quick", "smoke"]
 
 
 @dataclass(frozen=True)
-class BenchStability:
+class BenchStability(BenchCommand):
     """Count wrong distances, witness points and derivatives of bodies of all kinds and sizes, in all states.
 
     Each distance is compared with one computed in another way, and is wrong beyond 1e-8 of the diagonal + 1e-12 m +
     1e-15 of the distance from the origin. The preset chooses the queries; each of the other options replaces its part
     of it. Exit code 1: something is wrong.
     """
+
+    command = "bench stability"
 
     preset: PresetName = "quick"
     """An experiment: full (more than a million queries, half an hour), quick (more than 20000, in half a minute),
@@ -79,13 +81,13 @@ class BenchStability:
     """Write a report with heat maps to this file."""
     overwrite: Overwrite = False
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
+    def study(self) -> StabilityStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: a number out of its range, or an engine that is not available.
+            GraspRefineError: as `tasks`.
         """
-        return run_benchmark("bench stability", self, StabilityStudy(self.tasks(), self.seed, self.workers))
+        return StabilityStudy(self.tasks(), self.seed, self.workers)
 
     def tasks(self) -> tuple[Task, ...]:
         """Return the tasks that the options define.
@@ -93,8 +95,6 @@ class BenchStability:
         Raises:
             GraspRefineError: a number out of its range, or an engine that is not available.
         """
-        check_numbers(self)
-        check_comparison(self, ())
         if self.diagonals is not None and min(self.diagonals) == 0:
             raise GraspRefineError("--diagonals must be above 0 metres, got 0")
         chosen_options = given(self, Part)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 import trimesh
 
-from command_line import call, refused
+from command_line import call, document, refused
 from grasp_refine_apps.bench.align import tasks
 from grasp_refine_apps.bench.align.presets import PRESETS
 from grasp_refine_apps.cli import main
@@ -35,13 +34,6 @@ def meshes(tmp_path: Path) -> Path:
     trimesh.creation.box((1, 2, 3)).export(folder / "box.stl")
     (folder / "broken.ply").write_text("no mesh")
     return folder
-
-
-def document(*arguments: str | Path) -> dict[str, Any]:
-    """What a run writes as JSON."""
-    Path("bench.json").unlink(missing_ok=True)
-    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
-    return json.loads(Path("bench.json").read_text())
 
 
 def timeless(entry: Any) -> Any:

@@ -25,14 +25,13 @@ from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.gate.ratios import Group
+from grasp_refine_apps.bench.gate.baseline import Group
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
 from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.jobs import part_of
-from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs
-from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, draw_poses, make_pairs
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import fresh_coal
 from grasp_refine_apps.bench.timing import REST, cpu_share, cpu_times, one_thread

@@ -8,6 +8,7 @@ from math import isfinite
 from types import MappingProxyType
 
 import numpy as np
+import torch
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.load import load_problem
@@ -78,6 +79,7 @@ class GraspStudy:
         Raises:
             GraspRefineError: a set cannot be used, or none has a task.
         """
+        torch.set_num_threads(self.threads)
         tasks = []
         for name, specs in self.sources:
             groups = self._load(specs, say)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import torch
 
 from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
@@ -51,6 +52,8 @@ class HoldStudy:
         Raises:
             GraspRefineError: the grasps cannot be used.
         """
+        # The tensors of a batch of grasps are small.
+        torch.set_num_threads(1)
         problem = load_problem(self.spec, seed=self.seed, on_message=say)
         model = model_of(problem.hand)
         stages = "file" in problem.closing().values()

@@ -21,8 +21,7 @@ from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs, nearby
-from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, draw_poses, make_pairs, nearby
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 

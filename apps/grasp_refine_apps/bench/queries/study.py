@@ -19,8 +19,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.queries.bodies import nearby
-from grasp_refine_apps.bench.queries.cases import Case
+from grasp_refine_apps.bench.queries.cases import Case, nearby
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import PEERS
 from grasp_refine_apps.bench.report import Column, Note, Report, Table

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, capsule, hull, sphere
-from grasp_refine_apps.bench.queries.bodies import make_body, points_on_ellipsoid
+from grasp_refine_apps.bench.queries.cases import make_body, points_on_ellipsoid
 from grasp_refine_apps.bench.stability.cases import KINDS, Kind
 
 Maker = Callable[[float], Sequence[Piece]]

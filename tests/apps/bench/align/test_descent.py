@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3, transform_points
+from alignment_errors import errors_at
+from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine_apps.bench.align import descent as module
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
@@ -42,14 +42,6 @@ def accepted(pair: BodyPair, count: int = N, seed: int = 0) -> Tasks:
 def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **options: object) -> AlignmentResult:
     """A run of one pair."""
     return align([pair], [accepted(pair) if tasks is None else tasks], variant, **options)
-
-
-def errors_at(pair: BodyPair, tasks: Tasks, T_a: np.ndarray, T_b: np.ndarray, margin: float) -> np.ndarray:
-    """|x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 (N,), written down again."""
-    found = query(Pairs((pair.a,), (pair.b,)), T_a[:, None], T_b[:, None])
-    miss_a = found.point_a[:, 0] - transform_points(T_a, tasks.target_a)
-    miss_b = found.point_b[:, 0] - transform_points(T_b, tasks.target_b)
-    return (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (found.distance[:, 0] - margin) ** 2
 
 
 def twist_gradients(pair: BodyPair, tasks: Tasks, margin: float) -> tuple[np.ndarray, np.ndarray]:
