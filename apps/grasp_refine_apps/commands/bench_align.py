@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
 from grasp_refine_apps.bench.derivatives import NeighborhoodName
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device, default
 from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -44,61 +44,47 @@ class BenchAlign(BenchCommand):
     command = "bench align"
     compared = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
     table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
     (levenberg-marquardt against descent), patch (plain against patch witness points, targets on two faces), smoke
     (under a minute)."""
-    meshes: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: embedded)")] = None
+    meshes: Annotated[DisallowNone[Path | None], default("embedded", metavar="DIR")] = None
     """Folder of meshes from which pairs are drawn."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
     """convex: hulls of the meshes; concave: their CoACD pieces (cached)."""
-    pairs: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 8, or the preset's)")] = None
+    pairs: Annotated[DisallowNone[int | None], default("8, or the preset's")] = None
     """Number of pairs of bodies of each kind."""
-    targets: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 64, or the preset's)")] = None
+    targets: Annotated[DisallowNone[int | None], default("64, or the preset's")] = None
     """Number of accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
-    classes: Annotated[
-        DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
-    ] = None
+    classes: Annotated[DisallowNone[tuple[Class, ...] | None], default("all but face-face")] = None
     """Features of body 1 and body 2 on which the targets lie. Face-face targets are counted separately."""
-    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: descent)")] = None
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("descent")] = None
     """Solver: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when its error is
     below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
     runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task."""
-    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
-        None
-    )
+    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("distance")] = None
     """Derivative of the witness points in descent."""
-    neighborhoods: Annotated[
-        DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
-    ] = None
+    neighborhoods: Annotated[DisallowNone[tuple[NeighborhoodName, ...] | None], default("adaptive")] = None
     """Samples used for smoothing."""
-    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], arg(help_behavior_hint="(default: one-sided)")] = (
-        None
-    )
+    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], default("one-sided")] = None
     """Coupling of the slips of both bodies; one-sided: the paper's equations."""
-    transport: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: on)")] = None
+    transport: Annotated[DisallowNone[bool | None], default("on")] = None
     """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
-    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], arg(help_behavior_hint="(default: T2)")] = None
+    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], default("T2")] = None
     """Bodies that move."""
-    margins: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 0.001)")] = None
+    margins: Annotated[DisallowNone[tuple[float, ...] | None], default("0.001")] = None
     """Contact margins in metres."""
-    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
+    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], default("10")] = None
     """Sizes s_r of the first steps; s_t = s_r / 1000."""
-    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], arg(help_behavior_hint="(default: plain)")] = (
-        None
-    )
+    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], default("plain")] = None
     """Witness points of the solver: plain, or patch, which takes, among all points within epsilon of the closest, those
     nearest to the targets, for targets on two faces. With patch, all rows are also evaluated by it."""
-    epsilon: Annotated[
-        DisallowNone[float | None], arg(metavar="METRES", help_behavior_hint=f"(default: {EPSILON:g} with patch)")
-    ] = None
+    epsilon: Annotated[DisallowNone[float | None], default(f"{EPSILON:g} with patch", metavar="METRES")] = None
     """Epsilon of the patch witness in metres."""
-    budgets: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
-    ] = None
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], default("2000, or the preset's")] = None
     """Budgets in iterations; several give a line in the plot of error against time."""
-    seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
+    seconds: Annotated[DisallowNone[tuple[float, ...] | None], default("none")] = None
     """Budgets in CPU seconds per pair, all its targets together, instead of iterations; for descent only."""
     seed: int = 0
     """Seed of pairs, targets, initial poses and samples."""

@@ -11,7 +11,7 @@ from typing import Annotated, get_args
 
 from rich import box
 from rich.table import Table
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
@@ -22,7 +22,7 @@ from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judg
 from grasp_refine_apps.bench.gate.measures import measure
 from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.benchmark import progress_bar
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 from grasp_refine_apps.report.screen import screen
 
 WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not available[/]"}
@@ -39,9 +39,7 @@ class BenchGate:
     grasps, the number of queries per grasp and of solved grasps. Exit code 1: a ratio is beyond its limit.
     """
 
-    baseline: Annotated[
-        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: the one that comes along)")
-    ] = None
+    baseline: Annotated[DisallowNone[Path | None], default("the one that comes along", metavar="FILE")] = None
     """Baseline to compare with."""
     update: OptionalFile = None
     """Compare with nothing, but write the ratios measured now as a new baseline; the entries of other collision engines

@@ -21,7 +21,7 @@ from grasp_refine_apps.bench.grasp.tasks import Disturbance
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, Kind, SolverName, Variant
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
 SetName = Literal[
@@ -33,46 +33,36 @@ SetName = Literal[
 class Options:
     """Options of the study."""
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
     256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
     contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
     per second with 1 and 2 processes), smoke (under a minute)."""
-    assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    assets: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
     """Folder with hands/, objects/ and grasps/normalised/, from which --sets choose, instead of --hand, --object and
     --grasps. Without any of these, the embedded Allegro examples."""
-    sets: Annotated[
-        DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all; sampled: of contacts only)")
-    ] = None
+    sets: Annotated[DisallowNone[tuple[SetName, ...] | None], default("all; sampled: of contacts only")] = None
     """Sets of grasps in the folder of assets; grasps of sampled sets are drawn."""
-    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], default("both")] = None
     """targets: true grasps, whose fingertips all touch, are disturbed and must return to their contact points; nothing:
     real grasps as given should touch and not penetrate."""
-    solvers: Annotated[
-        DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: levenberg-marquardt)")
-    ] = None
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("levenberg-marquardt")] = None
     """Solvers."""
-    derivatives: Annotated[
-        DisallowNone[tuple[DerivativeName, ...] | None], arg(help_behavior_hint="(default: contact-kinematics)")
-    ] = None
+    derivatives: Annotated[DisallowNone[tuple[DerivativeName, ...] | None], default("contact-kinematics")] = None
     """Derivatives of the witness points in descent and adam."""
-    budgets: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the solver's)")] = None
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], default("the solver's")] = None
     """Maximum iterations of a grasp; each budget is a separate run, a point in the plot of error over time."""
-    batches: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
-    ] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("1 16 64 256, or the preset's")] = None
     """Batch sizes; with 1, each grasp is a separate call. Times are means."""
-    count: Annotated[
-        DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
-    ] = None
+    count: Annotated[DisallowNone[int | None], default(f"{COUNT} with targets, else all; or the preset's")] = None
     """Number of tasks on each object at each scale."""
-    scenes: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    scenes: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Number of objects at one scale of each set, evenly chosen."""
-    singles: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 32, or the preset's)")] = None
+    singles: Annotated[DisallowNone[int | None], default("32, or the preset's")] = None
     """Number of tasks of a set that are run at batch 1, about evenly from all objects."""
     shift: float = Disturbance.translation
     """Disturbance: translation of the root in a random direction, metres."""
-    turn: Annotated[float, arg(help_behavior_hint="(default: 0.2618, which is 15 degrees)")] = Disturbance.rotation
+    turn: Annotated[float, default("0.2618, which is 15 degrees")] = Disturbance.rotation
     """Disturbance: rotation of the root about a random axis, radians."""
     noise: float = Disturbance.joints
     """Disturbance: standard deviation of the joint values, radians, clipped to the limits."""

@@ -14,7 +14,7 @@ from grasp_refine.validation.protocol import SettingName
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["smoke"]
 
@@ -23,20 +23,18 @@ PresetName = Literal["smoke"]
 class Options:
     """Options of the study."""
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: smoke (every method on two grasps, in seconds)."""
-    starts: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 6, or the preset's)")
-    ] = None
+    starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     settings: tuple[SettingName, ...] = ("force-closure", "strict")
     """Protocols of the simulation: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
     table)."""
-    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    count: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Maximum number of grasps on each object at each scale, the first ones."""
     width: int = Config.width
     """Maximum number of grasps refined at once."""
-    threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
+    threads: Annotated[DisallowNone[int | None], default("all")] = None
     """CPU threads of the simulation; refinement uses one."""
     seed: int = 0
     """Random seed."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
@@ -16,7 +16,7 @@ from grasp_refine_apps.bench.queries.peers import PeerName
 from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS
 from grasp_refine_apps.bench.queries.study import QueryStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
@@ -34,39 +34,35 @@ class BenchQueries(BenchCommand):
     command = "bench queries"
     compared = ("kinds", "pieces", "vertices", "states", "batches")
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: full (every combination, half an hour), skips (only what skips save), smoke (in seconds)."""
-    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: all)")] = None
+    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], default("all")] = None
     """convex: one piece against one; mixed: one against several, as a link against an object; concave: several against
     several. With any of these five options, all combinations of their values are measured; skips need --skips."""
-    pieces: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 16)")] = None
+    pieces: Annotated[DisallowNone[tuple[int, ...] | None], default("16")] = None
     """Number of convex pieces of each body that is not convex."""
-    vertices: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 32)")] = None
+    vertices: Annotated[DisallowNone[tuple[int, ...] | None], default("32")] = None
     """Number of vertices of each piece."""
-    states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: near)")] = None
+    states: Annotated[DisallowNone[tuple[State, ...] | None], default("near")] = None
     """far (200 mm apart), near (4 mm), touching, shallow (1 mm deep), deep (5 mm)."""
-    batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 256 1024)")] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("1 16 256 1024")] = None
     """Number of poses in one call."""
-    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
-        None
-    )
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("all there")] = None
     """Collision engines; the others are compared with the first."""
     methods: tuple[MethodName, ...] = Measurement.methods
     """Derivatives of the witness points."""
     peers: tuple[PeerName, ...] = Measurement.peers
     """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
     mujoco: mj_geomDistance."""
-    rounds: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 7, or the preset's)")] = None
+    rounds: Annotated[DisallowNone[int | None], default("7, or the preset's")] = None
     """Number of timings of each query; their median counts."""
-    skips: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: yes, see --kinds)")] = None
+    skips: Annotated[DisallowNone[bool | None], default("yes, see --kinds")] = None
     """Refine example grasps, and count the work that the program skips."""
-    hands: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: allegro shadow)")] = None
+    hands: Annotated[DisallowNone[tuple[str, ...] | None], default("allegro shadow")] = None
     """Hands whose example grasps show the savings by skipping."""
-    objects: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: mug rounded_box)")] = (
-        None
-    )
+    objects: Annotated[DisallowNone[tuple[str, ...] | None], default("mug rounded_box")] = None
     """Objects of these examples."""
-    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 16, or the preset's)")] = None
+    count: Annotated[DisallowNone[int | None], default("16, or the preset's")] = None
     """Number of grasps of each example: its own, then disturbed ones."""
     seed: int = 0
     """Seed of bodies, poses and solvers."""

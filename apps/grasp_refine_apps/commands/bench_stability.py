@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, get_args
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
@@ -15,7 +15,7 @@ from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["full", "quick", "smoke"]
 
@@ -34,42 +34,32 @@ class BenchStability(BenchCommand):
     preset: PresetName = "quick"
     """An experiment: full (more than a million queries, half an hour), quick (more than 20000, in half a minute),
     smoke (in seconds)."""
-    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], default("the preset's")] = None
     """Bodies: ball, box, needle, plate (1e-4 thin), hull1000 (1000 vertices), concave40 (40 pieces), boxes with
     duplicate or near-duplicate vertices, slivers."""
-    diagonals: Annotated[
-        DisallowNone[tuple[float, ...] | None], arg(metavar="METRES", help_behavior_hint="(default: the preset's)")
-    ] = None
+    diagonals: Annotated[DisallowNone[tuple[float, ...] | None], default("the preset's", metavar="METRES")] = None
     """Diagonals of the larger body, metres."""
-    states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    states: Annotated[DisallowNone[tuple[State, ...] | None], default("the preset's")] = None
     """Relative placements of the bodies: far (1000 diagonals), near, gap-1e-3 to gap-1e-12 (in diagonals), gap-1um,
     gap-1nm, contact, two features against each other, shallow, deep, total (one in the other), concentric."""
-    measures: Annotated[DisallowNone[tuple[Measure, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    measures: Annotated[DisallowNone[tuple[Measure, ...] | None], default("both")] = None
     """forward: distances and witness points; derivative: motion of the points."""
-    dtypes: Annotated[DisallowNone[tuple[DType, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    dtypes: Annotated[DisallowNone[tuple[DType, ...] | None], default("the preset's")] = None
     """Number types of poses. The first values of this and the next two options are combined; each other value is
     combined with the first of the others."""
-    batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("the preset's")] = None
     """Number of poses in one call."""
-    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
-        None
-    )
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("all there")] = None
     """Collision engines."""
-    translations: Annotated[
-        DisallowNone[tuple[float, ...] | None], arg(metavar="METRES", help_behavior_hint="(default: the preset's)")
-    ] = None
+    translations: Annotated[DisallowNone[tuple[float, ...] | None], default("the preset's", metavar="METRES")] = None
     """Distances of the bodies from the world origin in forward queries, metres."""
-    methods: Annotated[DisallowNone[tuple[Method, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = (
-        None
-    )
+    methods: Annotated[DisallowNone[tuple[Method, ...] | None], default("the preset's")] = None
     """Derivatives of the witness points."""
-    neighborhoods: Annotated[
-        DisallowNone[tuple[Neighborhood, ...] | None], arg(help_behavior_hint="(default: the preset's)")
-    ] = None
+    neighborhoods: Annotated[DisallowNone[tuple[Neighborhood, ...] | None], default("the preset's")] = None
     """Surface samples of the derivatives; only three of the methods use any."""
-    queries: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    queries: Annotated[DisallowNone[int | None], default("the preset's")] = None
     """Number of queries for each body, state, kind of call and translation."""
-    differentiated: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    differentiated: Annotated[DisallowNone[int | None], default("the preset's")] = None
     """Number of derivatives for each body, state and method."""
     workers: int = 1
     """Processes."""

@@ -56,7 +56,7 @@ class AlignStudy:
         Raises:
             GraspRefineError: the meshes cannot be used, or no task is accepted.
         """
-        drawn = [one for one in self._drawn(say) if _has_a_task(*one, say)]
+        drawn = self._drawn(say)
         if not drawn:
             raise GraspRefineError("no pair has an accepted task: something else is always in the way")
         pairs, tasks = zip(*drawn, strict=True)
@@ -86,18 +86,13 @@ class AlignStudy:
         return list(dict.fromkeys(replace(variant, **budget) for variant in self.variants for budget in budgets))
 
     def _drawn(self, say: Callable[[str], None]) -> list[tuple[BodyPair, Tasks]]:
-        """Draw the pairs of each kind, and the tasks of each pair."""
-        sources = mesh_sources(self.meshes)
-        return [
-            (pair, draw_tasks(pair, self.classes, self.targets, (self.seed, KINDS.index(kind), index)))
-            for kind in self.kinds
-            for index, pair in enumerate(draw_pairs(sources, kind, self.pairs, self.seed, say=say))
-        ]
-
-
-def _has_a_task(pair: BodyPair, tasks: Tasks, say: Callable[[str], None]) -> bool:
-    """Return True for a pair with an accepted task; the others are reported."""
-    if not tasks.accepted.any():
-        say(f"skipped: {pair.name}, none of its tasks is accepted")
-        return False
-    return True
+        """Draw the pairs of each kind and the tasks of each pair; pairs without an accepted one are only reported."""
+        sources, found = mesh_sources(self.meshes), []
+        for kind in self.kinds:
+            for index, pair in enumerate(draw_pairs(sources, kind, self.pairs, self.seed, say=say)):
+                tasks = draw_tasks(pair, self.classes, self.targets, (self.seed, KINDS.index(kind), index))
+                if tasks.accepted.any():
+                    found.append((pair, tasks))
+                else:
+                    say(f"skipped: {pair.name}, none of its tasks is accepted")
+        return found

@@ -12,19 +12,17 @@ import torch
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import chosen
-from grasp_refine.collision.query import query
 from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.forces.quality import quality
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
-from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
 from grasp_refine.refinement.refine import Refinement, refine
+from grasp_refine.results.verdict import HOLDS
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.metrics import metrics
 from grasp_refine_apps.bench.gate.baseline import Group
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
@@ -157,9 +155,10 @@ def forces(progress: Callable[[float], None]) -> dict[str, float]:
         found[name] = refine(scene, configs[name], prepared=prepared)
 
     times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, MIN_TIMED_S)
+    held = found["holding"]
     return {
         "holding": _median(times["holding"], times["geometry"]),
-        "good": float((_scores(scene, found["holding"]) <= GOOD_QUALITY).mean()),
+        "good": float((metrics(scene.hand, scene.object, held.T_world_root, held.q).quality >= HOLDS).mean()),
     }
 
 
@@ -177,15 +176,6 @@ def _tasks() -> Tasks:
     group = Tasks(OBJECT, 1.0, scene, np.arange(len(file)))
     (tasks,) = given_targets("gate", (group,), NUM_TASKS, Disturbance(), SEED)
     return tasks
-
-
-def _scores(scene: Scene, found: Refinement) -> np.ndarray:
-    """Return the penalty (N,) of the refined grasps."""
-    chain = Chain(scene.hand, scene.links)
-    frames = chain(found.T_world_root, found.q)
-    T = frames.T_world_link
-    witness = query(HandObject.of(scene).pairs, T, np.broadcast_to(np.eye(4), T.shape))
-    return quality(scene.hand, scene.object, chain, frames, witness).score
 
 
 def _median(times: Sequence[float] | np.ndarray, others: Sequence[float] | np.ndarray) -> float:

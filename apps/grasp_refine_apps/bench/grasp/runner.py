@@ -18,10 +18,7 @@ from grasp_refine_apps.bench.grasp.tasks import Tasks
 from grasp_refine_apps.bench.grasp.together import run_together
 from grasp_refine_apps.bench.grasp.variants import Kind, Variant
 from grasp_refine_apps.bench.jobs import Job, Progress, part_of
-from grasp_refine_apps.bench.timing import one_thread
-
-WARM_UP_ITERATIONS = 2
-"""Iterations, and number of grasps, of the run before the first measurement."""
+from grasp_refine_apps.bench.timing import one_thread, warmed_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +96,8 @@ class SetTask:
         torch.set_num_threads(self.threads)
         with one_thread():
             # Caches built once for a hand and an object are not timed.
-            prepared = [self._prepared(tasks) for tasks in self.tasks]
+            config = self.variant.config(self.seed, self.tolerance)
+            prepared = [warmed_up(tasks.scene, [config]) for tasks in self.tasks]
             ready()
             begin, total, finished, parts = time.perf_counter(), sum(map(len, self.tasks)), 0, []
             for tasks, its in zip(self.tasks, prepared, strict=True):
@@ -107,13 +105,6 @@ class SetTask:
                 finished += len(tasks)
             span = begin, time.perf_counter()
             return SetResult(self, tuple(part() for part in parts), span)
-
-    def _prepared(self, tasks: Tasks) -> HandObject:
-        """Prepare hand and object, warmed up."""
-        prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
-        short = replace(config, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
-        refine(tasks.take(slice(WARM_UP_ITERATIONS)).scene, short, prepared=prepared)
-        return prepared
 
     def _refined(
         self, tasks: Tasks, prepared: HandObject, progress: Callable[[float], None]

@@ -23,10 +23,7 @@ from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of
-from grasp_refine_apps.bench.timing import one_thread
-
-WARM_UP_ITERATIONS = 2
-"""Iterations, and number of grasps, of the run before the first measurement."""
+from grasp_refine_apps.bench.timing import one_thread, warmed_up
 
 MethodName = Literal["as-came", "own-stages", "geometry-only", "forces"]
 """Names of the methods in rows."""
@@ -112,21 +109,14 @@ class GroupTask:
                 name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
             }
             # Caches built once for a hand and an object are not timed.
-            prepared = HandObject.of(scene)
-            self._warm_up(prepared)
+            configs = (method.config(self.seed, self.width) for method in self.methods)
+            prepared = warmed_up(scene, [config for config in configs if config is not None])
+            closing_motion(scene.select(slice(1)), prepared)
             share = 1.0 / len(self.methods)
             return [
                 self._result(method, prepared, worlds, part_of(progress, number * share, share))
                 for number, method in enumerate(self.methods)
             ]
-
-    def _warm_up(self, prepared: HandObject) -> None:
-        few = self.scene.select(slice(WARM_UP_ITERATIONS))
-        for config in (method.config(self.seed, self.width) for method in self.methods):
-            if config is not None:
-                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
-                refine(few, short, prepared=prepared)
-        closing_motion(few, prepared)
 
     def _result(
         self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Progress

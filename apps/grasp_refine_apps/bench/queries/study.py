@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.chart import Axis, Chart, Row, group_rows
 from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.queries.cases import Case, nearby
 from grasp_refine_apps.bench.queries.measure import Measurement
@@ -30,6 +30,9 @@ PALM_DEVIATIONS = (0.005, 0.05)
 
 SWEPT = {"batch": "poses in a call", "vertices": "vertices of a piece", "pieces": "pieces of a body"}
 """Quantities with a chart where they vary -> their names."""
+
+CASE = tuple(case.name for case in fields(Case))
+"""Keys of a row that say its case."""
 
 MAX_PANELS = 4
 """Largest number of panels of a chart."""
@@ -171,11 +174,12 @@ def _two_digits(value: float) -> str:
 def _charts(rows: Sequence[Row]) -> Iterator[Chart]:
     """Chart times over each quantity that varies; a panel for all cases that differ only in it."""
     for axis, name in SWEPT.items():
-        fixed = [key for key in ("kind", "pieces", "vertices", "state", "batch") if key != axis]
-        panels: dict[str, list[Row]] = {}
-        for row in rows:
-            panels.setdefault(", ".join(f"{key} {row[key]}" for key in fixed), []).append(row)
-        swept = [key for key, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
+        fixed = [key for key in CASE if key != axis]
+        panels = {
+            ", ".join(f"{key} {value}" for key, value in zip(fixed, values, strict=True)): its
+            for values, its in group_rows(rows, fixed).items()
+        }
+        swept = [panel for panel, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
         points = [
             {"panel": panel, "line": line, axis: row[axis], "s": 1e-6 * time}
             for panel in swept
@@ -203,12 +207,9 @@ def _times(row: Row) -> Iterator[tuple[str, float | None]]:
 
 def _printed(rows: Sequence[Row]) -> Table:
     """Make a table with a line for each case: times of the first engine, and multiples of them of the others."""
-    cases: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        cases.setdefault(tuple(row[key] for key in ("kind", "pieces", "vertices", "state", "batch")), []).append(row)
     others = list(dict.fromkeys(row["by"] for row in rows if row["by"] != rows[0]["by"]))
     lines = []
-    for its in cases.values():
+    for its in group_rows(rows, CASE).values():
         cold, warm = (next(row for row in its if row["warm"] == which) for which in (False, True))
         ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
         per_pose = cold["queries_asked"] / cold["poses"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Literal
 
-from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.chart import Row, group_rows
 from grasp_refine_apps.bench.stability.cases import DTYPES
 
 Measure = Literal["forward", "derivative"]
@@ -125,14 +125,6 @@ def total(rows: Iterable[Row]) -> Row:
 def wrong(row: Row) -> int:
     """Number of faults in a cell; a query may have several."""
     return sum(row[name] for name in WRONG)
-
-
-def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
-    """Group rows by the values of the keys."""
-    found: dict[tuple[object, ...], list[Row]] = {}
-    for row in rows:
-        found.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return found
 
 
 def of_measure(rows: Iterable[Row], measure: str) -> list[Row]:

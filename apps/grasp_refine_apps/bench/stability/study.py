@@ -11,7 +11,7 @@ from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
-from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.chart import Row, group_rows
 from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.report import Column, Note, Report, Shade, Table
 from grasp_refine_apps.bench.stability.cases import DTYPES, ENGINES, KINDS, METHODS, NEIGHBORHOODS, STATES, Task
@@ -22,7 +22,6 @@ from grasp_refine_apps.bench.stability.rows import (
     WRONG,
     Cell,
     error_of,
-    group_rows,
     of_measure,
     total,
     worst,
