@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -45,3 +47,10 @@ def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     assert error.startswith("refine-grasp: error: ")
     assert set(Path().rglob("*")) == before, "bad input must leave no file"
     return error.removeprefix("refine-grasp: error: ").rstrip("\n")
+
+
+def document(*arguments: str | Path) -> dict[str, Any]:
+    """What a run writes as JSON."""
+    Path("bench.json").unlink(missing_ok=True)
+    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
+    return json.loads(Path("bench.json").read_text())

@@ -57,3 +57,13 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.setenv(variable, "1")  # what main would set, undone after the test
     return folder
+
+
+@pytest.fixture
+def threads() -> Iterator[None]:
+    """The number of threads of torch that a test sets is undone."""
+    import torch
+
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)

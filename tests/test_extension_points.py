@@ -23,7 +23,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
-from grasp_refine_apps.bench.grasp import presets as grasp_variants
+from grasp_refine_apps.bench.grasp import variants as grasp_variants
 from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.commands.settings import Settings, WeightsOptions
 from hands.test_robots import JOINTS, MAKERS

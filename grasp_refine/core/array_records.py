@@ -14,8 +14,8 @@ A dataclass may also hold texts, and tuples of values, shared by all items."""
 Item = TypeVar("Item", bound=Hashable)
 
 
-def take(rows: Batch, index: np.ndarray) -> Batch:
-    """The rows `index`, integers or a mask."""
+def take(rows: Batch, index: np.ndarray | slice) -> Batch:
+    """The rows `index`, integers, a mask or a slice."""
     return _map_arrays(lambda array: array[index], rows)
 
 

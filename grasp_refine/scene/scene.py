@@ -108,6 +108,12 @@ class Scene:
             sound &= ((np.abs(squared - 1.0) <= SKEWED) | np.isnan(self.direction).all(axis=-1)).all(axis=1)
         return sound
 
+    def select(self, rows: np.ndarray | slice) -> "Scene":
+        """Return the scene with the grasps `rows`, in that order."""
+        names = ("T_world_root", "q", *TARGET_FIELDS)
+        arrays: dict[str, Any] = {name: None if (its := getattr(self, name)) is None else its[rows] for name in names}
+        return replace(self, **arrays)
+
     def masked(self, rows: Bool[np.ndarray, " N"]) -> "Scene":
         """Return the scene with NaN for all numbers of the grasps where `rows` (N,) is False."""
         if rows.all():

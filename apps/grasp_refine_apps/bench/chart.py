@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -98,7 +98,11 @@ class Chart:
                     its = [one for one in self.rows if self.panel(one) == panel]
                     self._draw(grid[row, column], its, y, labels)
                     grid[row, column].set_title(panel, loc="left", fontsize=9, fontweight="bold")
-            handles = {label: handle for axes in grid.flat for handle, label in zip(*_legend(axes), strict=True)}
+            handles = {
+                label: handle
+                for axes in grid.flat
+                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+            }
             known = [label for label in labels if label in handles]
             figure.legend([handles[label] for label in known], known, loc="outside right upper")
             out = io.StringIO()
@@ -148,13 +152,17 @@ def entry(row: Row, key: str) -> Any:
     return found
 
 
+def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
+    """Group rows by the values of the keys."""
+    found: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return found
+
+
 def _drawable(value: float | None, axis: Axis) -> bool:
     """Return True where a number has a place on the axis."""
     return value is not None and bool(np.isfinite(value)) and (not axis.log or value > 0 or axis.least is not None)
-
-
-def _legend(axes: Axes) -> tuple[list[Any], list[str]]:
-    return axes.get_legend_handles_labels()
 
 
 def _set_ticks(axis: Any, its: Axis) -> None:

@@ -15,6 +15,11 @@ Progress = Callable[[float], None]
 """Called with the share of a job that is done."""
 
 
+def part_of(progress: Progress, before: float, size: float) -> Progress:
+    """Return the progress of a part of a job, which begins at the share `before` and is the share `size` of it."""
+    return lambda share: progress(before + size * share)
+
+
 @dataclass(frozen=True)
 class Job:
     """A piece of work for one process."""

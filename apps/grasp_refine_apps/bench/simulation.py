@@ -8,29 +8,28 @@ pair of pieces; with MuJoCo 4's own default, up to four, it takes about twice as
 """
 
 import argparse
-import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import torch
 from rich.console import Console
-from rich.table import Table
 
+from grasp_refine.core.json_files import save_json
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
-from grasp_refine.grasps.grasp_set import load_grasps, match_joints
-from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.objects.folders import find_object
-from grasp_refine.objects.object import load_object
+from grasp_refine.hands.hand import Hand
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.messages import unlogged
-from grasp_refine.validation.motion import Motion, closing_motion, motion_of
+from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
+from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.report import Column, Table
 
 
 def plain(world: World, motion: Motion) -> bool:
@@ -97,35 +96,35 @@ def main() -> None:
     parser.add_argument("--objects", type=Path, help="folder of meshes or of folders of convex pieces; else embedded")
     parser.add_argument("--count", type=int, default=5, help="largest number of grasps of each object and scale")
     parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    options = vars(parser.parse_args())
+    count, json = options.pop("count"), options.pop("json")
     torch.set_num_threads(1)
-    grasps = load_grasps(options.grasps)
-    hand = load_hand(options.hand, base_link=grasps.base_link, urdf=options.urdf, mjcf=options.mjcf)
-    hand = hand if options.mjcf is None else replace(hand, collision="mjcf")
-    table = Table("object", "scale", "grasps", "held", "compile s", "ours s", "peer s", "ratio", "agree")
-    rows = []
-    for name, scale in sorted(set(zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True))):
-        chosen = grasps.select(np.flatnonzero((grasps.object == name) & (grasps.scale == scale))[: options.count])
-        obj = load_object(find_object(name, options.objects) if options.objects else name, scale=scale)
-        scene = Scene(hand, obj, transform_from_pose(chosen.hand_pose), match_joints(chosen, hand)[0])
-        motion = motion_of(chosen, hand) if chosen.pregrasp and chosen.squeeze else closing_motion(scene)
-        rows.append({"object": name, "scale": scale, **measure(hand, scene, motion)})
-        row = rows[-1]
-        table.add_row(
-            name[:20],
-            f"{scale:g}",
-            *(str(row[key]) for key in ("grasps", "held")),
-            *(f"{row[key]:.3f}" for key in ("compile_s", "ours_s", "peer_s")),
-            f"{row['peer_s'] / row['ours_s']:.1f}",
-            f"{row['agree']}/{row['grasps']}",
-        )
+    problem = load_problem(ProblemSpec(**options))
+    rows: list[Row] = []
+    for group in problem.groups:
+        motion = group.motion().select(np.arange(len(group.rows))[:count])
+        found = measure(problem.hand, group.scene, motion)
+        rows.append({"object": group.object, "scale": group.scale, **found, "ratio": found["peer_s"] / found["ours_s"]})
     console = Console()
-    console.print(table)
+    console.print(Table("Validation of grasps", COLUMNS, rows).printed())
     total = sum(row["grasps"] for row in rows)
     ours, peer = (sum(row[key] * row["grasps"] for row in rows) / total for key in ("ours_s", "peer_s"))
     console.print(f"CPU per grasp: {ours:.3f} s, peer {peer:.3f} s, ratio {peer / ours:.2f}; {total} grasps")
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=1))
+    if json is not None:
+        save_json(json, rows)
+
+
+COLUMNS = (
+    Column("object", "object"),
+    Column("scale", "scale", form="g"),
+    Column("grasps", "grasps", form="d"),
+    Column("held", "held", form="d"),
+    Column("compile_s", "compile", "s", ".3f"),
+    Column("ours_s", "ours", "s", ".3f"),
+    Column("peer_s", "peer", "s", ".3f"),
+    Column("ratio", "ratio", form=".1f"),
+    Column("agree", "agree", form="d"),
+)
 
 
 if __name__ == "__main__":

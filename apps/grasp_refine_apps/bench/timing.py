@@ -7,6 +7,7 @@ import platform
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,9 +15,13 @@ import numpy as np
 
 from grasp_refine.collision.engine import why_not_native
 from grasp_refine.core.profiling import STAGES, Stage, Stopwatch
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
 
 WARM_UP_CALLS = 2
-"""Calls before the first measurement."""
+"""Calls before the first measurement; iterations and grasps of a refinement before it."""
 
 MAX_CALLS = 1000
 """Largest number of calls in a measurement."""
@@ -66,6 +71,15 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         native_search._available = before
+
+
+def warmed_up(scene: Scene, configs: Sequence[Config]) -> HandObject:
+    """Prepare hand and object, and refine a few grasps shortly, so that no later call builds caches or loads code."""
+    prepared, few = HandObject.of(scene), scene.select(slice(WARM_UP_CALLS))
+    for config in configs:
+        short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_CALLS))
+        refine(few, short, prepared=prepared)
+    return prepared
 
 
 def _timed(run: Callable[[], object], calls: int) -> float:

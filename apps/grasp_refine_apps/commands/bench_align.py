@@ -5,18 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
 from grasp_refine_apps.bench.align.bodies import Kind
-from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS, Preset
+from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.study import AlignStudy
-from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, SolverName, Variant, WitnessName
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_device, check_numbers
+from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
+from grasp_refine_apps.bench.derivatives import NeighborhoodName
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device, default
 from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -28,12 +29,10 @@ VARIED = ("methods", "neighborhoods", "couplings", "transport", "optimise", "ste
 """Options that vary descent."""
 DESCENT_ONLY = (*VARIED, "dtype", "device")
 """Options that only descent reads."""
-COMPARED = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
-"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
-class BenchAlign:
+class BenchAlign(BenchCommand):
     """Measure run time against error on the alignment task of arXiv 2511.06267.
 
     Two random bodies, a target contact point on each: body 2 moves by normalised gradient descent, or by
@@ -42,61 +41,50 @@ class BenchAlign:
     the options is run on the same tasks. Without options, the paper's method on the embedded objects.
     """
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    command = "bench align"
+    compared = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
+
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
     table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
     (levenberg-marquardt against descent), patch (plain against patch witness points, targets on two faces), smoke
     (under a minute)."""
-    meshes: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: embedded)")] = None
+    meshes: Annotated[DisallowNone[Path | None], default("embedded", metavar="DIR")] = None
     """Folder of meshes from which pairs are drawn."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
     """convex: hulls of the meshes; concave: their CoACD pieces (cached)."""
-    pairs: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 8, or the preset's)")] = None
+    pairs: Annotated[DisallowNone[int | None], default("8, or the preset's")] = None
     """Number of pairs of bodies of each kind."""
-    targets: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 64, or the preset's)")] = None
+    targets: Annotated[DisallowNone[int | None], default("64, or the preset's")] = None
     """Number of accepted targets of each pair. zeroth-order and finite-difference run an eighth of them."""
-    classes: Annotated[
-        DisallowNone[tuple[Class, ...] | None], arg(help_behavior_hint="(default: all but face-face)")
-    ] = None
+    classes: Annotated[DisallowNone[tuple[Class, ...] | None], default("all but face-face")] = None
     """Features of body 1 and body 2 on which the targets lie. Face-face targets are counted separately."""
-    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: descent)")] = None
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("descent")] = None
     """Solver: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when its error is
     below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
     runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task."""
-    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], arg(help_behavior_hint="(default: distance)")] = (
-        None
-    )
+    methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("distance")] = None
     """Derivative of the witness points in descent."""
-    neighborhoods: Annotated[
-        DisallowNone[tuple[NeighborhoodName, ...] | None], arg(help_behavior_hint="(default: adaptive)")
-    ] = None
+    neighborhoods: Annotated[DisallowNone[tuple[NeighborhoodName, ...] | None], default("adaptive")] = None
     """Samples used for smoothing."""
-    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], arg(help_behavior_hint="(default: one-sided)")] = (
-        None
-    )
+    couplings: Annotated[DisallowNone[tuple[Coupling, ...] | None], default("one-sided")] = None
     """Coupling of the slips of both bodies; one-sided: the paper's equations."""
-    transport: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: on)")] = None
+    transport: Annotated[DisallowNone[bool | None], default("on")] = None
     """Equivalent gradient transport: the gradient of body 1 acts through body 2."""
-    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], arg(help_behavior_hint="(default: T2)")] = None
+    optimise: Annotated[DisallowNone[Literal["T2", "T1T2"] | None], default("T2")] = None
     """Bodies that move."""
-    margins: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 0.001)")] = None
+    margins: Annotated[DisallowNone[tuple[float, ...] | None], default("0.001")] = None
     """Contact margins in metres."""
-    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: 10)")] = None
+    step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], default("10")] = None
     """Sizes s_r of the first steps; s_t = s_r / 1000."""
-    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], arg(help_behavior_hint="(default: plain)")] = (
-        None
-    )
+    witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], default("plain")] = None
     """Witness points of the solver: plain, or patch, which takes, among all points within epsilon of the closest, those
     nearest to the targets, for targets on two faces. With patch, all rows are also evaluated by it."""
-    epsilon: Annotated[
-        DisallowNone[float | None], arg(metavar="METRES", help_behavior_hint=f"(default: {EPSILON:g} with patch)")
-    ] = None
+    epsilon: Annotated[DisallowNone[float | None], default(f"{EPSILON:g} with patch", metavar="METRES")] = None
     """Epsilon of the patch witness in metres."""
-    budgets: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 2000, or the preset's)")
-    ] = None
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], default("2000, or the preset's")] = None
     """Budgets in iterations; several give a line in the plot of error against time."""
-    seconds: Annotated[DisallowNone[tuple[float, ...] | None], arg(help_behavior_hint="(default: none)")] = None
+    seconds: Annotated[DisallowNone[tuple[float, ...] | None], default("none")] = None
     """Budgets in CPU seconds per pair, all its targets together, instead of iterations; for descent only."""
     seed: int = 0
     """Seed of pairs, targets, initial poses and samples."""
@@ -108,19 +96,11 @@ class BenchAlign:
     """Threads of torch in each process; more than one is slower for matrices this small."""
     workers: int = 1
     """Processes. CPU times are least disturbed with 1."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
-
-    def execute(self) -> int:
-        """Run the command and return its exit code.
-
-        Raises:
-            GraspRefineError: options that do not go together, or meshes that cannot be used.
-        """
-        return run_benchmark("bench align", replace(self, json=None, html=None, overwrite=False), self, self.study())
 
     def study(self) -> AlignStudy:
         """Return the study that the options define.
@@ -128,8 +108,6 @@ class BenchAlign:
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
-        check_numbers(self)
-        check_comparison(self, COMPARED)
         for name in ("seconds", "epsilon"):
             value = getattr(self, name)
             if 0.0 in (value if isinstance(value, tuple) else (value,)):
@@ -138,31 +116,13 @@ class BenchAlign:
             raise GraspRefineError(
                 "--budgets and --seconds exclude each other: a budget is in iterations or in CPU seconds"
             )
-        preset = PRESETS[self.preset] if self.preset is not None else Preset(self._variants())
+        study = PRESETS[self.preset] if self.preset is not None else AlignStudy(self._variants())
         check_device(self.device, self.dtype)
-        if self.seconds is not None and any(variant.solver != "descent" for variant in preset.variants):
+        if self.seconds is not None and any(variant.solver != "descent" for variant in study.variants):
             raise GraspRefineError(
                 "--seconds is for descent only: levenberg-marquardt ends each task on its own, so give --budgets"
             )
-        budgets = preset.budgets if self.budgets is None else self.budgets
-        timed: list[dict[str, Any]] = (
-            [{"budget": None, "budget_s": s} for s in self.seconds or ()] or [{"budget": n} for n in budgets] or [{}]
-        )
-        return AlignStudy(
-            variants=tuple(
-                dict.fromkeys(replace(variant, **budget) for variant in preset.variants for budget in timed)
-            ),
-            meshes=self.meshes,
-            kinds=tuple(dict.fromkeys(self.kinds)),
-            classes=preset.classes if self.classes is None else tuple(dict.fromkeys(self.classes)),
-            pairs=preset.pairs if self.pairs is None else self.pairs,
-            targets=preset.targets if self.targets is None else self.targets,
-            seed=self.seed,
-            dtype=self.dtype,
-            device=self.device,
-            threads=self.threads,
-            workers=self.workers,
-        )
+        return replace(study, **given(self, AlignStudy))
 
     def _variants(self) -> tuple[Variant, ...]:
         """Return every combination of the compared options; options that a method ignores are not varied."""
@@ -176,7 +136,15 @@ class BenchAlign:
         if self.epsilon is not None and "patch" not in witnesses:
             raise GraspRefineError("--epsilon is for the patch witness only: leave it out, or give --witnesses patch")
         made = [
-            Variant(method, near, coupling, margin=margin, step_size=size)
+            Variant(
+                method,
+                near,
+                coupling,
+                transport=Variant.transport if self.transport is None else self.transport,
+                optimise=self.optimise or Variant.optimise,
+                margin=margin,
+                step_size=size,
+            )
             for method, near, coupling, margin, size in product(
                 self.methods or ("distance",),
                 self.neighborhoods or ("adaptive",),
@@ -185,12 +153,6 @@ class BenchAlign:
                 self.step_sizes or (Variant.step_size,),
             )
         ]
-        changes: dict[str, Any] = {}
-        if self.transport is not None:
-            changes["transport"] = self.transport
-        if self.optimise is not None:
-            changes["optimise"] = self.optimise
-        made = [replace(variant, **changes) for variant in made]
         by_solver = {
             "descent": made,
             "levenberg-marquardt": [Variant.least_squares(margin=m) for m in self.margins or (Variant.margin,)],

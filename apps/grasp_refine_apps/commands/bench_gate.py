@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, get_args
 
-from tyro.conf import DisallowNone, arg
+from rich import box
+from rich.table import Table
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
-from grasp_refine_apps.bench.gate.baseline import BASELINE, judged, load_baseline, updated
+from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judged, load_baseline, updated
 from grasp_refine_apps.bench.gate.measures import measure
-from grasp_refine_apps.bench.gate.ratios import Group
-from grasp_refine_apps.bench.gate.table import gate_table
 from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.benchmark import progress_bar
-from grasp_refine_apps.commands.options import Overwrite
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 from grasp_refine_apps.report.screen import screen
+
+WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not available[/]"}
 
 GOT_WORSE = 1
 """Exit code when a ratio got worse."""
@@ -35,14 +39,12 @@ class BenchGate:
     grasps, the number of queries per grasp and of solved grasps. Exit code 1: a ratio is beyond its limit.
     """
 
-    baseline: Annotated[
-        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: the one that comes along)")
-    ] = None
+    baseline: Annotated[DisallowNone[Path | None], default("the one that comes along", metavar="FILE")] = None
     """Baseline to compare with."""
-    update: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    update: OptionalFile = None
     """Compare with nothing, but write the ratios measured now as a new baseline; the entries of other collision engines
     in this file are kept."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all ratios to this file."""
     overwrite: Overwrite = False
 
@@ -56,16 +58,16 @@ class BenchGate:
         self._check()
         engine, console = chosen("auto"), screen()
         if self.update is not None:
-            with _Bar() as bar:
-                now = {name: value for group in get_args(Group) for name, value in bar.measured(group).items()}
+            with _progress() as measured:
+                now = {name: value for group in get_args(Group) for name, value in measured(group).items()}
             save_json(self.update, updated(self.update, engine, now, {"versions": versions(), "machine": machine()}))
             rows, worse, baseline = [{"name": name, "now": value} for name, value in now.items()], [], None
             message = f"wrote {len(rows)} ratios to {self.update}"
         else:
             baseline = self.baseline or BASELINE
             known = load_baseline(baseline, engine)
-            with _Bar() as bar:
-                verdicts = judged(known, bar.measured)
+            with _progress() as measured:
+                verdicts = judged(known, measured)
             console.print(gate_table(verdicts))
             rows, worse = [one.row() for one in verdicts], [one.ratio.name for one in verdicts if one.ok is False]
             message = f"worse than allowed: {', '.join(worse)}" if worse else "nothing is worse than allowed"
@@ -101,29 +103,44 @@ class BenchGate:
         check_writable(self.json, overwrite=self.overwrite)
 
 
-class _Bar:
-    """Progress bar over all groups."""
+@contextmanager
+def _progress() -> Iterator[Callable[[Group], dict[str, float]]]:
+    """Yield the function that measures the ratios of a group, with a progress bar over all groups."""
+    with progress_bar(screen(stderr=True)) as bar:
+        task = bar.add_task("loading", total=len(get_args(Group)))
+        begun: dict[Group, str] = {}
 
-    def __init__(self) -> None:
-        self._bar = progress_bar(screen(stderr=True))
-        self._begun: list[Group] = []
+        def measured(group: Group) -> dict[str, float]:
+            what = f"{group}, once more" if group in begun else group
+            begun[group] = what
 
-    def __enter__(self) -> _Bar:
-        self._bar.__enter__()
-        self._task = self._bar.add_task("loading", total=len(get_args(Group)))
-        return self
+            def progress(share: float) -> None:
+                bar.update(task, completed=len(begun) - 1 + share, description=what)
 
-    def __exit__(self, *error: Any) -> None:
-        self._bar.__exit__(*error)
+            progress(0.0)
+            return measure(group, progress)
 
-    def measured(self, group: Group) -> dict[str, float]:
-        """Measure the ratios of a group."""
-        again = group in self._begun
-        before, what = len(set(self._begun)) - again, f"{group}, once more" if again else group
-        self._begun.append(group)
+        yield measured
 
-        def progress(share: float) -> None:
-            self._bar.update(self._task, completed=before + share, description=what)
 
-        progress(0.0)
-        return measure(group, progress)
+def gate_table(verdicts: Sequence[Verdict]) -> Table:
+    """Make a table with a line for each ratio: now, before, the limit, and its meaning."""
+    table = Table("ratio", box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
+    for name in ("now", "before", "allowed"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("")
+    table.add_column("meaning")
+    for one in verdicts:
+        notes = " (measured twice)" if one.again else ""
+        if one.ok is False and one.ratio.own:
+            notes += ", or what it is compared with got faster"
+        bound = "" if one.known is None else f"{'≥' if one.ratio.higher else '≤'} {one.known.limit:.3g}"
+        table.add_row(
+            one.ratio.name,
+            "-" if one.now is None else f"{one.now:.3g}",
+            "-" if one.known is None else f"{one.known.value:.3g}",
+            bound,
+            WORDS[one.ok],
+            one.ratio.what + notes,
+        )
+    return table

@@ -7,7 +7,6 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.assets.embedded import resource_dir
@@ -16,68 +15,54 @@ from grasp_refine.hands.hand import list_hands, needs_urdf
 from grasp_refine.pipeline.example import EXAMPLE_HAND
 from grasp_refine.pipeline.spec import AUTO, SAMPLE
 from grasp_refine.refinement.config import Config
-from grasp_refine_apps.bench.grasp.presets import PLACES, PRESETS, DerivativeName, Kind, Preset, SolverName, Variant
+from grasp_refine_apps.bench.grasp.presets import BATCHES, EVERY_HAND, PLACES, PRESETS
 from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Disturbance
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.bench.grasp.variants import DerivativeName, Kind, SolverName, Variant
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
 SetName = Literal[
     "bodex_shadow", "dexgraspnet_shadow", "frogger_allegro", "leap_cube", "sampled_barrett", "sampled_robotiq"
 ]
 
-COMPARED = ("tasks", "solvers", "derivatives", "budgets")
-"""Options that choose the comparison; a preset excludes them."""
-BATCHES = (1, 16, 64, 256)
-"""Default batch sizes."""
-
 
 @dataclass(frozen=True)
 class Options:
     """Options of the study."""
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
     256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
     contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
     per second with 1 and 2 processes), smoke (under a minute)."""
-    assets: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    assets: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
     """Folder with hands/, objects/ and grasps/normalised/, from which --sets choose, instead of --hand, --object and
     --grasps. Without any of these, the embedded Allegro examples."""
-    sets: Annotated[
-        DisallowNone[tuple[SetName, ...] | None], arg(help_behavior_hint="(default: all; sampled: of contacts only)")
-    ] = None
+    sets: Annotated[DisallowNone[tuple[SetName, ...] | None], default("all; sampled: of contacts only")] = None
     """Sets of grasps in the folder of assets; grasps of sampled sets are drawn."""
-    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], default("both")] = None
     """targets: true grasps, whose fingertips all touch, are disturbed and must return to their contact points; nothing:
     real grasps as given should touch and not penetrate."""
-    solvers: Annotated[
-        DisallowNone[tuple[SolverName, ...] | None], arg(help_behavior_hint="(default: levenberg-marquardt)")
-    ] = None
+    solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("levenberg-marquardt")] = None
     """Solvers."""
-    derivatives: Annotated[
-        DisallowNone[tuple[DerivativeName, ...] | None], arg(help_behavior_hint="(default: contact-kinematics)")
-    ] = None
+    derivatives: Annotated[DisallowNone[tuple[DerivativeName, ...] | None], default("contact-kinematics")] = None
     """Derivatives of the witness points in descent and adam."""
-    budgets: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the solver's)")] = None
+    budgets: Annotated[DisallowNone[tuple[int, ...] | None], default("the solver's")] = None
     """Maximum iterations of a grasp; each budget is a separate run, a point in the plot of error over time."""
-    batches: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 64 256, or the preset's)")
-    ] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("1 16 64 256, or the preset's")] = None
     """Batch sizes; with 1, each grasp is a separate call. Times are means."""
-    count: Annotated[
-        DisallowNone[int | None], arg(help_behavior_hint=f"(default: {COUNT} with targets, else all; or the preset's)")
-    ] = None
+    count: Annotated[DisallowNone[int | None], default(f"{COUNT} with targets, else all; or the preset's")] = None
     """Number of tasks on each object at each scale."""
-    scenes: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    scenes: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Number of objects at one scale of each set, evenly chosen."""
-    singles: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 32, or the preset's)")] = None
+    singles: Annotated[DisallowNone[int | None], default("32, or the preset's")] = None
     """Number of tasks of a set that are run at batch 1, about evenly from all objects."""
     shift: float = Disturbance.translation
     """Disturbance: translation of the root in a random direction, metres."""
-    turn: Annotated[float, arg(help_behavior_hint="(default: 0.2618, which is 15 degrees)")] = Disturbance.rotation
+    turn: Annotated[float, default("0.2618, which is 15 degrees")] = Disturbance.rotation
     """Disturbance: rotation of the root about a random axis, radians."""
     noise: float = Disturbance.joints
     """Disturbance: standard deviation of the joint values, radians, clipped to the limits."""
@@ -89,33 +74,26 @@ class Options:
     """Threads of torch in each process."""
     workers: int = 1
     """Processes. CPU times are least disturbed with 1."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times in ms."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with a plot of error over time to this file."""
     overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
-class BenchGrasp:
+class BenchGrasp(BenchCommand):
     """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
 
     All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
     Levenberg-Marquardt on the embedded Allegro examples.
     """
 
+    command = "bench grasp"
+    compared = ("tasks", "solvers", "derivatives", "budgets")
+
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
-
-    def execute(self) -> int:
-        """Run the command and return its exit code.
-
-        Raises:
-            GraspRefineError: options that do not go together, or grasps that cannot be used.
-        """
-        torch.set_num_threads(self.options.threads)
-        invoked = replace(self, options=replace(self.options, json=None, html=None, overwrite=False))
-        return run_benchmark("bench grasp", invoked, self.options, self.study())
 
     def study(self) -> GraspStudy:
         """Return the study that the options define.
@@ -124,28 +102,20 @@ class BenchGrasp:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
         options = self.options
-        check_numbers(options)
-        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset(self._variants())
-        variants = preset.variants
+        study = PRESETS[options.preset] if options.preset is not None else GraspStudy(self._variants())
+        variants = study.variants
         if options.workers > 1 and any(variant.processes is not None for variant in variants):
             raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
         if options.batches is not None:
             variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
-        return GraspStudy(
-            self._sources(),
+        return replace(
+            study,
             variants=tuple(dict.fromkeys(variants)),
-            kinds=preset.kinds if options.tasks is None else tuple(dict.fromkeys(options.tasks)),
-            count=preset.count if options.count is None else options.count,
-            scenes=preset.scenes if options.scenes is None else options.scenes,
-            singles=preset.singles if options.singles is None else options.singles,
+            sources=self._sources(),
             disturbance=Disturbance(options.shift, options.turn, options.noise),
-            tolerance=options.tolerance,
-            seed=options.seed,
-            threads=options.threads,
-            workers=options.workers,
+            **given(options, GraspStudy),
         )
 
     def _variants(self) -> tuple[Variant, ...]:
@@ -176,7 +146,7 @@ class BenchGrasp:
             if not plain:
                 return ((inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", (inputs,)),)
             hands = [hand]
-            if options.preset is not None and PRESETS[options.preset].every_hand:
+            if options.preset in EVERY_HAND:
                 hands = [name for name in list_hands() if not needs_urdf(name)]
             return tuple(
                 (f"{name} examples", tuple(replace(inputs, hand=name, grasps=path) for path in _examples(name)))
@@ -188,7 +158,7 @@ class BenchGrasp:
                 "--object-name, --scale, --grasps and --index"
             )
         folder, found = options.assets, []
-        sampled = options.preset is not None and PRESETS[options.preset].every_hand
+        sampled = options.preset in EVERY_HAND
         usual = tuple(name for name, place in PLACES.items() if sampled or place.sampled is None)
         for name in dict.fromkeys(options.sets or usual):
             path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]

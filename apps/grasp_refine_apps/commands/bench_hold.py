@@ -2,58 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-import torch
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
-from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy, Preset
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
+from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["smoke"]
-
-COMPARED = ("starts",)
-"""Options that choose the comparison; a preset excludes them."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Options of the study."""
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: smoke (every method on two grasps, in seconds)."""
-    starts: Annotated[
-        DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 6, or the preset's)")
-    ] = None
+    starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     settings: tuple[SettingName, ...] = ("force-closure", "strict")
     """Protocols of the simulation: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
     table)."""
-    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all, or the preset's)")] = None
+    count: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Maximum number of grasps on each object at each scale, the first ones."""
     width: int = Config.width
     """Maximum number of grasps refined at once."""
-    threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
+    threads: Annotated[DisallowNone[int | None], default("all")] = None
     """CPU threads of the simulation; refinement uses one."""
     seed: int = 0
     """Random seed."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times in ms."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with a plot of success over time to this file."""
     overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
-class BenchHold:
+class BenchHold(BenchCommand):
     """Measure how many grasps hold in simulation, against the CPU time of refinement.
 
     The methods are: grasps as given, with pregrasps and squeezes of our own, refined by geometry only, and refined for
@@ -61,31 +54,20 @@ class BenchHold:
     mug.
     """
 
+    command = "bench hold"
+    compared = ("starts",)
+
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
+    def study(self) -> HoldStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: options that do not go together, or grasps that cannot be used.
+            GraspRefineError: targets, which the study does not use.
         """
         options = self.options
-        check_numbers(options)
-        check_comparison(options, COMPARED)
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps without targets")
-        preset = PRESETS[options.preset] if options.preset is not None else Preset()
-        # The tensors of a batch of grasps are small.
-        torch.set_num_threads(1)
-        study = HoldStudy(
-            self.inputs,
-            options.starts or preset.starts,
-            options.count if options.count is not None else preset.count,
-            tuple(dict.fromkeys(options.settings)),
-            width=options.width,
-            seed=options.seed,
-            threads=options.threads,
-        )
-        invoked = replace(self, options=replace(options, json=None, html=None, overwrite=False))
-        return run_benchmark("bench hold", invoked, options, study)
+        preset = PRESETS[options.preset] if options.preset is not None else {}
+        return HoldStudy(self.inputs, **{**preset, **given(options, HoldStudy)})

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.queries.cases import Kind, State, cases_of
 from grasp_refine_apps.bench.queries.measure import Measurement, MethodName
 from grasp_refine_apps.bench.queries.peers import PeerName
-from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS, Kind, Preset, State, cases_of
+from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS
 from grasp_refine_apps.bench.queries.study import QueryStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
 
-COMPARED = ("kinds", "pieces", "vertices", "states", "batches")
-"""Options that choose the measured cases; a preset excludes them."""
-
 
 @dataclass(frozen=True)
-class BenchQueries:
+class BenchQueries(BenchCommand):
     """Measure the cost of a witness query, forward and backward, against coal and MuJoCo, and what skips save.
 
     A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative gives the
@@ -34,70 +31,62 @@ class BenchQueries:
     every pair of pieces. Without options: batches, vertices, pieces and states, one varied at a time, in a few minutes.
     """
 
-    preset: Annotated[DisallowNone[PresetName | None], arg(help_behavior_hint="(default: none)")] = None
+    command = "bench queries"
+    compared = ("kinds", "pieces", "vertices", "states", "batches")
+
+    preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: full (every combination, half an hour), skips (only what skips save), smoke (in seconds)."""
-    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: all)")] = None
+    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], default("all")] = None
     """convex: one piece against one; mixed: one against several, as a link against an object; concave: several against
     several. With any of these five options, all combinations of their values are measured; skips need --skips."""
-    pieces: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 16)")] = None
+    pieces: Annotated[DisallowNone[tuple[int, ...] | None], default("16")] = None
     """Number of convex pieces of each body that is not convex."""
-    vertices: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 32)")] = None
+    vertices: Annotated[DisallowNone[tuple[int, ...] | None], default("32")] = None
     """Number of vertices of each piece."""
-    states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: near)")] = None
+    states: Annotated[DisallowNone[tuple[State, ...] | None], default("near")] = None
     """far (200 mm apart), near (4 mm), touching, shallow (1 mm deep), deep (5 mm)."""
-    batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: 1 16 256 1024)")] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("1 16 256 1024")] = None
     """Number of poses in one call."""
-    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
-        None
-    )
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("all there")] = None
     """Collision engines; the others are compared with the first."""
     methods: tuple[MethodName, ...] = Measurement.methods
     """Derivatives of the witness points."""
     peers: tuple[PeerName, ...] = Measurement.peers
     """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
     mujoco: mj_geomDistance."""
-    rounds: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 7, or the preset's)")] = None
+    rounds: Annotated[DisallowNone[int | None], default("7, or the preset's")] = None
     """Number of timings of each query; their median counts."""
-    skips: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: yes, see --kinds)")] = None
+    skips: Annotated[DisallowNone[bool | None], default("yes, see --kinds")] = None
     """Refine example grasps, and count the work that the program skips."""
-    hands: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: allegro shadow)")] = None
+    hands: Annotated[DisallowNone[tuple[str, ...] | None], default("allegro shadow")] = None
     """Hands whose example grasps show the savings by skipping."""
-    objects: Annotated[DisallowNone[tuple[str, ...] | None], arg(help_behavior_hint="(default: mug rounded_box)")] = (
-        None
-    )
+    objects: Annotated[DisallowNone[tuple[str, ...] | None], default("mug rounded_box")] = None
     """Objects of these examples."""
-    count: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: 16, or the preset's)")] = None
+    count: Annotated[DisallowNone[int | None], default("16, or the preset's")] = None
     """Number of grasps of each example: its own, then disturbed ones."""
     seed: int = 0
     """Seed of bodies, poses and solvers."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units, except times of queries in us."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with charts to this file."""
     overwrite: Overwrite = False
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
+    def study(self) -> QueryStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: options that do not go together, or an engine or example that is not available.
+            GraspRefineError: a number out of its range, options that do not go together, or an engine that is not
+                available.
         """
-        study = QueryStudy(self.preset_of(), self.measurement())
-        return run_benchmark("bench queries", replace(self, json=None, html=None, overwrite=False), self, study)
-
-    def preset_of(self) -> Preset:
-        """Return the experiment that the options define.
-
-        Raises:
-            GraspRefineError: a number out of its range, or options that do not go together.
-        """
-        check_numbers(self)
-        check_comparison(self, COMPARED)
         for name, values, least in (("pieces", self.pieces, 2), ("vertices", self.vertices, 4)):
             if values and min(values) < least:
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
-        preset = PRESETS[self.preset] if self.preset is not None else DEFAULT
-        custom = any(getattr(self, name) is not None for name in COMPARED)
+        study = PRESETS[self.preset] if self.preset is not None else DEFAULT
+        names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
+        how = replace(study.measurement, **{**given(self, Measurement), "engines": names})
+        study = replace(study, measurement=how, **given(self, QueryStudy))
+        custom = any(getattr(self, name) is not None for name in self.compared)
         if custom:
             cases = cases_of(
                 self.kinds or ("convex", "mixed", "concave"),
@@ -106,34 +95,15 @@ class BenchQueries:
                 self.states or (MIXED.state,),
                 self.batches or BATCHES,
             )
-            preset = replace(preset, cases=cases)
-        shown = not custom if self.skips is None else self.skips
-        if self.count is not None:
-            preset = replace(preset, count=self.count)
-        if not shown:
+            study = replace(study, cases=cases)
+        if custom if self.skips is None else not self.skips:
             if any(getattr(self, name) is not None for name in ("hands", "objects", "count")):
                 raise GraspRefineError("--hands, --objects and --count are for skips: add --skips, or leave them out")
-            if not preset.cases:
+            if not study.cases:
                 raise GraspRefineError("--preset skips --no-skips: nothing is left to measure")
-            return replace(preset, examples=())
+            return replace(study, examples=())
         hands, objects = (
-            tuple(dict.fromkeys(names or (both[side] for both in preset.examples)))
+            tuple(dict.fromkeys(names or (both[side] for both in study.examples)))
             for side, names in enumerate((self.hands, self.objects))
         )
-        return replace(preset, examples=tuple(product(hands, objects)))
-
-    def measurement(self) -> Measurement:
-        """Return how cases are measured.
-
-        Raises:
-            GraspRefineError: as `preset_of`, or an engine that is not available.
-        """
-        preset = self.preset_of()
-        return Measurement(
-            engines=tuple(chosen(name) for name in dict.fromkeys(self.engines or engines())),
-            methods=tuple(dict.fromkeys(self.methods)),
-            peers=tuple(dict.fromkeys(self.peers)),
-            rounds=preset.rounds if self.rounds is None else self.rounds,
-            least_s=preset.least_s,
-            seed=self.seed,
-        )
+        return replace(study, examples=tuple(product(hands, objects)))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, get_args
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
@@ -15,14 +14,14 @@ from grasp_refine_apps.bench.stability.cases import Engine as EngineName
 from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
-from grasp_refine_apps.commands.benchmark import check_comparison, run_benchmark
-from grasp_refine_apps.commands.options import Overwrite, check_numbers
+from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 
 PresetName = Literal["full", "quick", "smoke"]
 
 
 @dataclass(frozen=True)
-class BenchStability:
+class BenchStability(BenchCommand):
     """Count wrong distances, witness points and derivatives of bodies of all kinds and sizes, in all states.
 
     Each distance is compared with one computed in another way, and is wrong beyond 1e-8 of the diagonal + 1e-12 m +
@@ -30,64 +29,55 @@ class BenchStability:
     of it. Exit code 1: something is wrong.
     """
 
+    command = "bench stability"
+
     preset: PresetName = "quick"
     """An experiment: full (more than a million queries, half an hour), quick (more than 20000, in half a minute),
     smoke (in seconds)."""
-    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], default("the preset's")] = None
     """Bodies: ball, box, needle, plate (1e-4 thin), hull1000 (1000 vertices), concave40 (40 pieces), boxes with
     duplicate or near-duplicate vertices, slivers."""
-    diagonals: Annotated[
-        DisallowNone[tuple[float, ...] | None], arg(metavar="METRES", help_behavior_hint="(default: the preset's)")
-    ] = None
+    diagonals: Annotated[DisallowNone[tuple[float, ...] | None], default("the preset's", metavar="METRES")] = None
     """Diagonals of the larger body, metres."""
-    states: Annotated[DisallowNone[tuple[State, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    states: Annotated[DisallowNone[tuple[State, ...] | None], default("the preset's")] = None
     """Relative placements of the bodies: far (1000 diagonals), near, gap-1e-3 to gap-1e-12 (in diagonals), gap-1um,
     gap-1nm, contact, two features against each other, shallow, deep, total (one in the other), concentric."""
-    measures: Annotated[DisallowNone[tuple[Measure, ...] | None], arg(help_behavior_hint="(default: both)")] = None
+    measures: Annotated[DisallowNone[tuple[Measure, ...] | None], default("both")] = None
     """forward: distances and witness points; derivative: motion of the points."""
-    dtypes: Annotated[DisallowNone[tuple[DType, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    dtypes: Annotated[DisallowNone[tuple[DType, ...] | None], default("the preset's")] = None
     """Number types of poses. The first values of this and the next two options are combined; each other value is
     combined with the first of the others."""
-    batches: Annotated[DisallowNone[tuple[int, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    batches: Annotated[DisallowNone[tuple[int, ...] | None], default("the preset's")] = None
     """Number of poses in one call."""
-    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], arg(help_behavior_hint="(default: all there)")] = (
-        None
-    )
+    engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("all there")] = None
     """Collision engines."""
-    translations: Annotated[
-        DisallowNone[tuple[float, ...] | None], arg(metavar="METRES", help_behavior_hint="(default: the preset's)")
-    ] = None
+    translations: Annotated[DisallowNone[tuple[float, ...] | None], default("the preset's", metavar="METRES")] = None
     """Distances of the bodies from the world origin in forward queries, metres."""
-    methods: Annotated[DisallowNone[tuple[Method, ...] | None], arg(help_behavior_hint="(default: the preset's)")] = (
-        None
-    )
+    methods: Annotated[DisallowNone[tuple[Method, ...] | None], default("the preset's")] = None
     """Derivatives of the witness points."""
-    neighborhoods: Annotated[
-        DisallowNone[tuple[Neighborhood, ...] | None], arg(help_behavior_hint="(default: the preset's)")
-    ] = None
+    neighborhoods: Annotated[DisallowNone[tuple[Neighborhood, ...] | None], default("the preset's")] = None
     """Surface samples of the derivatives; only three of the methods use any."""
-    queries: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    queries: Annotated[DisallowNone[int | None], default("the preset's")] = None
     """Number of queries for each body, state, kind of call and translation."""
-    differentiated: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the preset's)")] = None
+    differentiated: Annotated[DisallowNone[int | None], default("the preset's")] = None
     """Number of derivatives for each body, state and method."""
     workers: int = 1
     """Processes."""
     seed: int = 0
     """Seed of bodies and poses."""
-    json: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    json: OptionalFile = None
     """Write all rows to this file, in SI units."""
-    html: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    html: OptionalFile = None
     """Write a report with heat maps to this file."""
     overwrite: Overwrite = False
 
-    def execute(self) -> int:
-        """Run the command and return its exit code.
+    def study(self) -> StabilityStudy:
+        """Return the study that the options define.
 
         Raises:
-            GraspRefineError: a number out of its range, or an engine that is not available.
+            GraspRefineError: as `tasks`.
         """
-        study = StabilityStudy(self.tasks(), self.seed, self.workers)
-        return run_benchmark("bench stability", replace(self, json=None, html=None, overwrite=False), self, study)
+        return StabilityStudy(self.tasks(), self.seed, self.workers)
 
     def tasks(self) -> tuple[Task, ...]:
         """Return the tasks that the options define.
@@ -95,15 +85,9 @@ class BenchStability:
         Raises:
             GraspRefineError: a number out of its range, or an engine that is not available.
         """
-        check_numbers(self)
-        check_comparison(self, ())
         if self.diagonals is not None and min(self.diagonals) == 0:
             raise GraspRefineError("--diagonals must be above 0 metres, got 0")
-        chosen_options: dict[str, Any] = {
-            option.name: tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
-            for option in fields(Part)
-            if (value := getattr(self, option.name, None)) is not None
-        }
+        chosen_options = given(self, Part)
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
         measures = chosen_options.pop("measures", get_args(Measure))
         parts = [

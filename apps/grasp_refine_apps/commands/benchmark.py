@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import Field, fields
-from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from dataclasses import fields, replace
+from typing import Any, ClassVar
 
 from rich.console import Console
 from rich.markup import escape
@@ -21,7 +20,7 @@ from grasp_refine.results.document import settings
 from grasp_refine_apps.bench.jobs import run_jobs
 from grasp_refine_apps.bench.study import Study
 from grasp_refine_apps.bench.timing import machine
-from grasp_refine_apps.commands.options import NOTHING_USABLE
+from grasp_refine_apps.commands.options import NOTHING_USABLE, check_numbers
 from grasp_refine_apps.report.command_line import flag, invocation
 from grasp_refine_apps.report.screen import screen
 
@@ -29,39 +28,39 @@ SOMETHING_WRONG = 1
 """Exit code when a study found something wrong."""
 
 
-@runtime_checkable
-class Options(Protocol):
-    """Options common to all benchmarks."""
+class BenchCommand:
+    """A command that runs the study which its options define.
 
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    The options common to all, in the command or in its field `options`, are `preset`, `seed`, `json`, `html` and
+    `overwrite`.
+    """
 
-    @property
-    def preset(self) -> str | None:
-        """Name of the experiment; None: the options define it."""
-        ...
+    command: ClassVar[str]
+    """Words of the command, such as "bench align"."""
+    compared: ClassVar[tuple[str, ...]] = ()
+    """Options that choose the comparison; a preset excludes them."""
 
-    @property
-    def seed(self) -> int:
-        """Random seed."""
-        ...
+    def study(self) -> Study:
+        """Return the study that the options define; their numbers were checked.
 
-    @property
-    def json(self) -> Path | None:
-        """Path of the results as JSON; None: none are written."""
-        ...
+        Raises:
+            GraspRefineError: options that do not go together, or something that is not available.
+        """
+        raise NotImplementedError
 
-    @property
-    def html(self) -> Path | None:
-        """Path of the report; None: none is written."""
-        ...
+    def execute(self) -> int:
+        """Run the command and return its exit code.
 
-    @property
-    def overwrite(self) -> bool:
-        """Whether existing files may be replaced."""
-        ...
+        Raises:
+            GraspRefineError: a number out of its range, as `study`, or inputs that cannot be used.
+        """
+        options: Any = getattr(self, "options", self)
+        check_numbers(options)
+        check_comparison(options, self.compared)
+        return run_benchmark(self.command, self, self.study())
 
 
-def check_comparison(options: Options, compared: Sequence[str]) -> None:
+def check_comparison(options: Any, compared: Sequence[str]) -> None:
     """Refuse options without a value, and beside a preset those that choose the comparison.
 
     Raises:
@@ -78,6 +77,15 @@ def check_comparison(options: Options, compared: Sequence[str]) -> None:
                 )
 
 
+def given(options: Any, study: type) -> dict[str, Any]:
+    """Return the options that are given, not None, and are fields of a class; each value of a tuple once."""
+    return {
+        field.name: tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
+        for field in fields(study)
+        if (value := getattr(options, field.name, None)) is not None
+    }
+
+
 def progress_bar(console: Console) -> Progress:
     """Make a bar that disappears at the end, and is shown only in a terminal."""
     return Progress(
@@ -92,19 +100,22 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def run_benchmark(command: str, invoked: Any, options: Options, study: Study) -> int:
+def run_benchmark(command: str, invoked: Any, study: Study) -> int:
     """Run a study, write and show its results, and return the exit code.
 
     Args:
         command: Words of the command, such as "bench align".
-        invoked: Dataclass of the command, for the invocation and the settings.
-        options: Its part with the options common to all benchmarks.
+        invoked: Dataclass of the command; it, or its field `options`, has the options common to all benchmarks.
         study: The study.
 
     Raises:
         GraspRefineError: files that cannot be written, or inputs that the study cannot use.
     """
     wall, cpu = time.perf_counter(), cpu_seconds()
+    options: Any = getattr(invoked, "options", invoked)
+    # Where results are written says nothing about them.
+    silent = replace(options, json=None, html=None, overwrite=False)
+    invoked = silent if invoked is options else replace(invoked, options=silent)
     files = [path for path in (options.json, options.html) if path is not None]
     check_writable(*files, overwrite=options.overwrite)
     with progress_bar(screen(stderr=True)) as bar:

@@ -30,6 +30,12 @@ OptionalFile = Annotated[
 ]
 """An option such as `--json`, a file that is written if it is given."""
 
+
+def default(text: str, metavar: str | None = None) -> Any:
+    """Return the annotation of an option whose default the help describes in words."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {text})")
+
+
 NOTHING_USABLE = 1
 """Exit code when there are no usable results."""
 

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 import trimesh
 
-from command_line import call, refused
+from command_line import call, document, refused
 from grasp_refine_apps.bench.align import tasks
 from grasp_refine_apps.bench.align.presets import PRESETS
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
-pytestmark = pytest.mark.usefixtures("workplace")
+pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 TINY = ("bench", "align", "--kinds", "convex", "--pairs", "1", "--targets", "3", "--budgets", "20", "40")
 SMOKE = ("bench", "align", "--preset", "smoke", "--pairs", "1", "--targets", "2", "--budgets", "5", "--kinds", "convex")
-
-
-@pytest.fixture(autouse=True)
-def threads() -> Iterator[None]:
-    """What a run sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture
@@ -45,13 +34,6 @@ def meshes(tmp_path: Path) -> Path:
     trimesh.creation.box((1, 2, 3)).export(folder / "box.stl")
     (folder / "broken.ply").write_text("no mesh")
     return folder
-
-
-def document(*arguments: str | Path) -> dict[str, Any]:
-    """What a run writes as JSON."""
-    Path("bench.json").unlink(missing_ok=True)
-    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
-    return json.loads(Path("bench.json").read_text())
 
 
 def timeless(entry: Any) -> Any:

@@ -9,8 +9,7 @@ import pytest
 
 from command_line import refused
 from grasp_refine.collision.engine import VARIABLE
-from grasp_refine_apps.bench.gate.baseline import BASELINE
-from grasp_refine_apps.bench.gate.ratios import RATIOS
+from grasp_refine_apps.bench.gate.baseline import BASELINE, RATIOS
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import bench_gate as module
 

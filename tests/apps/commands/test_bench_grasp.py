@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
-from command_line import refused
+from command_line import document, refused
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine_apps.bench.grasp.presets import PLACES
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
-pytestmark = pytest.mark.usefixtures("workplace")
+pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 BOX = ("bench", "grasp", "--object", "rounded_box")
 TINY = (*BOX, "--count", "2", "--batches", "2")
-
-
-@pytest.fixture(autouse=True)
-def threads() -> Iterator[None]:
-    """What a run sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
-def document(*arguments: str | Path) -> dict[str, Any]:
-    """What a run writes as JSON."""
-    Path("bench.json").unlink(missing_ok=True)
-    assert main([*map(str, arguments), "--json", "bench.json"]) == 0
-    return json.loads(Path("bench.json").read_text())
 
 
 def numbers(row: dict[str, Any]) -> dict[str, float]:

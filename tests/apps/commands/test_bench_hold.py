@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from command_line import refused
 from grasp_refine_apps.cli import main
 from plate_gripper import URDF
 from refusals import assert_names
 
-pytestmark = pytest.mark.usefixtures("workplace")
-
-
-@pytest.fixture(autouse=True)
-def threads() -> Iterator[None]:
-    """What a run sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 
 def gripper_grasps() -> list[str]:

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from command_line import refused
 from grasp_refine.collision.engine import engines
-from grasp_refine_apps.bench.queries.presets import DEFAULT, PRESETS, Case
+from grasp_refine_apps.bench.queries.cases import Case
+from grasp_refine_apps.bench.queries.presets import DEFAULT, PRESETS
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.bench_queries import BenchQueries
 from refusals import assert_names
 
-pytestmark = pytest.mark.usefixtures("workplace")
-
-
-@pytest.fixture(autouse=True)
-def threads() -> Iterator[None]:
-    """What a run sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 
 def test_smoke_measures_queries_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
@@ -66,7 +58,9 @@ def test_every_combination_is_measured_with_charts_and_without_skips(capfd: pyte
 
 
 def test_the_default_varies_one_thing_at_a_time_and_shows_all_skips():
-    assert BenchQueries().preset_of() == DEFAULT and len(DEFAULT.cases) == len(set(DEFAULT.cases))
+    assert replace(BenchQueries().study(), measurement=DEFAULT.measurement) == DEFAULT and len(DEFAULT.cases) == len(
+        set(DEFAULT.cases)
+    )
     assert {case.batch for case in DEFAULT.cases} == {1, 16, 256, 1024}
     assert {case.vertices for case in DEFAULT.cases if case.kind == "convex"} == {8, 32, 128, 512}
     assert {case.pieces for case in DEFAULT.cases} == {1, 4, 16, 64}
@@ -78,16 +72,16 @@ def test_the_default_varies_one_thing_at_a_time_and_shows_all_skips():
 
 def test_options_say_what_is_measured_and_on_what_skips_are_shown():
     one = BenchQueries(kinds=("convex", "mixed"), pieces=(4, 9), batches=(2,))
-    assert one.preset_of().cases == (
+    assert one.study().cases == (
         Case(batch=2), Case("mixed", 4, batch=2), Case("mixed", 9, batch=2),
     )  # fmt: skip
-    assert one.preset_of().examples == ()
-    shown = BenchQueries(kinds=("convex",), skips=True, hands=("leap",)).preset_of()
+    assert one.study().examples == ()
+    shown = BenchQueries(kinds=("convex",), skips=True, hands=("leap",)).study()
     assert shown.examples == (("leap", "mug"), ("leap", "rounded_box"))
-    assert BenchQueries(preset="skips").preset_of().cases == ()
-    assert BenchQueries(skips=False).preset_of().examples == ()
-    assert (DEFAULT.count, BenchQueries(count=3).preset_of().count, PRESETS["smoke"].count) == (16, 3, 4)
-    assert BenchQueries(engines=("python", "python")).measurement().engines == ("python",)
+    assert BenchQueries(preset="skips").study().cases == ()
+    assert BenchQueries(skips=False).study().examples == ()
+    assert (DEFAULT.count, BenchQueries(count=3).study().count, PRESETS["smoke"].count) == (16, 3, 4)
+    assert BenchQueries(engines=("python", "python")).study().measurement.engines == ("python",)
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ from command_line import call, refused
 from grasp_refine.collision.engine import engines
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES, Derivative, Forward
-from grasp_refine_apps.bench.stability.labels import again
 from grasp_refine_apps.bench.stability.presets import FAST
 from grasp_refine_apps.bench.stability.rows import of_measure, total
+from grasp_refine_apps.bench.stability.study import again
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.bench_stability import BenchStability
 from refusals import assert_names

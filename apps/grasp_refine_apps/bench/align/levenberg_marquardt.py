@@ -1,21 +1,33 @@
-"""Levenberg-Marquardt on alignment tasks: each task ends when it is solved, or when its budget is used up."""
+"""Levenberg-Marquardt on alignment tasks, least-squares problems over the pose of body b.
+
+Each task ends when it is solved, or when its budget is used up.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
+from grasp_refine.collision.query import Pairs, Witness, query_items
+from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
+from grasp_refine.geometry.pieces import Piece
 from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.rows import Linear
+from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
+from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.problem import AlignProblem
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
+from grasp_refine_apps.bench.align.variants import Variant
 
 TOLERANCE_M2 = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
@@ -25,52 +37,55 @@ STALL_ITERATIONS = 9
 RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
 """Factors of the neighbourhoods' radii, one after the other at each rejection; the last treats faces as planes."""
 
+NEAR_ANGLES_RAD, FAR_ANGLES_RAD = (0.003, 0.5), (0.3, np.pi)
+"""Ranges of restart angles in radians: from the best pose (log-uniform), and from the current pose."""
 
-@dataclass(frozen=True)
-class AlignLevenbergMarquardt:
-    """Levenberg-Marquardt with the derivative of contact kinematics; a stalled task restarts without limit."""
+MAX_ROTATION_RAD = 2.0
+"""Largest rotation of a step in radians."""
 
-    margin: float = 0.0
-    """Contact margin beta in metres: the desired gap."""
-    iterations: int = 200
-    """Budget of a task in iterations, each one witness query."""
-    patch: Patch | None = None
-    """Patch witness that is used; None: plain witness points."""
-    seed: int = 0
-    """Seed of restarts."""
+FACE_DISTANCE_M = 2e-5
+"""Faces this close to a witness point (metres), beside the nearest one, may support it."""
+UNDAMPED_FACTOR = 1e3
+"""Factor of residuals that damping must not affect: only the full step is useful."""
 
 
 def run_levenberg_marquardt(
     bodies: Sequence[BodyPair],
     tasks: Sequence[Tasks],
-    solver: AlignLevenbergMarquardt,
+    variant: Variant,
     *,
+    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> AlignmentResult:
     """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
+    The derivative is that of contact kinematics, and a stalled task restarts without limit.
+
     Args:
         bodies: P pairs.
         tasks: Tasks of each pair; some pairs may have more than others.
-        solver: Budget and witness.
+        variant: Margin, budget in iterations, each one witness query, and witness.
+        seed: Seed of restarts.
         progress: Called from time to time with the share of the budget that is used.
     """
+    budget = variant.budget
+    assert budget is not None, "only descent has a time budget"
     watch = Stopwatch()
-    problem = AlignProblem(bodies, tasks, solver.margin, solver.seed, solver.patch, watch)
+    problem = AlignProblem(bodies, tasks, variant.margin, seed, variant.solver_patch, watch)
     counts = np.array([len(its) for its in tasks])
     first = np.cumsum(counts) - counts
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
     # Caches built at the first call are not part of the loop's time.
     problem.evaluate(first, Point(start.T[first], start.q[first]), None)
-    most = solver.iterations * -(-counts.sum() // problem.width)
+    most = budget * -(-counts.sum() // problem.width)
 
     def told(done: int, iteration: int, loss: float) -> None:
         if iteration % 10 == 0:
             progress(min(iteration / most, 1.0))
 
     settings = LevenbergMarquardt(
-        iterations=solver.iterations,
-        restarts=solver.iterations,
+        iterations=budget,
+        restarts=budget,
         patience=STALL_ITERATIONS,
         good=0.0,
         widths=RADIUS_FACTORS,
@@ -82,6 +97,191 @@ def run_levenberg_marquardt(
     task = np.arange(counts.max())[:, None]
     member = first + task % counts
     T_a, T_b = problem.tasks.T_world_a[member], found.point.T[member]
-    error = errors_at(bodies, pad_tasks(tasks), T_a, T_b, solver.margin)
+    error = errors_at(bodies, pad_tasks(tasks), T_a, T_b, variant.margin)
     iterations = np.where(task < counts, found.iterations[member], 0)
     return AlignmentResult(error, error, T_a, T_b, iterations, watch, cpu_s, wall_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Evaluated tasks; M rows."""
+
+    residual: np.ndarray
+    """[d - beta, E^T (x_a - t_a), E^T (x_b - t_b)] (M, 5): misses along the normal have no derivative."""
+    loss: np.ndarray
+    """(d - beta)^2 + |x_a - t_a|^2 + |x_b - t_b|^2 (M,) in square metres."""
+    num_queries: np.ndarray
+    witness: Witness
+    E: np.ndarray
+    """Tangents (M, 3, 2)."""
+    pivot: np.ndarray
+    """Target of body b (M, 3), world frame: steps rotate about it."""
+    miss: np.ndarray
+    """|x_a - t_a| and |x_b - t_b| (M, 2) in metres."""
+
+
+class AlignProblem:
+    """The tasks of P pairs of bodies; bodies a are fixed."""
+
+    width, restarts = 2048, True
+
+    def __init__(
+        self,
+        bodies: Sequence[BodyPair],
+        tasks: Sequence[Tasks],
+        margin: float,
+        seed: int,
+        patch: Patch | None = None,
+        watch: Stopwatch | None = None,
+    ) -> None:
+        """Set up the tasks; members are those of the first pair, then those of the second, and so on.
+
+        Args:
+            bodies: P pairs.
+            tasks: Tasks of each pair.
+            margin: The desired distance in metres.
+            seed: Seed of restarts.
+            patch: Patch witness that is used; None: plain witness points.
+            watch: Stopwatch of the passes.
+        """
+        self.watch = Stopwatch() if watch is None else watch
+        self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
+        self.pair = np.repeat(np.arange(len(bodies)), [len(t) for t in tasks])
+        self.tasks, self.margin, self.seed, self.patch = join(*tasks), margin, seed, patch
+        # The result of a task must not depend on the others, so restarts are keyed by the task itself.
+        self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
+        self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
+        self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
+        self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
+        """Evaluate each task by one query."""
+        with self.watch.lap("forward"):
+            return self._evaluated(member, point, previous)
+
+    def _evaluated(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
+        T_a = self.tasks.T_world_a[member]
+        before = previous.witness if previous is not None and self.several else None
+        with stage("broad phase"):
+            w = self._witness(self.pair[member], T_a, point.T, before, member)
+        pivot = transform_points(point.T, self.tasks.target_b[member])
+        miss_a = w.point_a - transform_points(T_a, self.tasks.target_a[member])
+        miss_b = w.point_b - pivot
+        E = tangents(w.normal)
+        gap = w.distance - self.margin
+        residual = np.concatenate([gap[:, None], matvec(E.mT, miss_a), matvec(E.mT, miss_b)], axis=1)
+        a, b = (miss_a**2).sum(axis=1), (miss_b**2).sum(axis=1)
+        loss = np.where(w.valid, gap**2 + a + b, np.nan)
+        return Known(residual, loss, w.num_queries, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
+
+    def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
+        """Return residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
+
+        An infinite width means the supporting faces as planes (see `_flattened`).
+        """
+        with self.watch.lap("backward"), stage("derivative"):
+            rows = np.flatnonzero(np.isinf(width))
+            J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
+            if not len(rows):
+                return Linear(known.residual, J)
+            residual = known.residual.copy()
+            residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
+            return Linear(residual, J)
+
+    def _jacobian(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
+        w = known.witness
+        T_a = self.tasks.T_world_a[member]
+        K_a, K_b = self.curvatures.fit(self.pair[member], T_a, point.T, w, known.E, known.miss.T, width)
+        arm = w.point_b - known.pivot
+        U_a, U_b = contact_slip_jacobian(arm, w.normal, w.distance, known.E, K_a, K_b)
+        gap = np.concatenate([w.normal, cross(arm, w.normal)], axis=1)[:, None]
+        return np.concatenate([gap, U_a, U_b], axis=1)
+
+    def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows (M, 5) and (M, 5, 6) that align the two supporting faces, the targets together.
+
+        [t_b - t_a - beta n, l E^T (n_a + n_b)]: flat surfaces touch at an edge or a corner until they are parallel, and
+        then anywhere at once. No derivative of witness points, however smoothed, shows how far to rotate.
+        """
+        w, T_a = known.witness, self.tasks.T_world_a[member]
+        faces = []
+        for pieces, T, x, outward in zip(
+            self.pairs.piece_pairs, (T_a, T_b), (w.point_a, w.point_b), (w.normal, -w.normal), strict=True
+        ):
+            R = T[:, :3, :3]
+            local = supporting(pieces, w.winner, matvec(R.mT, x - T[:, :3, 3]), matvec(R.mT, outward))
+            faces.append(matvec(R, local))
+        n_a, n_b = faces
+        apart = known.pivot - transform_points(T_a, self.tasks.target_a[member]) - self.margin * w.normal
+        length = self.length[self.pair[member], None]
+        rows = known.E.mT
+        J = np.zeros((len(member), 5, 6))
+        J[:, :3, :3] = np.eye(3)
+        J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
+        residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
+        return UNDAMPED_FACTOR * residual, UNDAMPED_FACTOR * J
+
+    def _witness(
+        self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
+    ) -> Witness:
+        """Query plain witness points, or those of the patch."""
+        found = query_items(self.pairs, pair, T_a, T_b, previous=before)
+        if self.patch is None:
+            return found
+        goals = self.tasks.target_a[member], self.tasks.target_b[member]
+        return self.patch.refine(self.pairs, T_a, T_b, found, *goals)
+
+    def metric(self, member: np.ndarray) -> np.ndarray:
+        """Return a quarter of both diagonals, l: W = diag(1, 1, 1, l^2, l^2, l^2)."""
+        length = self.length[self.pair[member], None]
+        return np.concatenate([np.ones((len(member), 3)), np.repeat(length**2, 3, axis=1)], axis=1)
+
+    def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Return infinite bounds: there are none."""
+        free = np.full((len(member), 6), np.inf)
+        return -free, free
+
+    def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
+        """Rotate body b about its target."""
+        pivot = transform_points(point.T, self.tasks.target_b[member])
+        turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
+        dx = dx * (MAX_ROTATION_RAD / np.maximum(turn, MAX_ROTATION_RAD))
+        return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
+
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        """Rotate body b at random about its target, which is placed on that of body a.
+
+        Every third restart is a small rotation from the best pose, the others are large ones from the current pose.
+        """
+        w = np.empty((len(member), 3))
+        near = start % 3 == 0
+        for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
+            rng = np.random.default_rng((self.seed, self.key[m], k))
+            axis = rng.normal(size=3)
+            angle = np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD))) if close else rng.uniform(*FAR_ANGLES_RAD)
+            w[row] = axis / np.linalg.norm(axis) * angle
+        T = choose(near, best.T, now.T)
+        pivot = transform_points(T, self.tasks.target_b[member])
+        goal = transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
+        return Point(_turned(T, pivot, w, goal), now.q)
+
+
+def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outward: np.ndarray) -> np.ndarray:
+    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face `outward` (M, 3) most."""
+    found = outward.copy()
+    for number in np.unique(winner[winner >= 0]):
+        rows = np.flatnonzero(winner == number)
+        normals, offsets = pieces[number].planes
+        if len(normals):
+            away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
+            near = away <= FACE_DISTANCE_M + away.min(axis=1, keepdims=True)
+            found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
+    return found
+
+
+def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """Rotate poses by rotation vectors w (M, 3), so that the points `pivot` (M, 3) of the bodies move to `to`."""
+    R = exp_so3(w)
+    moved = R @ T[:, :3, :3]
+    moved = moved @ (1.5 * np.eye(3) - 0.5 * moved.mT @ moved)
+    return transform(moved, to + matvec(R, T[:, :3, 3] - pivot))

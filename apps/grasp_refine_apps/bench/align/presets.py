@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
 
 from grasp_refine.witness.slip import Coupling
+from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.tasks import CLASSES
-from grasp_refine_apps.bench.align.variants import MethodName, NeighborhoodName, Variant
+from grasp_refine_apps.bench.align.variants import MethodName, Variant
+from grasp_refine_apps.bench.derivatives import NeighborhoodName
 
 MARGINS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2)
 STEP_SIZES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -24,22 +26,6 @@ NEIGHBORHOODS: tuple[NeighborhoodName, ...] = ("neighbor", "fixed", "adaptive")
 """Neighbourhoods of these samples."""
 EPSILON = 1e-5
 """Epsilon of the patch witness, in metres."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """An experiment."""
-
-    variants: tuple[Variant, ...]
-    """Variants to compare, at the largest budget."""
-    classes: tuple[str, ...] = CLASSES[:3]
-    """Classes of targets."""
-    pairs: int = 8
-    """Pairs of bodies of each kind."""
-    targets: int = 64
-    """Accepted targets of each pair."""
-    budgets: tuple[int, ...] = (2000,)
-    """Budgets in iterations that every variant is run at; empty: each variant has its own."""
 
 
 def _table1() -> tuple[Variant, ...]:
@@ -106,27 +92,18 @@ def _smoke() -> tuple[Variant, ...]:
     )
 
 
-PRESETS: Mapping[str, Preset] = MappingProxyType(
+PRESETS: Mapping[str, AlignStudy] = MappingProxyType(
     {
-        "table1": Preset(_table1(), classes=CLASSES),
-        "table2": Preset(_table2()),
-        "table3": Preset(_table3(), budgets=(200,)),
-        "table4": Preset(_table4(), budgets=(200,)),
-        "margin": Preset(_margin()),
-        "step-size": Preset(_step_size()),
-        "coupling": Preset(_coupling()),
-        "solvers": Preset(
-            _solvers(),
-            budgets=(),
-        ),
-        "patch": Preset(_patch(), classes=("face-face",), budgets=()),
-        "smoke": Preset(
-            _smoke(),
-            classes=CLASSES,
-            pairs=2,
-            targets=8,
-            budgets=(50, 200),
-        ),
+        "table1": AlignStudy(_table1(), classes=CLASSES),
+        "table2": AlignStudy(_table2()),
+        "table3": AlignStudy(_table3(), budgets=(200,)),
+        "table4": AlignStudy(_table4(), budgets=(200,)),
+        "margin": AlignStudy(_margin()),
+        "step-size": AlignStudy(_step_size()),
+        "coupling": AlignStudy(_coupling()),
+        "solvers": AlignStudy(_solvers(), budgets=()),
+        "patch": AlignStudy(_patch(), classes=("face-face",), budgets=()),
+        "smoke": AlignStudy(_smoke(), classes=CLASSES, pairs=2, targets=8, budgets=(50, 200)),
     }
 )
 """Name -> experiment."""

@@ -10,7 +10,7 @@ import torch
 
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair
-from grasp_refine_apps.bench.align.descent import AlignDescent, align
+from grasp_refine_apps.bench.align.descent import align
 from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -61,11 +61,10 @@ class Alignment:
 
     def _solved(self, progress: Callable[[float], None]) -> AlignmentResult:
         """Run the solver on the tasks."""
-        solver = self.variant.built(self.seed)
-        if not isinstance(solver, AlignDescent):
-            return run_levenberg_marquardt(self.pairs, self.tasks, solver, progress=progress)
+        if self.variant.solver == "levenberg-marquardt":
+            return run_levenberg_marquardt(self.pairs, self.tasks, self.variant, seed=self.seed, progress=progress)
         to = {"dtype": getattr(torch, self.dtype), "device": self.device}
-        return align(self.pairs, pad_tasks(self.tasks), solver, **to, progress=progress)
+        return align(self.pairs, pad_tasks(self.tasks), self.variant, seed=self.seed, **to, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)

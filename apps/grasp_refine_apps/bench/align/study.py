@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ class AlignStudy:
     """Settings of a run."""
 
     variants: tuple[Variant, ...]
-    """Variants to compare."""
+    """Variants to compare, at the largest budget."""
     meshes: Path | None = None
     """Folder of meshes; None: the embedded objects."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
@@ -35,6 +35,10 @@ class AlignStudy:
     """Pairs of bodies of each kind."""
     targets: int = 64
     """Accepted targets of each pair."""
+    budgets: tuple[int, ...] = (2000,)
+    """Budgets in iterations that every variant is run at; empty: each variant has its own."""
+    seconds: tuple[float, ...] = ()
+    """Budgets in CPU seconds instead."""
     seed: int = 0
     """Seed of pairs, tasks and samples."""
     dtype: str = "float64"
@@ -52,12 +56,12 @@ class AlignStudy:
         Raises:
             GraspRefineError: the meshes cannot be used, or no task is accepted.
         """
-        drawn = [one for one in self._drawn(say) if _has_a_task(*one, say)]
+        drawn = self._drawn(say)
         if not drawn:
             raise GraspRefineError("no pair has an accepted task: something else is always in the way")
         pairs, tasks = zip(*drawn, strict=True)
         found = alignments(
-            self.variants,
+            self.budgeted_variants(),
             pairs,
             tasks,
             seed=self.seed,
@@ -75,19 +79,20 @@ class AlignStudy:
         """Return error against time, swept settings, and tables pooled, by class of targets, and by pair."""
         return report.report(rows, f"{self.targets} targets a pair, seed {self.seed}")
 
+    def budgeted_variants(self) -> list[Variant]:
+        """Return each distinct variant at each of its budgets."""
+        budgets: list[dict[str, Any]] = [{"budget": None, "budget_s": s} for s in self.seconds]
+        budgets = budgets or [{"budget": n} for n in self.budgets] or [{}]
+        return list(dict.fromkeys(replace(variant, **budget) for variant in self.variants for budget in budgets))
+
     def _drawn(self, say: Callable[[str], None]) -> list[tuple[BodyPair, Tasks]]:
-        """Draw the pairs of each kind, and the tasks of each pair."""
-        sources = mesh_sources(self.meshes)
-        return [
-            (pair, draw_tasks(pair, self.classes, self.targets, (self.seed, KINDS.index(kind), index)))
-            for kind in self.kinds
-            for index, pair in enumerate(draw_pairs(sources, kind, self.pairs, self.seed, say=say))
-        ]
-
-
-def _has_a_task(pair: BodyPair, tasks: Tasks, say: Callable[[str], None]) -> bool:
-    """Return True for a pair with an accepted task; the others are reported."""
-    if not tasks.accepted.any():
-        say(f"skipped: {pair.name}, none of its tasks is accepted")
-        return False
-    return True
+        """Draw the pairs of each kind and the tasks of each pair; pairs without an accepted one are only reported."""
+        sources, found = mesh_sources(self.meshes), []
+        for kind in self.kinds:
+            for index, pair in enumerate(draw_pairs(sources, kind, self.pairs, self.seed, say=say)):
+                tasks = draw_tasks(pair, self.classes, self.targets, (self.seed, KINDS.index(kind), index))
+                if tasks.accepted.any():
+                    found.append((pair, tasks))
+                else:
+                    say(f"skipped: {pair.name}, none of its tasks is accepted")
+        return found

@@ -9,12 +9,13 @@ aligned pose, without a gap, decide which tasks are `accepted`, and which of the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matrix_from_quaternion, matvec, tangents, transform, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.sampling import CLEARANCE, beside, internal
@@ -60,14 +61,9 @@ class Tasks:
     def __len__(self) -> int:
         return len(self.target_class)
 
-    @staticmethod
-    def join(parts: Sequence[Tasks]) -> Tasks:
-        """Concatenate the tasks of all parts."""
-        return Tasks(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Tasks)))
-
     def take(self, index: np.ndarray) -> Tasks:
         """Select the tasks `index`."""
-        return Tasks(*(getattr(self, field.name)[index] for field in fields(self)))
+        return take(self, index)
 
     def every(self, step: int) -> Tasks:
         """Select every `step`-th accepted and rejected task of each class; their weights include those left out."""
@@ -94,7 +90,7 @@ def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | t
         for name, share in zip(classes, shares, strict=True)
         if share
     ]
-    return Tasks.join(drawn)
+    return join(*drawn)
 
 
 def aligned_poses(
@@ -154,7 +150,7 @@ def _of_class(pair: BodyPair, index: int, count: int, rng: np.random.Generator) 
         found.append(_draw(pair, pairs, sources, index, 4 * count, rng))
         if sum(int(one.accepted.sum()) for one in found) >= count:
             break
-    tasks = Tasks.join(found)
+    tasks = join(*found)
     accepted = np.flatnonzero(tasks.accepted)
     # Tasks drawn after the last one needed do not count for the acceptance rate.
     last = accepted[count - 1] + 1 if len(accepted) >= count else len(tasks)

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from grasp_refine.witness.analytical import Analytical
-from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
-from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.finite_difference import FiniteDifference
-from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.patch import Patch
-from grasp_refine.witness.rigid import Rigid
-from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.slip import Coupling
 from grasp_refine.witness.zeroth_order import ZerothOrder
-from grasp_refine_apps.bench.align.descent import AlignDescent
-from grasp_refine_apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
+from grasp_refine_apps.bench.derivatives import NeighborhoodName, make_derivative
 
 MethodName = Literal[
     "distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid"
 ]
-NeighborhoodName = Literal["adaptive", "fixed", "neighbor"]
 SolverName = Literal["descent", "levenberg-marquardt"]
 WitnessName = Literal["plain", "patch"]
-
-NEIGHBORHOODS: Mapping[NeighborhoodName, Adaptive | Fixed | Neighbor] = MappingProxyType(
-    {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
-)
 
 TARGET_STRIDE = 8
 """Stride of the targets for methods with many queries per iteration, as in the paper."""
@@ -88,6 +73,11 @@ class Variant:
         return None if self.epsilon is None else Patch(self.epsilon)
 
     @property
+    def solver_patch(self) -> Patch | None:
+        """Patch witness that the solver uses; None: plain witness points."""
+        return self.patch if self.witness == "patch" else None
+
+    @property
     def samples(self) -> bool:
         """Whether the method uses a selectable neighbourhood."""
         return self.solver == "descent" and self.method in ("distance", "direction", "contact-kinematics")
@@ -104,42 +94,9 @@ class Variant:
 
     def derivative(self, seed: int) -> Derivative:
         """Make the derivative method."""
-        near = NEIGHBORHOODS[self.neighborhood]
-        match self.method:
-            case "distance":
-                # Differentiating the smoothed point, as the paper does, moves that point in the self term.
-                own = self.coupling == "one-sided"
-                return Distance(neighborhood=near, coupling=self.coupling, smoothed_self=own, seed=seed)
-            case "direction":
-                return Direction(neighborhood=near, coupling=self.coupling, seed=seed)
-            case "analytical":
-                return Analytical(coupling=self.coupling)
-            case "contact-kinematics":
-                return ContactKinematics(neighborhood=near, seed=seed)
-            case "zeroth-order":
-                return ZerothOrder(seed=seed)
-            case "finite-difference":
-                return FiniteDifference()
-            case "rigid":
-                return Rigid()
-
-    def built(self, seed: int) -> AlignDescent | AlignLevenbergMarquardt:
-        """Make the solver of this variant."""
-        patch = self.patch if self.witness == "patch" else None
-        if self.solver == "levenberg-marquardt":
-            assert self.budget is not None, "only descent has a time budget"
-            return AlignLevenbergMarquardt(self.margin, self.budget, patch, seed)
-        return AlignDescent(
-            method=self.derivative(seed),
-            transport=self.transport,
-            optimise=self.optimise,
-            margin=self.margin,
-            step_size=self.step_size,
-            iterations=self.budget,
-            # A budget is for all targets of a pair.
-            seconds=None if self.budget_s is None else self.budget_s / self.every,
-            patch=patch,
-        )
+        made = make_derivative(self.method, neighborhood=self.neighborhood, coupling=self.coupling, seed=seed)
+        # Differentiating the smoothed point, as the paper does, moves that point in the self term.
+        return replace(made, smoothed_self=self.coupling == "one-sided") if isinstance(made, Distance) else made
 
     def queries(self, iterations: np.ndarray) -> np.ndarray:
         """Count the witness queries of tasks: one per iteration, and those of the method itself."""

@@ -12,29 +12,26 @@ import torch
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import chosen
-from grasp_refine.collision.query import query
 from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.forces.quality import quality
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
-from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
 from grasp_refine.refinement.refine import Refinement, refine
+from grasp_refine.results.verdict import HOLDS
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.gate.ratios import Group
+from grasp_refine.validation.metrics import metrics
+from grasp_refine_apps.bench.gate.baseline import Group
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
-from grasp_refine_apps.bench.grasp.presets import Variant
 from grasp_refine_apps.bench.grasp.rows import ERROR_LEVELS_M2, PARTS, contact_errors
-from grasp_refine_apps.bench.grasp.tasks import Disturbance, GraspSet, Tasks, given_targets
-from grasp_refine_apps.bench.grasp.tasks import Group as Grasps
-from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs
+from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_targets
+from grasp_refine_apps.bench.grasp.variants import Variant
+from grasp_refine_apps.bench.jobs import part_of
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, draw_poses, make_pairs
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import fresh_coal
-from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.timing import REST, cpu_share, cpu_times, one_thread
 
 ROUNDS, MIN_TIMED_S = 5, 0.02
@@ -65,10 +62,10 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
     """Measure costs of witness queries, relative to coal and to each other."""
     usual = chosen("auto")
     engines = tuple(dict.fromkeys((usual, "python")))
-    measurement = Measurement(engines, ("contact-kinematics",), ("coal-fresh",), ROUNDS, MIN_TIMED_S, SEED)
+    measurement = Measurement(("contact-kinematics",), ("coal-fresh",), engines, ROUNDS, MIN_TIMED_S, SEED)
     cases = (Case(batch=256), Case(batch=1), Case("concave", 16, batch=256))
     convex, single, concave = (
-        {(row["by"], row["warm"]): row for row in measurement.rows(case, partial(_part, progress, k / 3, 1 / 3))}
+        {(row["by"], row["warm"]): row for row in measurement.rows(case, part_of(progress, k / 3, 1 / 3))}
         for k, case in enumerate(cases)
     )
     cold, warm = (concave[usual, state] for state in (False, True))
@@ -158,9 +155,10 @@ def forces(progress: Callable[[float], None]) -> dict[str, float]:
         found[name] = refine(scene, configs[name], prepared=prepared)
 
     times = cpu_times({name: partial(run, name) for name in configs}, ROUNDS, MIN_TIMED_S)
+    held = found["holding"]
     return {
         "holding": _median(times["holding"], times["geometry"]),
-        "good": float((_scores(scene, found["holding"]) <= GOOD_QUALITY).mean()),
+        "good": float((metrics(scene.hand, scene.object, held.T_world_root, held.q).quality >= HOLDS).mean()),
     }
 
 
@@ -170,27 +168,14 @@ MEASURES: Mapping[Group, Callable[[Callable[[float], None]], dict[str, float]]] 
 """Group -> its measurement."""
 
 
-def _part(progress: Callable[[float], None], before: float, size: float, share: float) -> None:
-    progress(before + size * share)
-
-
 def _tasks() -> Tasks:
     """Return disturbed true grasps."""
     file = load_grasps(resource_dir("robots") / EXAMPLE)
     hand, obj = load_hand(HAND, base_link=file.base_link), load_object(OBJECT)
     scene = Scene(hand, obj, transform_from_pose(file.hand_pose), match_joints(file, hand)[0])
-    group = Grasps(OBJECT, 1.0, scene, np.arange(len(file)))
-    (tasks,) = given_targets(GraspSet("gate", (group,)), NUM_TASKS, Disturbance(), SEED)
+    group = Tasks(OBJECT, 1.0, scene, np.arange(len(file)))
+    (tasks,) = given_targets("gate", (group,), NUM_TASKS, Disturbance(), SEED)
     return tasks
-
-
-def _scores(scene: Scene, found: Refinement) -> np.ndarray:
-    """Return the penalty (N,) of the refined grasps."""
-    chain = Chain(scene.hand, scene.links)
-    frames = chain(found.T_world_root, found.q)
-    T = frames.T_world_link
-    witness = query(HandObject.of(scene).pairs, T, np.broadcast_to(np.eye(4), T.shape))
-    return quality(scene.hand, scene.object, chain, frames, witness).score
 
 
 def _median(times: Sequence[float] | np.ndarray, others: Sequence[float] | np.ndarray) -> float:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from grasp_refine.core.array_records import join
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.chart import Row
-from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.presets import Variant
 from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, calls
+from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import cpu_share, split_stages
 
 PARTS = split_stages("kinematics", "broad phase", "narrow phase", "derivative")
@@ -71,16 +71,12 @@ def _rate(done: SetResult) -> float | None:
 
 
 def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> Row:
-    before, after = (_joined([getattr(part, name) for part in parts]) for name in ("before", "after"))
+    before, after, moved = (join(*(getattr(part, name) for part in parts)) for name in ("before", "after", "moved"))
     touching = np.concatenate([part.touching for part in parts])
     status, iterations, queries, cpu_s, wall_s, solver_cpu_s = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("status", "iterations", "queries", "cpu_s", "wall_s", "solver_cpu_s")
     )
-    moved = {
-        name: np.concatenate([getattr(part.moved, name) for part in parts])
-        for name in ("palm_m", "palm_rad", "joints_rad")
-    }
     batch, several = variant.batch, sum(len(calls(len(part.tasks), variant)) for part in parts) > 1
     return {
         "grasps": len(status),
@@ -102,7 +98,7 @@ def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> 
         "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
         "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
         "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
-        **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in moved.items()},
+        **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in vars(moved).items()},
     }
 
 
@@ -141,10 +137,6 @@ def deep_starts(parts: Sequence[GroupResult], aimed: bool) -> Row:
                 }
             )
     return {"deep_starts": deep, "deep_stuck": len(stuck), "deep_stuck_grasps": stuck}
-
-
-def _joined(parts: Sequence[Measures]) -> Measures:
-    return Measures(*(np.concatenate([getattr(part, name) for part in parts]) for name in Measures.__annotations__))
 
 
 def _depths(name: str, depth: np.ndarray) -> Row:

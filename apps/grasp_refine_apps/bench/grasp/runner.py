@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -15,14 +14,11 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.geometry import Movement, movement
 from grasp_refine_apps.bench.grasp.measures import Measures, measure_grasps
-from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.tasks import Tasks
 from grasp_refine_apps.bench.grasp.together import run_together
-from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.timing import one_thread
-
-WARM_UP_ITERATIONS = 2
-"""Iterations, and number of grasps, of the run before the first measurement."""
+from grasp_refine_apps.bench.grasp.variants import Kind, Variant
+from grasp_refine_apps.bench.jobs import Job, Progress, part_of
+from grasp_refine_apps.bench.timing import one_thread, warmed_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,33 +96,31 @@ class SetTask:
         torch.set_num_threads(self.threads)
         with one_thread():
             # Caches built once for a hand and an object are not timed.
-            prepared = [self._prepared(tasks) for tasks in self.tasks]
+            config = self.variant.config(self.seed, self.tolerance)
+            prepared = [warmed_up(tasks.scene, [config]) for tasks in self.tasks]
             ready()
             begin, total, finished, parts = time.perf_counter(), sum(map(len, self.tasks)), 0, []
             for tasks, its in zip(self.tasks, prepared, strict=True):
-                parts.append(self._refined(tasks, its, partial(_within, progress, finished, total)))
+                parts.append(self._refined(tasks, its, part_of(progress, finished / total, 1.0 / total)))
                 finished += len(tasks)
             span = begin, time.perf_counter()
             return SetResult(self, tuple(part() for part in parts), span)
 
-    def _prepared(self, tasks: Tasks) -> HandObject:
-        """Prepare hand and object, warmed up."""
-        prepared, config = HandObject.of(tasks.scene), self.variant.config(self.seed, self.tolerance)
-        short = replace(config, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
-        refine(tasks.take(slice(WARM_UP_ITERATIONS)).scene, short, prepared=prepared)
-        return prepared
-
     def _refined(
-        self, tasks: Tasks, prepared: HandObject, progress: Callable[[int], None]
+        self, tasks: Tasks, prepared: HandObject, progress: Callable[[float], None]
     ) -> Callable[[], GroupResult]:
         """Refine tasks, and return the function that measures the results, which is not timed."""
         scene, config = tasks.scene, self.variant.config(self.seed, self.tolerance)
         watch, found, times = Stopwatch(), [], []
         for start, stop in calls(len(tasks), self.variant):
             some = tasks.take(slice(start, stop)).scene
+
+            def report(done: int, iteration: int, loss: float, before: int = start) -> None:
+                progress(before + done)
+
             wall, cpu = time.perf_counter(), time.process_time()
             with watch:
-                found.append(refine(some, config, partial(_report, progress, start), prepared=prepared))
+                found.append(refine(some, config, report, prepared=prepared))
             cost = np.array([time.process_time() - cpu, time.perf_counter() - wall]) / (stop - start)
             times.append(np.repeat(cost[:, None], stop - start, axis=1))
         cpu_s, wall_s = np.concatenate(times, axis=1)
@@ -142,14 +136,6 @@ class SetTask:
             return GroupResult(tasks, before, after, moved, *counts, cpu_s, wall_s, solver_cpu_s, watch)
 
         return measured
-
-
-def _within(progress: Progress, before: int, total: int, done: int) -> None:
-    progress((before + done) / total)
-
-
-def _report(progress: Callable[[int], None], before: int, done: int, iteration: int, loss: float) -> None:
-    progress(before + done)
 
 
 def calls(count: int, variant: Variant) -> list[tuple[int, int]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import isfinite
 from types import MappingProxyType
 
 import numpy as np
+import torch
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.load import load_problem
@@ -15,10 +16,10 @@ from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
-from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.rows import PARTS, rows
 from grasp_refine_apps.bench.grasp.runner import SetResult, SetTask
-from grasp_refine_apps.bench.grasp.tasks import Disturbance, GraspSet, Group, Tasks, given_nothing, given_targets
+from grasp_refine_apps.bench.grasp.tasks import Disturbance, Tasks, given_nothing, given_targets
+from grasp_refine_apps.bench.grasp.variants import Kind, Variant
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
 
@@ -49,11 +50,11 @@ with the choice of pieces); derivative; and solver, the rest. Measuring this tak
 class GraspStudy:
     """Settings of a run."""
 
-    sources: tuple[tuple[str, tuple[ProblemSpec, ...]], ...]
-    """Names of the sets of grasps, and the inputs that each consists of."""
     variants: tuple[Variant, ...]
     """Variants to compare."""
-    kinds: tuple[Kind, ...] = ("targets", "nothing")
+    sources: tuple[tuple[str, tuple[ProblemSpec, ...]], ...] = ()
+    """Names of the sets of grasps, and the inputs that each consists of."""
+    tasks: tuple[Kind, ...] = ("targets", "nothing")
     """Tasks with or without targets."""
     count: int | None = None
     """Tasks of each object and scale; None: all real grasps, and `COUNT` with targets."""
@@ -78,25 +79,26 @@ class GraspStudy:
         Raises:
             GraspRefineError: a set cannot be used, or none has a task.
         """
+        torch.set_num_threads(self.threads)
         tasks = []
         for name, specs in self.sources:
-            grasp_set = _some(self._load(name, specs, say), self.scenes)
-            for kind in self.kinds:
-                found = self._tasks(grasp_set, kind)
+            groups = self._load(specs, say)
+            for kind in self.tasks:
+                found = self._tasks(name, groups, kind)
                 if found:
-                    tasks.append((grasp_set, kind, found))
-                if len(found) < len(grasp_set.groups):
+                    tasks.append((name, kind, found))
+                if len(found) < len(groups):
                     say(
-                        f"{name}: {len(grasp_set.groups) - len(found)} of {len(grasp_set.groups)} objects (at their "
+                        f"{name}: {len(groups) - len(found)} of {len(groups)} objects (at their "
                         "scales) left out with targets, no grasp of theirs can be made to touch with every fingertip"
                     )
         if not tasks:
             raise GraspRefineError("no grasp can be made to touch with every fingertip: leave out targets from --tasks")
         return [task.job for task in self.set_tasks(tasks)]
 
-    def set_tasks(self, sets: Sequence[tuple[GraspSet, Kind, tuple[Tasks, ...]]]) -> Iterator[SetTask]:
+    def set_tasks(self, sets: Sequence[tuple[str, Kind, tuple[Tasks, ...]]]) -> Iterator[SetTask]:
         """Yield the tasks of each variant on sets with tasks of some kind, by object and scale."""
-        for grasp_set, kind, tasks in sets:
+        for name, kind, tasks in sets:
             for variant in self.variants:
                 chosen = tuple(found for its in tasks if (found := its.of(variant)) is not None)
                 if chosen and variant.batch == 1:
@@ -104,7 +106,7 @@ class GraspStudy:
                     each, more = divmod(self.singles, len(chosen))
                     chosen = tuple(its.take(slice(each + (i < more))) for i, its in enumerate(chosen[: self.singles]))
                 if chosen:
-                    about = variant, grasp_set.name, grasp_set.hand, kind, chosen
+                    about = variant, name, chosen[0].scene.hand.name, kind, chosen
                     yield SetTask(*about, self.seed, self.tolerance, self.threads)
 
     def rows(self, done: Sequence[SetResult]) -> list[Row]:
@@ -135,24 +137,18 @@ class GraspStudy:
             parts.append(Note("\n\n".join(stuck), "Deep starts that did not escape"))
         return Report("Refinement of grasps", parts)
 
-    def _load(self, name: str, specs: Sequence[ProblemSpec], say: Callable[[str], None]) -> GraspSet:
+    def _load(self, specs: Sequence[ProblemSpec], say: Callable[[str], None]) -> list[Tasks]:
+        """Load the grasps of a set by object and scale, at most `scenes` of these."""
         problems = [load_problem(spec, seed=self.seed, on_message=say) for spec in specs]
-        groups = (group for problem in problems for group in problem.groups)
-        return GraspSet(name, tuple(Group(one.object, one.scale, one.scene, one.index) for one in groups))
+        groups = [group for problem in problems for group in problem.groups]
+        if self.scenes is not None and self.scenes < len(groups):
+            groups = [groups[i] for i in np.linspace(0, len(groups) - 1, self.scenes).round().astype(int)]
+        return [Tasks(one.object, one.scale, one.scene, one.index) for one in groups]
 
-    def _tasks(self, grasp_set: GraspSet, kind: Kind) -> tuple[Tasks, ...]:
+    def _tasks(self, name: str, groups: Sequence[Tasks], kind: Kind) -> tuple[Tasks, ...]:
         if kind == "nothing":
-            return given_nothing(grasp_set, self.count)
-        return given_targets(grasp_set, self.count or COUNT, self.disturbance, self.seed)
-
-
-def _some(grasp_set: GraspSet, count: int | None) -> GraspSet:
-    """Return the set with at most `count` of its groups, evenly chosen."""
-    groups = grasp_set.groups
-    if count is None or count >= len(groups):
-        return grasp_set
-    chosen = np.linspace(0, len(groups) - 1, count).round().astype(int)
-    return replace(grasp_set, groups=tuple(groups[i] for i in chosen))
+            return given_nothing(groups, self.count)
+        return given_targets(name, groups, self.count or COUNT, self.disturbance, self.seed)
 
 
 # report

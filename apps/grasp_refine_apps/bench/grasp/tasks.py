@@ -1,15 +1,17 @@
-"""Sets of grasps, and tasks made of them: true grasps that were disturbed and must be recovered, or real grasps."""
+"""Tasks made of grasps: true ones that were disturbed and must be recovered, or real ones as given."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
-from typing import Any
 from zlib import crc32
 
 import numpy as np
 
 from grasp_refine.core.se3 import exp_so3
+from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
@@ -18,8 +20,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.bench.grasp.measures import measure_grasps
-from grasp_refine_apps.bench.grasp.presets import Kind, Variant
-from grasp_refine_apps.bench.grasp.slicing import can_be_sliced, slice_body
+from grasp_refine_apps.bench.grasp.variants import Variant
 
 TIP_DISTANCE_M = 0.02
 """Largest distance (metres) of every fingertip to the object in grasps that are tried as true ones."""
@@ -28,40 +29,9 @@ CONTACT_TOLERANCE_M, SOLVED_LOSS_M2 = 1e-5, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """N real grasps on one object at one scale."""
-
-    object: str
-    """Name of the object."""
-    scale: float
-    """Factor that takes the object's mesh to metres."""
-    scene: Scene
-    """Hand, object and the grasps."""
-    index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object, for `run --index`."""
-
-
-@dataclass(frozen=True, eq=False)
-class GraspSet:
-    """The grasps of a file."""
-
-    name: str
-    """Name in rows."""
-    groups: tuple[Group, ...]
-    """The grasps by object and scale."""
-
-    @property
-    def hand(self) -> str:
-        """Name of the hand."""
-        return self.groups[0].scene.hand.name
-
-
-@dataclass(frozen=True, eq=False)
 class Tasks:
-    """N tasks on one object at one scale."""
+    """N tasks, or real grasps to make tasks of, on one object at one scale."""
 
-    kind: Kind
-    """Tasks with or without targets."""
     object: str
     """Name of the object."""
     scale: float
@@ -69,17 +39,14 @@ class Tasks:
     scene: Scene
     """Initial grasps of the tasks, and their targets if any."""
     index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object."""
+    """Numbers of the grasps (N,) among those of their object, for `run --index`."""
 
     def __len__(self) -> int:
         return len(self.index)
 
     def take(self, rows: np.ndarray | slice) -> Tasks:
         """Select some of the tasks."""
-        scene = self.scene
-        arrays = {name: getattr(scene, name) for name in ("T_world_root", "q", "target_link", "target_object")}
-        chosen: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
-        return replace(self, scene=replace(scene, **chosen), index=self.index[rows])
+        return replace(self, scene=self.scene.select(rows), index=self.index[rows])
 
     def of(self, variant: Variant) -> Tasks | None:
         """Adapt the tasks to a variant; None where a hand has fewer contacts, or an object is concave."""
@@ -125,41 +92,49 @@ class Disturbance:
         return T, np.clip(q, hand.lower, hand.upper)
 
 
-def given_nothing(grasp_set: GraspSet, count: int | None) -> tuple[Tasks, ...]:
+def given_nothing(groups: Sequence[Tasks], count: int | None) -> tuple[Tasks, ...]:
     """Return the first `count` real grasps of each group as given; None: all."""
-    return tuple(
-        Tasks("nothing", group.object, group.scale, _without_targets(group.scene), group.index).take(slice(count))
-        for group in grasp_set.groups
-    )
+    return tuple(_without_targets(group).take(slice(count)) for group in groups)
 
 
-def given_targets(grasp_set: GraspSet, count: int, disturbance: Disturbance, seed: int) -> tuple[Tasks, ...]:
-    """Return `count` disturbed true grasps of each group that has any; the choice does not depend on `count`."""
+def given_targets(
+    name: str, groups: Sequence[Tasks], count: int, disturbance: Disturbance, seed: int
+) -> tuple[Tasks, ...]:
+    """Return `count` disturbed true grasps of each group that has any; the choice does not depend on `count`.
+
+    Args:
+        name: Name of the set of grasps, from which random numbers depend.
+        groups: Real grasps by object and scale.
+        count: Number of tasks of each group.
+        disturbance: Disturbance of true grasps.
+        seed: Seed of disturbances.
+    """
     found = []
-    for group in grasp_set.groups:
+    for group in groups:
         true = true_grasps(group)
         if not len(true):
             continue
         tasks = true.take(np.arange(count) % len(true))
-        own = crc32(f"{grasp_set.name} {group.object} {group.scale:g}".encode())
+        own = crc32(f"{name} {group.object} {group.scale:g}".encode())
         scene = tasks.scene
         T, q = disturbance.apply(scene.hand, scene.T_world_root, scene.q, [(seed, own, i) for i in range(count)])
         found.append(replace(tasks, scene=replace(scene, T_world_root=T, q=q)))
     return tuple(found)
 
 
-def true_grasps(group: Group) -> Tasks:
+def true_grasps(group: Tasks) -> Tasks:
     """Refine real grasps of a group until every fingertip touches the object and nothing penetrates.
 
     Their targets are the witness points of the fingertips. A plain query decides whether they touch.
     """
-    scene = _without_targets(group.scene)
+    group = _without_targets(group)
+    scene = group.scene
     hand, links = scene.hand, scene.links
     tips = tuple(dict.fromkeys(contact.link for contact in hand.contacts))
     columns = [links.index(tip) for tip in tips]
     before = measure_grasps(scene, scene.T_world_root, scene.q)
     near = (before.distance[:, columns] <= TIP_DISTANCE_M).all(axis=1)
-    tried = Tasks("targets", group.object, group.scale, scene, group.index).take(np.flatnonzero(near))
+    tried = group.take(np.flatnonzero(near))
     if not len(tried):
         return tried
     config = Config(
@@ -188,6 +163,38 @@ def true_grasps(group: Group) -> Tasks:
     return replace(tried, scene=scene).take(np.flatnonzero(exact))
 
 
-def _without_targets(scene: Scene) -> Scene:
-    """Return the scene without the targets of its file."""
-    return replace(scene, target_link=None, target_object=None, direction=None)
+def _without_targets(group: Tasks) -> Tasks:
+    """Return grasps without the targets of their file."""
+    return replace(group, scene=replace(group.scene, target_link=None, target_object=None, direction=None))
+
+
+def can_be_sliced(body: Body) -> bool:
+    """Return True where the body is one polytope."""
+    return len(body.pieces) == 1 and body.pieces[0].radius == 0 and len(body.pieces[0].vertices) > 3
+
+
+def slice_body(body: Body, count: int) -> Body:
+    """Cut the body into `count` pieces: repeatedly, the longest one is halved along its longest side.
+
+    Outside the body distances are unchanged. Inside, the way out of a piece may be shorter than that out of the body:
+    penetrations are shallower, as they are between the pieces of any decomposition.
+    """
+    pieces = list(body.pieces)
+    while len(pieces) < count:
+        longest = max(range(len(pieces)), key=lambda k: np.ptp(pieces[k].bounds, axis=0).max())
+        pieces[longest : longest + 1] = _halves(pieces[longest])
+    return replace(body, pieces=tuple(pieces))
+
+
+def _halves(piece: Piece) -> tuple[Piece, Piece]:
+    """Cut a polytope in the middle of its longest side."""
+    axis = np.ptp(piece.bounds, axis=0).argmax()
+    vertices = piece.vertices
+    height = vertices[:, axis] - piece.bounds[:, axis].mean()
+    ends = np.unique(np.sort(np.concatenate([piece.faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1), axis=0)
+    ends = ends[height[ends].prod(axis=1) < 0]
+    low, high = height[ends].T
+    share = (low / (low - high))[:, None]
+    cut = (1.0 - share) * vertices[ends[:, 0]] + share * vertices[ends[:, 1]]
+    below, above = (hull(np.concatenate([vertices[side], cut])) for side in (height <= 0, height >= 0))
+    return below, above

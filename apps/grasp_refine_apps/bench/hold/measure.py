@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -23,11 +22,8 @@ from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocol import SETTINGS, SettingName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
-from grasp_refine_apps.bench.jobs import Progress
-from grasp_refine_apps.bench.timing import one_thread
-
-WARM_UP_ITERATIONS = 2
-"""Iterations, and number of grasps, of the run before the first measurement."""
+from grasp_refine_apps.bench.jobs import Progress, part_of
+from grasp_refine_apps.bench.timing import one_thread, warmed_up
 
 MethodName = Literal["as-came", "own-stages", "geometry-only", "forces"]
 """Names of the methods in rows."""
@@ -71,18 +67,6 @@ def methods(starts: tuple[int, ...], *, stages: bool) -> tuple[Method, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """N grasps on one object at one scale."""
-
-    object: str
-    """Name of the object."""
-    scene: Scene
-    """Hand, object and the grasps, without targets."""
-    came: Motion | None
-    """Given motion of the hand as it closes; None: not specified, so that it is computed."""
-
-
-@dataclass(frozen=True, eq=False)
 class GroupResult:
     """Results of N grasps by one method."""
 
@@ -98,9 +82,14 @@ class GroupResult:
 
 @dataclass(frozen=True, eq=False)
 class GroupTask:
-    """All methods on the grasps of one group."""
+    """All methods on N grasps on one object at one scale."""
 
-    group: Group
+    object: str
+    """Name of the object."""
+    scene: Scene
+    """Hand, object and the grasps, without targets."""
+    motion: Motion | None
+    """Given motion of the hand as it closes; None: not specified, so that it is computed."""
     model: HandModel
     """The hand for simulation."""
     methods: tuple[Method, ...]
@@ -115,31 +104,24 @@ class GroupTask:
     def run(self, progress: Progress) -> list[GroupResult]:
         """Apply each method, in this process."""
         with one_thread():
-            scene = self.group.scene
+            scene = self.scene
             worlds: dict[str, World] = {
                 name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
             }
             # Caches built once for a hand and an object are not timed.
-            prepared = HandObject.of(scene)
-            self._warm_up(prepared)
+            configs = (method.config(self.seed, self.width) for method in self.methods)
+            prepared = warmed_up(scene, [config for config in configs if config is not None])
+            closing_motion(scene.select(slice(1)), prepared)
+            share = 1.0 / len(self.methods)
             return [
-                self._result(method, prepared, worlds, partial(_within, progress, number, len(self.methods)))
+                self._result(method, prepared, worlds, part_of(progress, number * share, share))
                 for number, method in enumerate(self.methods)
             ]
-
-    def _warm_up(self, prepared: HandObject) -> None:
-        scene = self.group.scene
-        few = replace(scene, T_world_root=scene.T_world_root[:WARM_UP_ITERATIONS], q=scene.q[:WARM_UP_ITERATIONS])
-        for config in (method.config(self.seed, self.width) for method in self.methods):
-            if config is not None:
-                short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_ITERATIONS))
-                refine(few, short, prepared=prepared)
-        closing_motion(few, prepared)
 
     def _result(
         self, method: Method, prepared: HandObject, worlds: Mapping[str, World], progress: Progress
     ) -> GroupResult:
-        before = scene = self.group.scene
+        before = scene = self.scene
         count, touching = len(scene.q), None
         cost = dict(zip(("cpu_ms", "wall_ms", "stages_cpu_ms", "starts"), np.full((4, count), np.nan), strict=True))
         moved = dict(zip(("palm_m", "palm_rad", "joints_rad"), np.full((3, count), np.nan), strict=True))
@@ -149,24 +131,22 @@ class GroupTask:
             scene, touching = replace(scene, T_world_root=found.T_world_root, q=found.q), found.touching
             cost |= {"cpu_ms": 1e3 * found.cpu_s, "wall_ms": 1e3 * found.wall_s, "starts": found.starts.astype(float)}
             moved = vars(movement(before.T_world_root, before.q, scene.T_world_root, scene.q))
-        if method.name == "as-came" and self.group.came is not None:
-            motion = self.group.came
+        if method.name == "as-came" and self.motion is not None:
+            motion = self.motion
         else:
             cpu = time.process_time()
             motion = closing_motion(scene, prepared)
             cost["stages_cpu_ms"] = np.full(count, 1e3 * (time.process_time() - cpu) / max(count, 1))
         reason = {}
         for number, (name, world) in enumerate(worlds.items()):
-            within = partial(_within, progress, number, len(worlds))
-            trials = simulate(
-                world, motion, threads=self.threads, first_failure=True, progress=_share_of(within, count)
-            )
+            within = part_of(progress, number / len(worlds), 1.0 / (len(worlds) * max(count, 1)))
+            trials = simulate(world, motion, threads=self.threads, first_failure=True, progress=within)
             reason[name] = trials.reason[np.arange(count), trials.worst]
         values = metrics(scene.hand, scene.object, scene.T_world_root, scene.q).values
         gap = {"contact_gap_m": contact_gap(scene, touching)}
         return GroupResult(
             method,
-            self.group.object,
+            self.object,
             {**cost, **values, **gap, **{f"moved_{name}": its for name, its in moved.items()}},
             reason,
         )
@@ -186,12 +166,3 @@ def contact_gap(scene: Scene, touching: np.ndarray | None = None) -> np.ndarray:
     touching = CONTACTS.choose(scene.hand, scene.links, found.witness) if touching is None else touching
     gap = np.where(touching, np.abs(found.distance), -np.inf).max(axis=1)
     return np.where(np.isfinite(gap) & np.isfinite(found.distance).all(axis=1), gap, np.nan)
-
-
-def _within(progress: Progress, number: int, count: int, share: float) -> None:
-    """Report a share of part `number` of `count`."""
-    progress((number + share) / count)
-
-
-def _share_of(progress: Progress, count: int) -> Callable[[float], None]:
-    return lambda done: progress(done / count)

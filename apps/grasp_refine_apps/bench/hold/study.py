@@ -5,37 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+import torch
 
+from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocol import SettingName
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
-from grasp_refine_apps.bench.hold.measure import Group, GroupResult, GroupTask, methods
+from grasp_refine_apps.bench.hold.measure import GroupResult, GroupTask, methods
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Report, Table
 
-STARTS = (1, 6)
-"""Default numbers of starts."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """An experiment."""
-
-    starts: tuple[int, ...] = STARTS
-    """Numbers of starts."""
-    count: int | None = None
-    """Largest number of grasps on each object at each scale; None: all."""
-
-
-PRESETS: Mapping[str, Preset] = MappingProxyType({"smoke": Preset(starts=(1, 2), count=2)})
-"""Name -> experiment."""
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType({"smoke": {"starts": (1, 2), "count": 2}})
+"""Name of an experiment -> its fields of `HoldStudy`."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +32,7 @@ class HoldStudy:
 
     spec: ProblemSpec
     """The grasps."""
-    starts: tuple[int, ...] = STARTS
+    starts: tuple[int, ...] = (1, 6)
     """Numbers of starts."""
     count: int | None = None
     """Largest number of grasps on each object at each scale; None: all."""
@@ -64,6 +52,8 @@ class HoldStudy:
         Raises:
             GraspRefineError: the grasps cannot be used.
         """
+        # The tensors of a batch of grasps are small.
+        torch.set_num_threads(1)
         problem = load_problem(self.spec, seed=self.seed, on_message=say)
         model = model_of(problem.hand)
         stages = "file" in problem.closing().values()
@@ -73,10 +63,13 @@ class HoldStudy:
         for note in notes:
             say(f"note: {note}")
         rest = model, methods(self.starts, stages=stages), self.settings, self.width, self.seed, self.threads
-        return [
-            Job(group.object, GroupTask(group, *rest).run, len(group.scene.q))
-            for group in _groups(problem, self.count, stages=stages)
-        ]
+        jobs = []
+        for group in problem.groups:
+            rows = np.arange(len(group.rows))[: self.count]
+            scene = replace(group.scene.select(rows), target_link=None, target_object=None)
+            motion = group.motion().select(rows) if stages else None
+            jobs.append(Job(group.object, GroupTask(group.object, scene, motion, *rest).run, len(rows)))
+        return jobs
 
     def rows(self, done: Sequence[Sequence[GroupResult]]) -> list[Row]:
         """Return the rows of each method: the pooled one, then, of several objects, one for each."""
@@ -101,18 +94,6 @@ class HoldStudy:
             parts.append(Table("held by object", [METHOD, *held], each, only="terminal"))
             parts.append(Table("By object", [METHOD, *verdicts, *COSTS, *GEOMETRY], each, only="page", folded=True))
         return Report("Grasps that hold", parts)
-
-
-def _groups(problem: Problem, count: int | None, *, stages: bool) -> list[Group]:
-    """First grasps on each object at each scale, without their targets."""
-    groups = []
-    for group in problem.groups:
-        scene, rows = group.scene, np.arange(len(group.rows))[:count]
-        few = replace(
-            scene, T_world_root=scene.T_world_root[rows], q=scene.q[rows], target_link=None, target_object=None
-        )
-        groups.append(Group(group.object, few, group.motion().select(rows) if stages else None))
-    return groups
 
 
 def _key(name: str, setting: str) -> str:
@@ -143,7 +124,7 @@ def rows(results: Sequence[GroupResult], settings: Sequence[str]) -> list[Row]:
 
 
 def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str]) -> Row:
-    values = {name: np.concatenate([one.values[name] for one in after]) for name in after[0].values}
+    values = join(*(one.values for one in after))
     quality = np.nan_to_num(values["quality"])
     # Grasps that could not be measured count as the worst.
     depth, own, residual = (

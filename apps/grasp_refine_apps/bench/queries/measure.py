@@ -21,9 +21,8 @@ from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.queries.bodies import draw_poses, make_pairs, nearby
+from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, draw_poses, make_pairs, nearby
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
-from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
@@ -49,12 +48,12 @@ MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
 class Measurement:
     """How cases are measured."""
 
-    engines: tuple[Engine, ...]
-    """Our engines; ratios are to the first."""
     methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
     """Derivative methods of the witness points."""
     peers: tuple[PeerName, ...] = tuple(peer.name for peer in PEERS)
     """Peers to compare with."""
+    engines: tuple[Engine, ...] = ("auto",)
+    """Our engines; ratios are to the first."""
     rounds: int = 7
     """Number of measurements of each time."""
     least_s: float = 0.004

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -17,12 +17,11 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.chart import Axis, Chart, Row, group_rows
 from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.queries.bodies import nearby
+from grasp_refine_apps.bench.queries.cases import Case, nearby
 from grasp_refine_apps.bench.queries.measure import Measurement
 from grasp_refine_apps.bench.queries.peers import PEERS
-from grasp_refine_apps.bench.queries.presets import Preset
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
 from grasp_refine_apps.bench.timing import one_thread
 
@@ -31,6 +30,9 @@ PALM_DEVIATIONS = (0.005, 0.05)
 
 SWEPT = {"batch": "poses in a call", "vertices": "vertices of a piece", "pieces": "pieces of a body"}
 """Quantities with a chart where they vary -> their names."""
+
+CASE = tuple(case.name for case in fields(Case))
+"""Keys of a row that say its case."""
 
 MAX_PANELS = 4
 """Largest number of panels of a chart."""
@@ -53,9 +55,13 @@ stayed in the batch, and so on."""
 class QueryStudy:
     """Settings of a run."""
 
-    preset: Preset
-    """Cases, and grasps on which skips are shown."""
-    measurement: Measurement
+    cases: tuple[Case, ...] = ()
+    """Cases to measure."""
+    examples: tuple[tuple[str, str], ...] = ()
+    """Hands and objects whose example grasps show the savings of skips."""
+    count: int = 16
+    """Grasps of each example: its own, then disturbed ones."""
+    measurement: Measurement = field(default_factory=Measurement)
     """How cases are measured."""
     workers: int = 1
 
@@ -65,12 +71,12 @@ class QueryStudy:
         Raises:
             GraspRefineError: a hand or an object without an example.
         """
-        found = [self.measurement.job(case) for case in self.preset.cases]
-        for hand, obj in self.preset.examples:
+        found = [self.measurement.job(case) for case in self.cases]
+        for hand, obj in self.examples:
             (group,) = load_problem(
                 ProblemSpec(hand=hand, object=obj), seed=self.measurement.seed, on_message=say
             ).groups
-            scene = several(group.scene, self.preset.count, self.measurement.seed)
+            scene = several(group.scene, self.count, self.measurement.seed)
             work = partial(skips, f"{hand}, {obj}", scene, self.measurement.seed)
             found.append(Job(f"{hand}, {obj}", work, 4.0))
         return found
@@ -168,11 +174,12 @@ def _two_digits(value: float) -> str:
 def _charts(rows: Sequence[Row]) -> Iterator[Chart]:
     """Chart times over each quantity that varies; a panel for all cases that differ only in it."""
     for axis, name in SWEPT.items():
-        fixed = [key for key in ("kind", "pieces", "vertices", "state", "batch") if key != axis]
-        panels: dict[str, list[Row]] = {}
-        for row in rows:
-            panels.setdefault(", ".join(f"{key} {row[key]}" for key in fixed), []).append(row)
-        swept = [key for key, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
+        fixed = [key for key in CASE if key != axis]
+        panels = {
+            ", ".join(f"{key} {value}" for key, value in zip(fixed, values, strict=True)): its
+            for values, its in group_rows(rows, fixed).items()
+        }
+        swept = [panel for panel, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
         points = [
             {"panel": panel, "line": line, axis: row[axis], "s": 1e-6 * time}
             for panel in swept
@@ -200,12 +207,9 @@ def _times(row: Row) -> Iterator[tuple[str, float | None]]:
 
 def _printed(rows: Sequence[Row]) -> Table:
     """Make a table with a line for each case: times of the first engine, and multiples of them of the others."""
-    cases: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        cases.setdefault(tuple(row[key] for key in ("kind", "pieces", "vertices", "state", "batch")), []).append(row)
     others = list(dict.fromkeys(row["by"] for row in rows if row["by"] != rows[0]["by"]))
     lines = []
-    for its in cases.values():
+    for its in group_rows(rows, CASE).values():
         cold, warm = (next(row for row in its if row["warm"] == which) for which in (False, True))
         ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
         per_pose = cold["queries_asked"] / cold["poses"]

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, capsule, hull, sphere
-from grasp_refine_apps.bench.queries.bodies import make_body
+from grasp_refine_apps.bench.queries.cases import make_body, points_on_ellipsoid
 from grasp_refine_apps.bench.stability.cases import KINDS, Kind
 
 Maker = Callable[[float], Sequence[Piece]]
@@ -150,8 +150,7 @@ def _box(extents: tuple[float, float, float]) -> np.ndarray:
 
 def _round(rng: np.random.Generator, count: int, half: tuple[float, float, float] = (0.5, 0.35, 0.25)) -> np.ndarray:
     """Points on an ellipsoid."""
-    directions = rng.normal(size=(count, 3))
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True) * half
+    return points_on_ellipsoid(rng, count, half)
 
 
 def _ring(sides: int) -> np.ndarray:

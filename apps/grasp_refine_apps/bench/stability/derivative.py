@@ -8,22 +8,16 @@ points that move with the bodies when these move together, bounds, and scale.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
 
 from grasp_refine.collision.query import QueryStatus, Witness
-from grasp_refine.witness.analytical import Analytical
-from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.derivative import Derivative
-from grasp_refine.witness.direction import Direction
-from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.finite_difference import FiniteDifference
-from grasp_refine.witness.neighborhood import Adaptive, Fixed
-from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.bench.derivatives import make_derivative
 from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Task
@@ -31,23 +25,6 @@ from grasp_refine_apps.bench.stability.judging import tolerance
 from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
-
-NEIGHBORHOODS: Mapping[cases.Neighborhood, Adaptive | Fixed] = MappingProxyType(
-    {"adaptive": Adaptive(), "fixed": Fixed()}
-)
-"""Neighbourhoods by name."""
-
-METHODS: Mapping[cases.Method, Callable[[Adaptive | Fixed], Derivative]] = MappingProxyType(
-    {
-        "contact-kinematics": ContactKinematics,
-        "distance": Distance,
-        "direction": Direction,
-        "analytical": lambda _: Analytical(),
-        "zeroth-order": lambda _: ZerothOrder(),
-        "finite-difference": lambda _: FiniteDifference(),
-    }
-)
-"""Methods by name, each made of a neighbourhood."""
 
 TOLERANCE = 1e-9
 """Rounding of a derivative, as a share of its largest entry or of 1; that of its precision is added."""
@@ -79,7 +56,7 @@ def derivative_cells(task: Task) -> Iterator[Cell]:
 
 def method_of(way: cases.Derivative) -> Derivative:
     """Make the derivative method of a cell."""
-    return METHODS[way.method](NEIGHBORHOODS[way.neighborhood or "adaptive"])
+    return make_derivative(way.method, neighborhood=way.neighborhood or "adaptive")
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,10 +213,10 @@ def _cell(
     task: Task, state: cases.State, way: cases.Derivative, faults: list[Faults], share: int, refused: tuple[str, ...]
 ) -> Cell:
     """Total the counts of all pairs of bodies in the cell."""
-
-    def count(name: str) -> int:
-        return int(sum(getattr(one, name).sum() for one in faults))
-
+    names = {name: f"derivative_{name}" for name in ("not_finite", "unbounded", "wrong_sign", "unscaled")}
+    counts: dict[str, Any] = {
+        key: int(sum(getattr(one, name).sum() for one in faults)) for name, key in {"failed": "failed", **names}.items()
+    }
     return Cell(
         kind=task.kind,
         diagonal=task.diagonal,
@@ -250,11 +227,7 @@ def _cell(
         method=way.method,
         neighborhood=way.neighborhood,
         refused=share * len(refused),
-        failed=count("failed"),
-        derivative_not_finite=count("not_finite"),
-        derivative_unbounded=count("unbounded"),
-        derivative_wrong_sign=count("wrong_sign"),
-        derivative_unscaled=count("unscaled"),
+        **counts,
         derivative_error_max=max((float(one.error.max()) for one in faults), default=None),
         refusal="; ".join(dict.fromkeys(refused)) or None,
     )

@@ -30,6 +30,10 @@ SIGN_ROUNDINGS = 64.0
 """Distances of more than this number of roundings of diagonal and position have a known sign."""
 
 
+FAULTS = ("failed", "not_finite", "wrong_distance", "wrong_sign", "wrong_points")
+"""Faults of an answer, fields of `AnswerFaults`."""
+
+
 @dataclass(frozen=True, eq=False)
 class AnswerFaults:
     """Faults of N answers; missing or non-finite answers have no other fault."""
@@ -59,7 +63,7 @@ class AnswerFaults:
     @property
     def wrong(self) -> np.ndarray:
         """Answers (N,) with any fault."""
-        return self.failed | self.not_finite | self.wrong_distance | self.wrong_sign | self.wrong_points
+        return np.any([getattr(self, name) for name in FAULTS], axis=0)
 
 
 def tolerance(diagonal: float, position: np.ndarray, dtype: DType = "float64") -> np.ndarray:

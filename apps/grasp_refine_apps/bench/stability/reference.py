@@ -63,15 +63,6 @@ class Truth:
     slide: np.ndarray
     """Largest slide (N,) of points on the pieces for each metre of error of the distance; where `unique`."""
 
-    def rows(self, index: np.ndarray | slice) -> Truth:
-        """Select some of the offsets."""
-        return Truth(*(getattr(self, field.name)[index] for field in fields(self)))
-
-    @staticmethod
-    def joined(parts: Sequence[Truth]) -> Truth:
-        """Concatenate several."""
-        return Truth(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Truth)))
-
 
 class Difference:
     """The difference of two convex pieces at one rotation."""

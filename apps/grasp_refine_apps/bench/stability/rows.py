@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Literal
 
-from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.chart import Row, group_rows
 from grasp_refine_apps.bench.stability.cases import DTYPES
 
 Measure = Literal["forward", "derivative"]
 
-WRONG = (
-    "failed",
-    "not_finite",
-    "wrong_distance",
-    "wrong_sign",
-    "wrong_points",
-    "derivative_not_finite",
-    "derivative_unbounded",
-    "derivative_wrong_sign",
-    "derivative_unscaled",
+FAULT_LABELS = MappingProxyType(
+    {
+        "failed": "no answer",
+        "not_finite": "not finite",
+        "wrong_distance": "wrong distance",
+        "wrong_sign": "wrong sign",
+        "wrong_points": "wrong points",
+        "derivative_not_finite": "derivative not finite",
+        "derivative_unbounded": "derivative unbounded",
+        "derivative_wrong_sign": "wrong derivative",
+        "derivative_unscaled": "derivative does not scale",
+    }
 )
-"""Counts that should be 0. A refusal is a fault of the input, and faults of MuJoCo are its own."""
+"""Count that should be 0 -> its label. A refusal is a fault of the input, and faults of MuJoCo are its own."""
+
+WRONG = tuple(FAULT_LABELS)
 
 
 @dataclass(frozen=True)
@@ -120,14 +125,6 @@ def total(rows: Iterable[Row]) -> Row:
 def wrong(row: Row) -> int:
     """Number of faults in a cell; a query may have several."""
     return sum(row[name] for name in WRONG)
-
-
-def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
-    """Group rows by the values of the keys."""
-    found: dict[tuple[object, ...], list[Row]] = {}
-    for row in rows:
-        found.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return found
 
 
 def of_measure(rows: Iterable[Row], measure: str) -> list[Row]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.se3 import exp_se3, transform_points
+from alignment_errors import errors_at
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
@@ -18,11 +16,12 @@ from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.levenberg_marquardt import (
     TOLERANCE_M2,
-    AlignLevenbergMarquardt,
+    AlignProblem,
     run_levenberg_marquardt,
+    supporting,
 )
-from grasp_refine_apps.bench.align.problem import AlignProblem, supporting
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
+from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
@@ -36,25 +35,17 @@ def accepted(pair: BodyPair, count: int, classes: tuple[str, ...] = CLASSES[:3])
     return tasks.take(np.flatnonzero(tasks.accepted))
 
 
-def errors_at(pair: BodyPair, tasks: Tasks, T_b: np.ndarray, margin: float) -> np.ndarray:
-    """|x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 (N,), written down again."""
-    found = query(Pairs((pair.a,), (pair.b,)), tasks.T_world_a[:, None], T_b[:, None])
-    miss_a = found.point_a[:, 0] - transform_points(tasks.T_world_a, tasks.target_a)
-    miss_b = found.point_b[:, 0] - transform_points(T_b, tasks.target_b)
-    return (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (found.distance[:, 0] - margin) ** 2
-
-
 @pytest.mark.parametrize("margin", [0.0, 1e-3])
 @pytest.mark.parametrize("pair", [PAIR, CONCAVE], ids=["convex", "concave"])
 def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, margin: float):
     tasks = accepted(pair, 12)
-    before = errors_at(pair, tasks, tasks.T_world_b, margin)
-    result = run_levenberg_marquardt([pair], [tasks], AlignLevenbergMarquardt(margin, 200))
+    before = errors_at(pair, tasks, tasks.T_world_a, tasks.T_world_b, margin)
+    result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(margin=margin, budget=200))
     assert (result.error[tasks.reachable, 0] < 1e-8).mean() >= 0.8
     assert (result.error[:, 0] <= before).all()
     np.testing.assert_array_equal(result.last_error, result.error)
     np.testing.assert_array_equal(result.T_world_a[:, 0], tasks.T_world_a)
-    found = errors_at(pair, tasks, result.T_world_b[:, 0], margin)
+    found = errors_at(pair, tasks, tasks.T_world_a, result.T_world_b[:, 0], margin)
     np.testing.assert_allclose(result.error[:, 0], found, rtol=1e-6, atol=1e-18)
     assert ((result.iterations > 0) & (result.iterations <= 200)).all()
     # Whoever is not solved has used all that there was.
@@ -66,10 +57,8 @@ def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, ma
 
 def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
     tasks = accepted(OTHER, 9)
-    solver = AlignLevenbergMarquardt(1e-3, 60)
-    runs = [
-        run_levenberg_marquardt([OTHER], [tasks], its).T_world_b for its in (solver, solver, replace(solver, seed=1))
-    ]
+    solver = Variant.least_squares(budget=60)
+    runs = [run_levenberg_marquardt([OTHER], [tasks], solver).T_world_b for _ in range(2)]
     np.testing.assert_array_equal(runs[0], runs[1])
     problems = [AlignProblem([OTHER], [tasks], 0.0, seed) for seed in (0, 1)]
     now = Point(tasks.T_world_b, np.zeros((len(tasks), 0)))
@@ -81,7 +70,7 @@ def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
 @pytest.mark.parametrize("pair", [PAIR, CONCAVE], ids=["convex", "concave"])
 def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
     tasks = accepted(pair, 9)
-    solver = AlignLevenbergMarquardt(1e-3, 60)
+    solver = Variant.least_squares(budget=60)
     together = run_levenberg_marquardt([OTHER, pair], [accepted(OTHER, 6), tasks], solver)
     for i in range(len(tasks)):
         alone = run_levenberg_marquardt([pair], [tasks.take(np.array([i]))], solver)
@@ -93,7 +82,7 @@ def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
 
 def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
     few = [accepted(PAIR, 6), accepted(OTHER, 6).take(np.arange(2))]
-    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, AlignLevenbergMarquardt(1e-3, 30))
+    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, Variant.least_squares(budget=30))
     assert result.error.shape == (len(few[0]), 2)
     assert (result.iterations[2:, 1] == 0).all() and (result.iterations[:2, 1] > 0).all()
     np.testing.assert_array_equal(result.error[2:4, 1], result.error[:2, 1])
@@ -102,15 +91,10 @@ def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
 def test_the_patch_solves_targets_on_faces():
     tasks = accepted(BOXES, 40, ("face-face",))
     plain, patch = (
-        run_levenberg_marquardt([BOXES], [tasks], AlignLevenbergMarquardt(1e-3, 200, witness))
-        for witness in (None, Patch(1e-5))
+        run_levenberg_marquardt([BOXES], [tasks], Variant.least_squares(budget=200, witness=witness, epsilon=1e-5))
+        for witness in ("plain", "patch")
     )
-    pairs, poses = Pairs((BOXES.a,), (BOXES.b,)), (tasks.T_world_a, patch.T_world_b[:, 0])
-    found = query(pairs, *(T[:, None] for T in poses)).reshape(-1)
-    w = Patch(1e-5).refine(pairs, *poses, found, tasks.target_a, tasks.target_b)
-    miss_a = w.point_a - transform_points(tasks.T_world_a, tasks.target_a)
-    miss_b = w.point_b - transform_points(patch.T_world_b[:, 0], tasks.target_b)
-    judged = (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (w.distance - 1e-3) ** 2
+    judged = errors_at(BOXES, tasks, tasks.T_world_a, patch.T_world_b[:, 0], 1e-3, Patch(1e-5))
     # Of 200 such tasks 84 to 87 % are solved; which ones, the last bit decides.
     assert (judged < 1e-8).mean() >= 0.75
     # By plain witness points, which jump from corner to corner there, the same poses are no better than before.
@@ -148,5 +132,5 @@ def test_the_supporting_face_is_the_one_that_faces_outward_most():
 
 def test_progress_grows_to_one_at_most():
     shares: list[float] = []
-    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], AlignLevenbergMarquardt(1e-3, 60), progress=shares.append)
+    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], Variant.least_squares(budget=60), progress=shares.append)
     assert shares == sorted(shares) and 0.0 < shares[0] and shares[-1] <= 1.0

@@ -10,10 +10,10 @@ import pytest
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.patch import Patch
-from grasp_refine_apps.bench.align.levenberg_marquardt import AlignLevenbergMarquardt
 from grasp_refine_apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
 from grasp_refine_apps.bench.align.tasks import CLASSES
 from grasp_refine_apps.bench.align.variants import TARGET_STRIDE, MethodName, Variant
+from grasp_refine_apps.bench.derivatives import NEIGHBORHOODS
 from grasp_refine_apps.commands.bench_align import PresetName
 
 METHODS = set(get_args(MethodName))
@@ -32,17 +32,11 @@ def test_the_variants_of_a_preset_differ_and_can_be_built(name: str):
     assert preset.pairs >= 1 and preset.targets >= 1
     assert set(preset.classes) <= set(CLASSES)
     for variant in preset.variants:
-        solver = variant.built(3)
-        assert solver.margin == variant.margin
-        assert solver.patch == (Patch(EPSILON) if variant.witness == "patch" else None)
-        if isinstance(solver, AlignLevenbergMarquardt):
-            assert (solver.seed, solver.iterations) == (3, variant.budget)
-            continue
-        assert isinstance(solver.method, Derivative)
-        assert getattr(solver.method, "seed", 3) == 3
-        assert (solver.transport, solver.optimise) == (variant.transport, variant.optimise)
-        assert solver.step_size == variant.step_size
-        assert (solver.iterations, solver.seconds) == (2000, None)
+        assert variant.solver_patch == (Patch(EPSILON) if variant.witness == "patch" else None)
+        method = variant.derivative(3)
+        assert isinstance(method, Derivative) and getattr(method, "seed", 3) == 3
+        assert getattr(method, "neighborhood", None) in (None, NEIGHBORHOODS[variant.neighborhood])
+        assert getattr(method, "coupling", variant.coupling) == variant.coupling
 
 
 def test_the_command_line_offers_all_presets():

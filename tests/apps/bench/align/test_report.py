@@ -7,8 +7,16 @@ from typing import Any
 
 import pytest
 
-from grasp_refine_apps.bench.align.labels import at_best, at_largest_budget, epsilons, labels_of, ordered, swept
-from grasp_refine_apps.bench.align.report import MAX_LINES, report
+from grasp_refine_apps.bench.align.report import (
+    MAX_LINES,
+    at_best,
+    at_largest_budget,
+    epsilons,
+    labels_of,
+    ordered,
+    report,
+    swept,
+)
 from grasp_refine_apps.bench.chart import Chart
 from grasp_refine_apps.bench.report import Table
 

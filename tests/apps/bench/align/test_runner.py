@@ -8,10 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.se3 import transform_points
+from alignment_errors import errors_at
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align import runner as module
 from grasp_refine_apps.bench.align.bodies import BodyPair
@@ -31,12 +29,7 @@ PAIRS = [
 VARIANTS = (Variant(budget=4), Variant("finite-difference", budget=3))
 
 
-@pytest.fixture(autouse=True)
-def threads():
-    """What a job sets is undone."""
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("threads")
 
 
 @pytest.fixture(scope="module")
@@ -128,14 +121,8 @@ def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Vari
     done = alone(job)
     for p, its in enumerate(job.tasks):
         T_a, T_b = done.aligned.T_world_a[: len(its), p], done.aligned.T_world_b[: len(its), p]
-        pairs = Pairs((job.pairs[p].a,), (job.pairs[p].b,))
-        found = query(pairs, T_a[:, None], T_b[:, None]).reshape(-1)
-        goals = its.target_a, its.target_b
-        moved = Patch(1e-4).refine(pairs, T_a, T_b, found, *goals)
-        for errors, w in ((done.errors(p)[0], found), (done.patch_errors(p), moved)):
-            miss_a = w.point_a - transform_points(T_a, its.target_a)
-            miss_b = w.point_b - transform_points(T_b, its.target_b)
-            expected = (miss_a**2).sum(axis=1) + (miss_b**2).sum(axis=1) + (w.distance - variant.margin) ** 2
+        for errors, patch in ((done.errors(p)[0], None), (done.patch_errors(p), Patch(1e-4))):
+            expected = errors_at(job.pairs[p], its, T_a, T_b, variant.margin, patch)
             np.testing.assert_allclose(errors, expected, rtol=1e-6, atol=1e-18)
 
 

@@ -75,9 +75,9 @@ def test_the_stages_of_a_run_sum_to_its_time(solver: str):
     pair = BodyPair("hulls", "convex", convex_body(1, 30), convex_body(2, 30))
     tasks = draw_tasks(pair, ["vertex-vertex"], 4, 0)
     if solver == "descent":
-        result = align([pair], [tasks], Variant(budget=30).built(0))
+        result = align([pair], [tasks], Variant(budget=30))
     else:
-        result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(budget=30).built(0))
+        result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(budget=30))
     spent = cpu_share([result.watch], PARTS)
     assert set(spent) == set(PARTS) and min(spent.values()) > 0.0
     assert sum(spent.values()) == pytest.approx(1.0)

@@ -13,9 +13,20 @@ import pytest
 from grasp_refine.collision.engine import VARIABLE, why_not_native
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.gate import measures
-from grasp_refine_apps.bench.gate.baseline import BASELINE, Known, _of, judged, load_baseline, updated
-from grasp_refine_apps.bench.gate.ratios import COUNT_FACTOR, RATIOS, TIME_FACTOR, Group, Ratio
-from grasp_refine_apps.bench.gate.table import gate_table
+from grasp_refine_apps.bench.gate.baseline import (
+    BASELINE,
+    COUNT_FACTOR,
+    RATIOS,
+    TIME_FACTOR,
+    Group,
+    Known,
+    Ratio,
+    _of,
+    judged,
+    load_baseline,
+    updated,
+)
+from grasp_refine_apps.commands.bench_gate import gate_table
 from refusals import refused
 
 BY_NAME = {ratio.name: ratio for ratio in RATIOS}

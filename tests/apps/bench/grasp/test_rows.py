@@ -18,11 +18,11 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import Movement
 from grasp_refine_apps.bench.chart import Chart
 from grasp_refine_apps.bench.grasp.measures import Measures
-from grasp_refine_apps.bench.grasp.presets import Kind, Variant
 from grasp_refine_apps.bench.grasp.rows import contact_errors, rows
 from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, SetTask
 from grasp_refine_apps.bench.grasp.study import GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Tasks
+from grasp_refine_apps.bench.grasp.variants import Kind, Variant
 from grasp_refine_apps.bench.report import Note, Table
 
 NAN = np.nan
@@ -55,7 +55,7 @@ def measures(depth: list[float], error: list[list[float]] | None = None, own: fl
 def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[float]) -> GroupResult:
     n = len(cpu_s)
     return GroupResult(
-        tasks=Tasks(kind, name, 1.0, SCENES[name], np.arange(10, 10 + n)),
+        tasks=Tasks(name, 1.0, SCENES[name], np.arange(10, 10 + n)),
         before=before,
         after=after,
         moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
@@ -156,7 +156,7 @@ def found(nothing: SetResult) -> list[dict[str, Any]]:
 
 
 def charts(rows: list[dict[str, Any]]) -> list[Chart]:
-    return [part for part in GraspStudy((), ()).report(rows, ()).parts if isinstance(part, Chart)]
+    return [part for part in GraspStudy(()).report(rows, ()).parts if isinstance(part, Chart)]
 
 
 def test_rows_are_flat_but_for_shares_and_the_names_of_grasps(found: list[dict[str, Any]]):
@@ -174,7 +174,7 @@ def test_tables_fit_a_narrow_terminal(found: list[dict[str, Any]]):
             row |= {"deep_stuck": 123, "deep_starts": 1234, "penetration_before_mean_m": 0.0123}
     console = Console(width=200)
     with console.capture() as capture:
-        for part in GraspStudy((), ()).report(found, ()).printed():
+        for part in GraspStudy(()).report(found, ()).printed():
             console.print(part)
     out = capture.get()
     assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80
@@ -185,7 +185,7 @@ def test_the_report_draws_a_line_for_each_solver_and_names_deep_starts(found: li
     (chart,) = charts(found)
     assert list(dict.fromkeys(map(chart.line, chart.rows))) == ["LM", "adam"]
     assert chart.y[1].least == 0.25 and {row["missed"] for row in chart.rows} == {0.0, 1.0}
-    stuck = [part for part in GraspStudy((), ()).report(found, ()).parts if isinstance(part, Note)][-1]
+    stuck = [part for part in GraspStudy(()).report(found, ()).parts if isinstance(part, Note)][-1]
     assert "cup 10, 20.0 mm → 20.00 mm" in stuck.text
 
 
@@ -225,6 +225,6 @@ def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Varia
     # A hand with more joints has a picture of its own.
     other = [{**row, "set": "other", "joints": 9} for row in found]
     assert ("Cost by joints" in [one.title for one in charts([*found, *other])]) == (name == "contacts")
-    parts = GraspStudy((), ()).report(found, ()).parts
+    parts = GraspStudy(()).report(found, ()).parts
     table = next(part for part in parts if isinstance(part, Table) and part.only == "terminal")
     assert name in [column.head for column in table.columns]

@@ -10,7 +10,9 @@ import torch
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.se3 import transform_from_pose, transform_points
+from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import capsule, hull, sphere
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
@@ -20,25 +22,26 @@ from grasp_refine_apps.bench.grasp.presets import Variant
 from grasp_refine_apps.bench.grasp.tasks import (
     TIP_DISTANCE_M,
     Disturbance,
-    GraspSet,
-    Group,
     Tasks,
+    can_be_sliced,
     given_nothing,
     given_targets,
+    slice_body,
     true_grasps,
 )
+from shapes_for_tests import convex_body, ring_body
 
 
 @pytest.fixture(scope="module")
-def group() -> Group:
+def group() -> Tasks:
     """The example grasps of the embedded hand on the embedded box."""
     grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
     hand, box = load_hand("allegro", candidates=256), load_object("rounded_box", candidates=256)
-    return Group("box", 1.0, Scene(hand, box, transform_from_pose(grasps.hand_pose), grasps.q), np.arange(len(grasps)))
+    return Tasks("box", 1.0, Scene(hand, box, transform_from_pose(grasps.hand_pose), grasps.q), np.arange(len(grasps)))
 
 
 @pytest.fixture(scope="module")
-def true(group: Group) -> Tasks:
+def true(group: Tasks) -> Tasks:
     return true_grasps(group)
 
 
@@ -57,12 +60,12 @@ def test_true_grasps_touch_with_every_fingertip_where_their_targets_are(true: Ta
     assert ((scene.q >= hand.lower) & (scene.q <= hand.upper)).all()
 
 
-def test_grasps_with_a_fingertip_far_away_are_not_tried(group: Group):
+def test_grasps_with_a_fingertip_far_away_are_not_tried(group: Tasks):
     away = group.scene.T_world_root.copy()
     away[:, :3, 3] += 1.0 + TIP_DISTANCE_M
     far = replace(group, scene=replace(group.scene, T_world_root=away))
     assert len(true_grasps(far)) == 0
-    assert given_targets(GraspSet("far", (far,)), 2, Disturbance(), 0) == ()
+    assert given_targets("far", (far,), 2, Disturbance(), 0) == ()
 
 
 def test_a_disturbance_is_as_large_as_it_says(true: Tasks):
@@ -90,10 +93,9 @@ def test_joint_noise_has_its_deviation_where_no_limit_cuts_it(true: Tasks):
     assert (disturbed - q).mean() == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_task_does_not_depend_on_how_many_others_there_are(group: Group):
+def test_a_task_does_not_depend_on_how_many_others_there_are(group: Tasks):
     few, many, other = (
-        given_targets(GraspSet("box", (group,)), count, Disturbance(), seed)[0]
-        for count, seed in ((2, 0), (7, 0), (2, 1))
+        given_targets("box", (group,), count, Disturbance(), seed)[0] for count, seed in ((2, 0), (7, 0), (2, 1))
     )
     for name in ("T_world_root", "q", "target_link", "target_object"):
         np.testing.assert_array_equal(getattr(few.scene, name), getattr(many.scene, name)[:2])
@@ -105,13 +107,13 @@ def test_a_task_does_not_depend_on_how_many_others_there_are(group: Group):
     assert len(again) > 1 and np.abs(np.diff(many.scene.q[again], axis=0)).max() > 0.01
 
 
-def test_real_grasps_stay_as_they_come(group: Group):
+def test_real_grasps_stay_as_they_come(group: Tasks):
     nowhere = np.zeros((len(group.index), len(group.scene.links), 3))
     aimed = replace(group, scene=replace(group.scene, target_link=nowhere, target_object=nowhere))
-    (tasks,) = given_nothing(GraspSet("box", (aimed,)), 3)
+    (tasks,) = given_nothing((aimed,), 3)
     assert len(tasks) == 3 and tasks.scene.target_link is None and tasks.scene.target_object is None
     np.testing.assert_array_equal(tasks.scene.q, group.scene.q[:3])
-    assert len(given_nothing(GraspSet("box", (aimed,)), None)[0]) == len(group.index)
+    assert len(given_nothing((aimed,), None)[0]) == len(group.index)
 
 
 def test_contacts_are_left_out_from_the_last_finger_on(true: Tasks):
@@ -135,3 +137,48 @@ def test_only_a_convex_object_is_cut(true: Tasks):
     assert replace(true, scene=replace(true.scene, object=ball)).of(Variant(pieces=8)) is None
     # Cut once, it is no longer one piece.
     assert cut.of(Variant(pieces=16)) is None
+
+
+# slices
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 64])
+def test_slices_make_up_the_body(count: int):
+    body = convex_body(3, 60)
+    cut = slice_body(body, count)
+    assert len(cut.pieces) == count and cut.candidates is body.candidates
+    whole = volume(body.pieces[0].vertices, body.pieces[0].faces)
+    assert sum(volume(piece.vertices, piece.faces) for piece in cut.pieces) == pytest.approx(whole, rel=1e-9)
+    # No slice is much longer than the others.
+    longest = [np.ptp(piece.bounds, axis=0).max() for piece in cut.pieces]
+    assert count < 8 or max(longest) < 2.5 * min(longest)
+    # A box in two is known.
+    halves = slice_body(build_body("box", [hull(np.indices((2, 2, 2)).reshape(3, -1).T * [4.0, 1.0, 1.0])]), 2)
+    assert sorted(piece.bounds[:, 0].tolist() for piece in halves.pieces) == [[0.0, 2.0], [2.0, 4.0]]
+
+
+def test_distances_outside_stay_the_same_and_penetration_gets_shallower():
+    body, other = convex_body(3, 60), convex_body(4, 30)
+    rng = np.random.default_rng(0)
+    T_a, T_b = (exp_se3(rng.normal(size=(200, 1, 6)) * ([0.05] * 3 + [1.0] * 3)) for _ in range(2))
+    whole = query(Pairs((body,), (other,)), T_a, T_b).distance
+    parts = query(Pairs((slice_body(body, 16),), (other,)), T_a, T_b).distance
+    apart = whole > 0
+    assert 20 < apart.sum() < 180
+    np.testing.assert_allclose(parts[apart], whole[apart], atol=1e-8)
+    assert (parts[~apart] >= whole[~apart] - 1e-6).all() and (parts[~apart] <= 1e-7).all()
+
+
+def test_what_cannot_be_sliced():
+    assert can_be_sliced(convex_body(1, 20))
+    for body in (
+        ring_body(),
+        build_body("ball", [sphere(0.02)]),
+        build_body("pill", [capsule(0.01, [0, 0, 0], [0, 0, 0.05])]),
+    ):
+        assert not can_be_sliced(body)

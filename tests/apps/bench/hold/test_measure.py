@@ -14,7 +14,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
-from grasp_refine_apps.bench.hold.measure import Group, GroupResult, GroupTask, Method, contact_gap, methods
+from grasp_refine_apps.bench.hold.measure import GroupResult, GroupTask, Method, contact_gap, methods
 from plate_gripper import URDF
 
 RADIUS, OPEN = 0.03, 0.085
@@ -68,8 +68,10 @@ def results(hand: Hand) -> list[GroupResult]:
     came = closing_motion(grasps)
     came.q[:] = 0.0
     shares: list[float] = []
-    group, model = Group("ball", grasps, came), urdf_model(hand)
-    found = GroupTask(group, model, methods((1,), stages=True), ("force-closure",), 4, 0, 1).run(shares.append)
+    model = urdf_model(hand)
+    found = GroupTask("ball", grasps, came, model, methods((1,), stages=True), ("force-closure",), 4, 0, 1).run(
+        shares.append
+    )
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
     assert [one.method.label for one in found] == ["input grasps", "own stages", "geometry only", "1 start"]
     return found

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from grasp_refine.collision.engine import engines
+from grasp_refine_apps.bench.queries.cases import Case
 from grasp_refine_apps.bench.queries.measure import MIN_POSES, Measurement
-from grasp_refine_apps.bench.queries.presets import Case
 
 CASES = (Case(batch=8), Case("mixed", 4, batch=40), Case("concave", 4, state="deep", batch=40))
 

@@ -25,11 +25,10 @@ from grasp_refine_apps.bench.stability.cases import (
     Task,
     diagonals_of,
 )
-from grasp_refine_apps.bench.stability.forward import forward_cells
+from grasp_refine_apps.bench.stability.forward import SecondOpinion, forward_cells
 from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import wrong
-from grasp_refine_apps.bench.stability.second import SecondOpinion
 
 PYTHON = Forward(engine="python")
 

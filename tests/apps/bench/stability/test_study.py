@@ -12,9 +12,8 @@ from rich.console import Console
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.report import Report, Shade, Table
 from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES
-from grasp_refine_apps.bench.stability.labels import again, length, words
 from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.study import PALEST_ERROR, StabilityStudy, depth, heat_map
+from grasp_refine_apps.bench.stability.study import PALEST_ERROR, StabilityStudy, again, depth, heat_map, length, words
 from stability_cells import derivative, forward
 
 BODY = ("kind", "diagonal")

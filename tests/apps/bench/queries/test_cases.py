@@ -10,9 +10,17 @@ import pytest
 from grasp_refine.collision.query import query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, log_so3
-from grasp_refine_apps.bench.queries.bodies import STEP_DEVIATIONS, draw_poses, make_body, make_pairs, nearby
+from grasp_refine_apps.bench.queries.cases import (
+    STATE_DISTANCES_M,
+    STEP_DEVIATIONS,
+    Case,
+    State,
+    draw_poses,
+    make_body,
+    make_pairs,
+    nearby,
+)
 from grasp_refine_apps.bench.queries.peers import PEERS, Peer
-from grasp_refine_apps.bench.queries.presets import STATE_DISTANCES_M, Case, State
 from refusals import refused
 
 

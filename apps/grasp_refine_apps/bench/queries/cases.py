@@ -1,6 +1,10 @@
-"""Generated bodies, ellipsoids and concave coils of them, and poses in which two of them are a given distance apart."""
+"""Cases: generated bodies, ellipsoids and concave coils of them, and poses in which two are a given distance apart."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -10,7 +14,15 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, hull
-from grasp_refine_apps.bench.queries.presets import Case
+
+Kind = Literal["convex", "mixed", "concave"]
+"""One piece against one; one against several, as a link against an object; several against several."""
+
+State = Literal["far", "near", "touching", "shallow", "deep"]
+"""Relative state of the bodies, see `STATE_DISTANCES_M`."""
+
+STATE_DISTANCES_M: dict[State, float] = {"far": 0.2, "near": 0.004, "touching": 0.0, "shallow": -0.001, "deep": -0.005}
+"""Signed distance of the bodies in metres, which are 10 to 14 cm long."""
 
 HALF_AXES_M = (0.05, 0.03, 0.02)
 """Half axes in metres of the ellipsoid of a convex body."""
@@ -32,6 +44,46 @@ STEP_DEVIATIONS = (0.001, 0.02)
 """Standard deviations of a solver's step, in metres and radians: the offset of the poses of a warm start."""
 
 
+@dataclass(frozen=True)
+class Case:
+    """A case to be measured; its fields are entries of a row."""
+
+    kind: Kind = "convex"
+    pieces: int = 1
+    """Pieces of each body, only of the second one where the kind is mixed; 1 where it is convex."""
+    vertices: int = 32
+    """Vertices of each piece."""
+    state: State = "near"
+    batch: int = 256
+    """Poses in one call."""
+
+    @property
+    def sides(self) -> tuple[int, int]:
+        """Pieces of the first and of the second body."""
+        return (self.pieces if self.kind == "concave" else 1), (1 if self.kind == "convex" else self.pieces)
+
+    @property
+    def piece_pairs(self) -> int:
+        """Piece pairs of the two bodies."""
+        first, second = self.sides
+        return first * second
+
+
+def cases_of(
+    kinds: tuple[Kind, ...],
+    pieces: tuple[int, ...],
+    vertices: tuple[int, ...],
+    states: tuple[State, ...],
+    batches: tuple[int, ...],
+) -> tuple[Case, ...]:
+    """Return every combination; convex bodies have one piece."""
+    found = (
+        Case(kind, 1 if kind == "convex" else count, corners, state, batch)
+        for kind, count, corners, state, batch in product(kinds, pieces, vertices, states, batches)
+    )
+    return tuple(dict.fromkeys(found))
+
+
 def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float, float], T: np.ndarray) -> Piece:
     """Return the hull of random points on an ellipsoid, all of which are its vertices.
 
@@ -41,9 +93,13 @@ def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float,
         half: Half axes in metres.
         T: Its pose (4, 4) in the body.
     """
-    directions = rng.normal(size=(vertices, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return hull((directions * half) @ T[:3, :3].T + T[:3, 3])
+    return hull(points_on_ellipsoid(rng, vertices, half) @ T[:3, :3].T + T[:3, 3])
+
+
+def points_on_ellipsoid(rng: np.random.Generator, count: int, half: tuple[float, float, float]) -> np.ndarray:
+    """Draw points (count, 3) on an ellipsoid with these half axes, about the origin."""
+    directions = rng.normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True) * half
 
 
 def make_body(pieces: int, vertices: int, seed: int) -> Body:
