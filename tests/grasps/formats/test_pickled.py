@@ -11,6 +11,7 @@ import struct
 import subprocess
 from collections import OrderedDict
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,24 @@ def test_what_would_run_is_refused_by_name_and_does_not_run(name: str, protocol:
     with refused(Refused, called):
         unpickle(data)
     assert not mark.exists()
+
+
+KNOWN = {
+    "builtins": {"bytes", "frozenset", "list", "set"},
+    "collections": {"OrderedDict"},
+    "_codecs": {"encode"},
+    "numpy": {"dtype", "ndarray"},
+    "numpy._core.multiarray": {"_reconstruct", "scalar"},
+    "numpy._core.numeric": {"_frombuffer"},
+}
+"""Module -> the names in it that arrays and plain containers need."""
+
+
+@pytest.mark.parametrize("module", [*KNOWN, "copyreg", "functools", "operator", "os", "numpy.lib.npyio"])
+def test_no_other_name_of_a_module_is_known(module: str):
+    for name in set(dir(import_module(module))) - KNOWN.get(module, set()):
+        with refused(Refused, f"'{module}.{name}'"):
+            unpickle(f"c{module}\n{name}\n.".encode())
 
 
 def test_the_refused_really_run_where_python_reads_them(tmp_path: Path):
