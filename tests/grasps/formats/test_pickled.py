@@ -310,9 +310,13 @@ def test_a_large_array_named_many_times_is_no_bomb():
 
 def test_a_list_copied_many_times_is_no_bomb():
     # list(x) of one list of ten thousand entries, a thousand times.
-    data = b"](" + b"N" * 10**4 + b"eq\x00(" + b"cbuiltins\nlist\nh\x00\x85R" * 10**3 + b"l."
+    first, copy = b"](" + b"N" * 10**4 + b"eq\x00", b"cbuiltins\nlist\nh\x00\x85R"
     with refused(Refused, "bomb"):
-        unpickle(data)
+        unpickle(first + b"(" + copy * 10**3 + b"l.")
+    # Copies that are dropped at once count as well.
+    with refused(Refused, "bomb"):
+        unpickle(first + (copy + b"0") * 10**3 + b".")
+    assert unpickle(first + copy + b"0.") == [None] * 10**4
 
 
 def test_a_state_set_many_times_is_no_bomb():
