@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import check_writable, save_json
+from grasp_refine.core.json_files import check_writable, dumps, save_json
 from refusals import refused
 
 
@@ -23,6 +25,17 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     with refused(GraspRefineError, path, "No space left on device"):
         save_json(path, {"x": 2})
     assert list(path.parent.iterdir()) == [path] and '"x": 1' in path.read_text()
+
+
+def test_numbers_that_are_not_finite_are_null():
+    document = {
+        "single": float("nan"), "several": [np.inf, np.float32(-np.inf), np.int64(3)],
+        "array": np.array([[np.nan, 2.5], [-np.inf, 0.0]]), "path": Path("a.npz"), 7: (None, True),
+    }  # fmt: skip
+    assert json.loads(dumps(document)) == {
+        "single": None, "several": [None, None, 3],
+        "array": [[None, 2.5], [None, 0.0]], "path": "a.npz", "7": [None, True],
+    }  # fmt: skip
 
 
 def test_unwritable_places_are_found_out_before_the_work(tmp_path: Path):

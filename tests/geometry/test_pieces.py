@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import fields
 from importlib.metadata import version
 
 import numpy as np
@@ -321,6 +322,17 @@ def brackets(bracket, number):
         mesh.vertices[0] *= 1 - 0.02 * n
         meshes.append((f"bracket {n}", mesh))
     return meshes
+
+
+def test_every_setting_of_the_decomposition_has_entries_of_its_own(bracket, slow_cuts, tmp_path):
+    others = {
+        "threshold": 0.2, "max_pieces": 3, "preprocess": "on", "preprocess_resolution": 60, "resolution": 3000,
+        "mcts_nodes": 30, "mcts_iterations": 100, "mcts_max_depth": 4, "merge": False, "seed": 1,
+    }  # fmt: skip
+    assert [*others] == [field.name for field in fields(Decomposition)]
+    for changed in ({}, *({name: value} for name, value in others.items())):
+        convex_pieces(bracket, Decomposition(**changed), cache=tmp_path)
+    assert slow_cuts[1] == len(list(tmp_path.iterdir())) == 1 + len(others)
 
 
 def test_several_meshes_are_cut_at_a_time_and_come_back_in_order(bracket, slow_cuts, tmp_path):

@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 import grasp_refine as gr
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.trials import Trials
+from grasp_refine.validation.world import World
 from plate_gripper import URDF
 from refusals import refused
 
@@ -71,6 +76,25 @@ def test_what_is_refined_is_measured_and_simulated_as_one(gripper: gr.Hand, refi
         _ = gr.evaluate(gripper, box, refined.after).held
     with refused(gr.GraspRefineError, "forceclosure", "force-closure", "strict", "tabletop"):
         gr.simulate(refined, "forceclosure")
+
+
+def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Grasps on boxes of two sizes take turns; of each, the place of the hand stands for what was simulated."""
+    grasps = gr.load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    save_npz(tmp_path / "two.npz", replace(grasps, scale=np.where(np.arange(len(grasps)) % 2, 1.1, 1.0)).arrays())
+
+    def place(world: World, motion: Motion, **others: object) -> Trials:
+        x, number = motion.T_world_root[:, 1, 0, 3], np.zeros((len(motion), 1))
+        none = np.zeros((len(motion), 0), dtype=bool)
+        return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x)
+
+    monkeypatch.setattr("grasp_refine.validation.simulation.simulate", place)
+    problem = gr.load_problem(gr.ProblemSpec(grasps=tmp_path / "two.npz", index=(0, 1, 2)))
+    assert len(problem.groups) == 2
+    refined = gr.refine(problem, config=gr.Config(starts=1, solver=LevenbergMarquardt(iterations=1)))
+    trials = gr.simulate(refined)
+    for found, wanted in ((trials.before, refined.before), (trials.after, refined.after)):
+        np.testing.assert_allclose(found.closing_m, wanted.hand_pose[:, 0], atol=1e-12)
 
 
 def test_a_notebook_shows_the_same_table(refined: gr.RefinedGrasps):

@@ -7,16 +7,18 @@ import pytest
 
 from boxed_example import boxed_example
 from grasp_refine.collision.query import query
-from grasp_refine.forces.quality import Quality, quality
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.forces.quality import DEEP, Quality, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import GOOD_QUALITY
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_QUALITY
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 
 CONFIG, TWO_STARTS = Config(starts=3), Config(starts=2)
@@ -114,6 +116,21 @@ def test_the_loss_is_that_of_all_terms(hard: Scene, held: Refinement) -> None:
     assert held.loss.shape == (4, 2) and (held.loss > 0.0).all()
     # What contacts and depths leave is far less than forces that do not balance.
     assert (held.loss[:, 1] <= held.loss[:, 0]).sum() >= 3
+
+
+def test_links_below_the_table_count_like_those_in_the_object(scene: Scene, prepared: HandObject) -> None:
+    """The same grasp, not moved at all, with its lowest link on the table, and 4 mm below it."""
+    one, first = rows(scene, [0]), np.array([0])
+    T = prepared.chain(one.T_world_root, one.q).T_world_link
+    lowest = float(transform_points(T, Plane().lowest(prepared.bodies, T))[..., 2].min())
+    score = []
+    for depth in (0.0, 0.004):
+        search = force_closure_search._Search(
+            replace(one, table=Plane(offset=lowest + depth)), prepared,
+            replace(CONFIG, solver=LevenbergMarquardt(iterations=0)), np.full(1, Status.RUNNING), None, None,
+        )  # fmt: skip
+        score.append(float(search.attempt(first, search.given(first), (CLOSE,)).score[0]))
+    assert score[1] - score[0] == pytest.approx(0.004 / DEEP, rel=1e-6)
 
 
 # starts

@@ -67,6 +67,9 @@ def test_the_table_speaks_millimetres_and_degrees():
     assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970 should hold"
     (median,) = [line for line in lines if line.startswith("median")]
     assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970"
+    lower = text(with_quality(error_in_millimetres(3), g1=0.5))
+    (worst,) = [line for line in lower if line.split()[:1] == ["worst"]]
+    assert " ".join(worst.split()) == "worst 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.500"
     for line, named in zip(
         lines[-7:],
         (

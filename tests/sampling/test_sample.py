@@ -1,6 +1,7 @@
 """Sampled grasps touch with two groups of links, are deep in nothing, and differ; the seed says which they are."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,6 +106,17 @@ def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
     witness = witness_of(gripper, obj, grasps)
     facing = (witness.normal[:, 0] * witness.normal[:, 1]).sum(axis=-1)
     assert facing[0] < -0.9, "the best push against each other"
+
+
+def test_of_forces_that_balance_alike_those_of_more_groups_are_better(
+    allegro: Hand, box: Object, monkeypatch: pytest.MonkeyPatch
+):
+    def balanced(hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness) -> SimpleNamespace:
+        return SimpleNamespace(residual=np.zeros(len(witness.distance)), solved=np.ones(len(witness.distance), bool))
+
+    monkeypatch.setattr(grasp_sampling, "grasp_forces", balanced)
+    count = [len(groups) for groups in groups_touching(allegro, box, sample_grasps(allegro, box, 6))]
+    assert count == sorted(count, reverse=True) and count[0] > 2
 
 
 @pytest.mark.parametrize("source", ["sphere:0.15", "box:0.5,0.5,0.5"])

@@ -32,6 +32,13 @@ def test_keys_in_files_are_those_that_programs_know():
     assert [measure.key for measure in COMPARED] == list(both)
 
 
+def test_quality_and_contacts_are_better_high_and_errors_and_costs_low():
+    found = {better: {one.key for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
+    assert found["higher"] == {"quality", "contact_number"}
+    assert found[""] == {"starts", *(one.key for one in MOVEMENTS)}
+    assert len(found["lower"]) + 6 == len(MEASURES)
+
+
 @pytest.mark.parametrize("measure", MEASURES, ids=lambda one: one.key)
 def test_people_read_the_unit_that_is_named(measure: Measure):
     """The factor is that from the SI unit of the key to the symbol."""

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from claw import around, claw
+from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.quality import quality
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.formulas import MAX_FINGER_DISTANCE_M
 from grasp_refine.validation.metrics import Metrics, metrics
 
@@ -120,6 +124,19 @@ def test_there_is_no_quality_without_contacts_and_it_falls_with_depth(hand: Hand
     scores = 1.0 / found.quality - 1.0
     assert np.isnan(found.quality[0]) and 0.0 < found.quality[2] < found.quality[1] < 1.0
     np.testing.assert_allclose(scores[2] - scores[1], 0.2, atol=1e-3)
+
+
+def test_the_quality_of_coupled_joints_is_that_where_they_are(tmp_path: Path) -> None:
+    """What one actuator of several joints can balance depends on their axes, not on the contacts alone."""
+    obj = load_object("sphere:0.03", candidates=16)
+    scene = around(claw(tmp_path, coupled=True), obj, 16, 0)
+    prepared = HandObject.of(scene)
+    frames = prepared.chain(scene.T_world_root, scene.q)
+    T = frames.T_world_link
+    witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    expected = quality(scene.hand, obj, prepared.chain, frames, witness).value
+    assert np.isfinite(expected).sum() > 4
+    np.testing.assert_allclose(metrics(scene.hand, obj, scene.T_world_root, scene.q).quality, expected, rtol=1e-9)
 
 
 def test_grasps_that_are_not_finite_have_no_metrics_and_spoil_no_other(hand: Hand, ball: Object) -> None:

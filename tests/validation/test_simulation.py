@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from grasp_refine.core.se3 import distances, exp_so3
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
-from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
+from grasp_refine.validation.robustness import Noise, _draw, holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
@@ -220,6 +221,14 @@ def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeyp
     assert np.abs(on_table[:, :2, 3]).min() > 1e-5
     np.testing.assert_allclose(turned[:, :3, :3] @ middle + turned[:, :3, 3], np.tile(middle, (3, 1)), atol=1e-12)
     assert np.abs(turned[:, :3, 3]).max() > 1e-4
+
+
+def test_noise_is_uniform_in_spheres() -> None:
+    """So is then the cube of the length, between 0 and that of the largest; half of the offsets lie on either side."""
+    lengths = (0.005, 0.1)
+    for vectors, most in zip(_draw(np.random.default_rng(0), Noise(4000, *lengths)), lengths, strict=True):
+        assert kstest((np.linalg.norm(vectors, axis=1) / most) ** 3, "uniform").pvalue > 0.01
+        np.testing.assert_allclose((vectors > 0).mean(axis=0), 0.5, atol=0.03)
 
 
 def raised(motion: Motion, height: float) -> Motion:

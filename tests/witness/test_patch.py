@@ -166,6 +166,16 @@ def test_a_tilt_beyond_epsilon_leaves_the_strip_that_epsilon_allows():
     np.testing.assert_allclose(patch.distance - plain.distance, EPSILON, atol=1e-10)
 
 
+@pytest.mark.parametrize(("scale", "limit"), [(0.01, 0.01), (100.0, 1.0)])
+def test_the_strip_of_bodies_unlike_a_hand_is_that_of_bodies_at_the_limit(scale: float, limit: float):
+    """Of bodies of 1 mm and of 9 m, epsilon is that of bodies of 1 cm and of 1 m, scaled with them."""
+    base, block = body(BASE.scaled(scale)), body(BLOCK.scaled(scale))
+    T_a, T_b = still(1), placed(exp_so3(np.array([[0.0, 0.01, 0.0]])), scale * np.array([0.0, 0.0, 0.031]))
+    target = scale * np.array([[-0.03, 0.0, 0.02]])
+    plain, patch = refined(base, block, T_a, T_b, target, seen_from_b(T_b, target))
+    np.testing.assert_allclose(patch.distance - plain.distance, EPSILON * base.diagonal / limit, rtol=1e-3)
+
+
 def test_the_radius_of_a_rounded_polytope_is_added_along_the_normal():
     round_block = Piece(BLOCK.vertices, BLOCK.faces, radius=0.004)
     target = np.array([[0.02, 0.01, 0.02], [0.05, 0.06, 0.02]])

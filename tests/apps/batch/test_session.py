@@ -11,6 +11,7 @@ from rich.console import Console
 
 from grasp_refine_apps.batch.plan import Refused
 from grasp_refine_apps.batch.progress import Progress
+from grasp_refine_apps.batch.record import note_failure, noted_failure
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed
@@ -21,6 +22,8 @@ def test_costs_and_stages_add_up_and_failures_have_their_reasons(tmp_path: Path)
         Shard(n, "group", f"shard {n}", 4, tmp_path / f"{n}.npz", "stamp", SimpleNamespace(job=job))
         for n, job in enumerate("aaab")
     )
+    # It failed in an earlier run.
+    note_failure(shards[1], Failed("hung", "worker 7 hung", "", 2))
     session = Session(shards, (Refused("c", "no such hand"),), {0})
     assert session.skipped == 4
     with Progress(Console(file=io.StringIO()), shards, 1) as progress:
@@ -43,5 +46,6 @@ def test_costs_and_stages_add_up_and_failures_have_their_reasons(tmp_path: Path)
         None, "c", "refused", "no such hand"
     )  # fmt: skip
     assert (failed["shard"], failed["path"], failed["reason"], failed["tries"]) == (3, shards[3].path, "crashed", 2)
-    # The next run of the command reads the note.
+    # The next run of the command reads the note; that of what succeeded meanwhile is gone.
+    assert noted_failure(shards[1]) is None
     assert Session(shards, (), {0, 1, 2}).failures() == [failed]

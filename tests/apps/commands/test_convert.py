@@ -129,7 +129,10 @@ def test_an_output_that_reads_otherwise_is_not_kept(
     assert Path("old.npz").read_text() == "old"
 
 
-def test_two_micrometres_are_found_out(file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("shift", [2e-6, float("nan")])
+def test_two_micrometres_are_found_out_and_places_that_are_none(
+    shift: float, file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     hand = load_hand("leap", candidates=16, base_link="palm_lower")
     grasps = load_grasps(file).select([0]).arrays() | {
         "hand": "leap",
@@ -141,7 +144,7 @@ def test_two_micrometres_are_found_out(file: Path, capsys: pytest.CaptureFixture
 
     def shifted(self: LeapCache, *arguments: Any) -> Any:
         parts, lost = honest(self, *arguments)
-        parts[0].content[:, 16] += 2e-6
+        parts[0].content[:, 16] += shift
         return parts, lost
 
     assert main(["convert", "leap.npz", "cube_s10.npy", "--to", "leap_cache"]) == 0

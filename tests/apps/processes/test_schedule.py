@@ -33,6 +33,11 @@ def test_the_others_of_a_group_wait_for_its_first_while_there_is_other_work():
     assert schedule.take(None).number == 1, "nothing else is left to do"
 
 
+def test_they_wait_also_for_a_worker_that_has_loaded_the_group():
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:"))
+    assert [schedule.take(None).number, schedule.take("a").number, schedule.take("a").number] == [0, 2, 1]
+
+
 def test_when_all_groups_are_open_the_one_with_most_tasks_left_is_shared():
     schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:", "b:", "b:"))
     for _ in range(2):

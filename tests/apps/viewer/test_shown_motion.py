@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import exp_se3, pose_from_transform, transform_from_pose
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
@@ -17,7 +18,7 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import FORCE_CLOSURE
 from grasp_refine.validation.replay.record import record
-from grasp_refine.validation.replay.replay import Replay, Stage, load_replay, save_replay
+from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import HAND, World, build_world
 from grasp_refine_apps.viewer.shown_motion import (
@@ -138,6 +139,20 @@ def test_a_free_object_flies_as_the_push_says(motion: ShownMotion) -> None:
     first = int(motion.lost.argmax())
     assert motion.displacement_m[first - 1] < FORCE_CLOSURE.farthest <= motion.displacement_m[first]
     assert motion.lost[first:].all() and not motion.held
+
+
+def test_where_in_the_world_it_was_simulated_does_not_matter(
+    hand: Hand, known: tuple[HandModel, World, Replay], motion: ShownMotion
+) -> None:
+    """Hand, object and push moved and turned together are the same frames of the object."""
+    model, _, replay = known
+    T, qpos = exp_se3(np.array([0.3, -0.2, 0.1, 0.5, -0.4, 2.0])), replay.qpos.copy()
+    for body in (HAND, OBJECT):
+        columns = [replay.qpos_names.index(f"{body} {axis}") for axis in POSE_AXES]
+        qpos[:, columns] = pose_from_transform(T @ transform_from_pose(qpos[:, columns]))
+    moved = shown_motion(hand, model, replace(replay, qpos=qpos, force=T[:3, :3] @ replay.force))
+    for name in ("T_root", "q", "T_object", "displacement_m", "angle_rad", "force"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(motion, name), atol=1e-7, err_msg=name)
 
 
 def test_a_frame_is_told_in_words(motion: ShownMotion) -> None:

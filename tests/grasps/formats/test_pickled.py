@@ -11,6 +11,7 @@ import struct
 import subprocess
 from collections import OrderedDict
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,24 @@ def test_what_would_run_is_refused_by_name_and_does_not_run(name: str, protocol:
     with refused(Refused, called):
         unpickle(data)
     assert not mark.exists()
+
+
+KNOWN = {
+    "builtins": {"bytes", "frozenset", "list", "set"},
+    "collections": {"OrderedDict"},
+    "_codecs": {"encode"},
+    "numpy": {"dtype", "ndarray"},
+    "numpy._core.multiarray": {"_reconstruct", "scalar"},
+    "numpy._core.numeric": {"_frombuffer"},
+}
+"""Module -> the names in it that arrays and plain containers need."""
+
+
+@pytest.mark.parametrize("module", [*KNOWN, "copyreg", "functools", "operator", "os", "numpy.lib.npyio"])
+def test_no_other_name_of_a_module_is_known(module: str):
+    for name in set(dir(import_module(module))) - KNOWN.get(module, set()):
+        with refused(Refused, f"'{module}.{name}'"):
+            unpickle(f"c{module}\n{name}\n.".encode())
 
 
 def test_the_refused_really_run_where_python_reads_them(tmp_path: Path):
@@ -291,9 +310,13 @@ def test_a_large_array_named_many_times_is_no_bomb():
 
 def test_a_list_copied_many_times_is_no_bomb():
     # list(x) of one list of ten thousand entries, a thousand times.
-    data = b"](" + b"N" * 10**4 + b"eq\x00(" + b"cbuiltins\nlist\nh\x00\x85R" * 10**3 + b"l."
+    first, copy = b"](" + b"N" * 10**4 + b"eq\x00", b"cbuiltins\nlist\nh\x00\x85R"
     with refused(Refused, "bomb"):
-        unpickle(data)
+        unpickle(first + b"(" + copy * 10**3 + b"l.")
+    # Copies that are dropped at once count as well.
+    with refused(Refused, "bomb"):
+        unpickle(first + (copy + b"0") * 10**3 + b".")
+    assert unpickle(first + copy + b"0.") == [None] * 10**4
 
 
 def test_a_state_set_many_times_is_no_bomb():

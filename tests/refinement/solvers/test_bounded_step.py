@@ -83,6 +83,15 @@ def test_as_many_unknowns_as_a_hand_has_settle_too(room: tuple[float, float]) ->
     np.testing.assert_allclose(dx, optimum(J, r, damping, metric, lower, upper), atol=1e-6)
 
 
+def test_steps_that_do_not_settle_keep_to_their_bounds() -> None:
+    """Hardly damped, with far more unknowns than residuals, about one active set in ten goes round in circles."""
+    J, r, damping, metric = problems(200, 10, 28, 17)
+    rng = np.random.default_rng(18)
+    lower, upper = -rng.uniform(0, 0.3, (200, 28)), rng.uniform(0, 0.3, (200, 28))
+    dx, _ = bounded_step(J, r, 1e-6 * damping, metric, lower, upper)
+    assert (dx >= lower).all() and (dx <= upper).all()
+
+
 def test_unknowns_that_do_not_meet_in_a_residual_stop_at_their_own_bounds() -> None:
     """With a diagonal J the optimum is that of each unknown, cut off."""
     rng = np.random.default_rng(3)

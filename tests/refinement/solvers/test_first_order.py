@@ -1,18 +1,18 @@
 """First-order solvers: the lengths and directions of their steps, their averages, schedule, and joint limits."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import torch
 
-from first_order_steps import first_state, one_step
+from first_order_steps import Given, Known, first_state, one_step
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, inverse, log_se3
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.first_order import FirstOrder
-from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.status import Status
 from refusals import refused
 
@@ -151,6 +151,31 @@ def test_the_schedule_shrinks_at_its_shares() -> None:
     iterations = np.array([0, 99, 100, 159, 160, 199])
     np.testing.assert_array_equal(solver.first_phase(iterations), [0, 0, 1, 1, 2, 2])
     assert not Descent(shares=(), factors=()).first_phase(iterations).any()
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated(Known):
+    loss: np.ndarray
+    num_queries: np.ndarray
+
+
+class Slope(Given):
+    """The only joint value as the loss: it falls as fast everywhere."""
+
+    width, restarts = 8, False
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Evaluated | None) -> Evaluated:
+        gradient = np.concatenate([np.zeros((len(member), 6)), np.ones((len(member), 1))], axis=1)
+        return Evaluated(gradient, point.q[:, 0], np.ones(len(member), dtype=np.int64))
+
+
+def test_steps_shrink_after_their_shares_of_the_iterations() -> None:
+    """The first iteration evaluates the start; the step of the fifth, still a whole one, is evaluated by the sixth."""
+    solver, path = Descent(iterations=10, shares=(0.5, 0.8), factors=(0.1, 0.01), progress=0.0), []
+    limits = torch.tensor([-100.0], dtype=torch.float64), torch.tensor([100.0], dtype=torch.float64)
+    start = Point(np.eye(4)[None], np.array([[5.0]]))
+    minimise(Slope(*limits), start, solver, 0.0, on_iteration=lambda member, point, loss: path.append(point.q[0, 0]))
+    np.testing.assert_allclose(-np.diff(path) / solver.step_joints, [1.0] * 5 + [0.1] * 3 + [0.01], rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,7 @@ def test_a_disturbed_measurement_is_made_up_for_by_the_next(bad: float):
     (one,) = [one for one in verdicts if one.again]
     assert (one.ratio.name, one.now, one.ok) == ("grasp", values()["grasp"], True)
     twice = judged(known(), Measuring(values() | {"grasp": 100.0}, values() | {"grasp": bad}))
-    assert [one.ok for one in twice if one.again] == [False]
+    assert [(one.now, one.ok) for one in twice if one.again] == [(100.0, False)]
 
 
 def test_what_gets_better_passes():
