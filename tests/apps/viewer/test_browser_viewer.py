@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -81,7 +82,13 @@ def refine(page: ViserPage) -> np.ndarray:
     page.tab("Refine")
     page.click("Start")
     page.wait_for_text(CONVERGED)
-    until(lambda: len(contact_errors(page)) > 3, "a chart of all iterations")
+    (count,) = re.findall(r"after (\d+) iterations?", page.text())
+
+    def is_whole() -> bool:
+        # The chart follows the words a moment later.
+        return any(plot.x[-1] == int(count) for plot in page.plots())
+
+    until(is_whole, "a chart of all iterations")
     return contact_errors(page)
 
 
