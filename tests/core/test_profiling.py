@@ -260,6 +260,6 @@ def test_run_tells_where_its_time_went(capfd: pytest.CaptureFixture[str]):
     profile, totals = document["profile"], document["totals"]
     assert tuple(profile) == STAGES and all(set(one) == {"cpu_s", "wall_s", "calls"} for one in profile.values())
     assert min(one["cpu_s"] for name, one in profile.items()) > 0.0
-    # What is left out is the beginning of the command, before there is anything to do: on a busy machine it takes longer.
+    # What is left out is the beginning of the command, which takes longer on a busy machine.
     assert 0.5 * totals["wall_s"] < sum(one["wall_s"] for one in profile.values()) <= totals["wall_s"]
     assert sum(one["cpu_s"] for one in profile.values()) == pytest.approx(totals["cpu_s"], rel=0.1, abs=0.1)
