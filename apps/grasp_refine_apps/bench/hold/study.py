@@ -223,7 +223,7 @@ METHOD = Column("label", "refined")
 
 def _brief(settings: Sequence[str]) -> list[Column]:
     """Columns for a terminal."""
-    heads = {"force-closure": "force- clos.", "tabletop": "table\u00adtop"}
+    heads = {"force-closure": "force closure", "tabletop": "table\u00adtop"}
     first = settings[0]
     return [
         *(Column(_key("success", name), f"held, {heads.get(name, name)}", "%", ".1f", "higher") for name in settings),
