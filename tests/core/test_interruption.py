@@ -142,7 +142,8 @@ from grasp_refine_apps.bench.jobs import run_jobs
 from endless_job import endless_job
 
 if __name__ == "__main__":
-    print(run_jobs([endless_job(Path("0")), endless_job(Path("1"))], 2, lambda share, what: None)[1])
+    *_, interrupted = run_jobs([endless_job(Path("0")), endless_job(Path("1"))], 2, lambda share, what: None)
+    print("interrupted" if interrupted else "done")
 """
 
 

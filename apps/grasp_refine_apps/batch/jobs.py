@@ -208,6 +208,12 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         if isnan(number):
             raise GraspRefineError(f"{where} must be a number, got {quote_value(value)}")
         return number
+    if bool in kinds:
+        # A cell of a CSV file is text.
+        truth = {"true": True, "false": False}.get(str(value).lower())
+        if truth is None:
+            raise GraspRefineError(f"{where} must be true or false, got {quote_value(value)}")
+        return truth
     if not isinstance(value, str) or not value:
         raise GraspRefineError(f"{where} must be text, got {quote_value(value)}")
     if choices and value not in choices:

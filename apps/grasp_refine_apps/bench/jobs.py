@@ -32,8 +32,10 @@ class Job:
     """Approximate duration, in arbitrary units."""
 
 
-def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]) -> tuple[list[Any], list[str]]:
-    """Run the jobs; return their results, in order, and the errors of those without a result.
+def run_jobs(
+    todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
+) -> tuple[list[Any], list[str], bool]:
+    """Run the jobs; return their results, in order, the errors of those that failed, and whether it was interrupted.
 
     A failing job does not end the others; an interruption ends those that are left and keeps the finished results.
 
@@ -44,6 +46,7 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
     """
     results: dict[int, Any] = {}
     problems: list[str] = []
+    interrupted = False
     try:
         for index, outcome in _run_serially(todo, progress) if workers == 1 else _run_parallel(todo, workers, progress):
             if isinstance(outcome, Failed):
@@ -52,8 +55,8 @@ def run_jobs(todo: Sequence[Job], workers: int, progress: Callable[[float, str],
             else:
                 results[index] = outcome
     except KeyboardInterrupt:
-        problems.append(f"interrupted: {len(results)} of {len(todo)} jobs were done")
-    return [results[index] for index in sorted(results)], problems
+        interrupted = True
+    return [results[index] for index in sorted(results)], problems, interrupted
 
 
 def _run_serially(todo: Sequence[Job], progress: Callable[[float, str], None]) -> Iterator[tuple[int, Any]]:

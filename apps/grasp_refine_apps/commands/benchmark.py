@@ -25,7 +25,9 @@ from grasp_refine_apps.report.command_line import flag, invocation
 from grasp_refine_apps.report.screen import screen
 
 SOMETHING_WRONG = 1
-"""Exit code when a study found something wrong."""
+"""Exit code when a study found something wrong, or a job failed."""
+INTERRUPTED = 130
+"""Exit code when an interruption ended it; the report has what was done until then."""
 
 
 class BenchCommand:
@@ -127,7 +129,9 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         def say(line: str) -> None:
             bar.console.print(escape(line), style="dim", soft_wrap=True)
 
-        done, problems = run_jobs(study.jobs(say), study.workers, progress)
+        todo = study.jobs(say)
+        done, errors, interrupted = run_jobs(todo, study.workers, progress)
+    problems = [*errors, *([f"interrupted: {len(done)} of {len(todo)} jobs were done"] if interrupted else [])]
     rows = study.rows(done)
     document = {
         "schema": SCHEMA,
@@ -149,8 +153,8 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
     if not rows:
         console.print("no usable results; nothing was written")
-        return NOTHING_USABLE
-    report = study.report(rows, problems)
+        return INTERRUPTED if interrupted else NOTHING_USABLE
+    report = study.report(rows, errors)
     if options.json is not None:
         save_json(options.json, document)
     if options.html is not None:
@@ -159,4 +163,6 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         console.print(part)
     wrote = f"; wrote {', '.join(map(str, files))}" if files else ""
     console.print(f"{document['wall_s']:.1f} s, {document['cpu_s']:.1f} s of CPU{wrote}", soft_wrap=True, markup=False)
-    return SOMETHING_WRONG if report.failed else 0
+    if interrupted:
+        return INTERRUPTED
+    return SOMETHING_WRONG if report.failed or errors else 0

@@ -177,6 +177,8 @@ class ClusterPool:
             self._faults.pop(worker, None)
         except ValueError:
             self._faults[worker] = f"worker {worker} hangs, and has no nanny to restart it"
+        except (OSError, TimeoutError, CancelledError) as failure:
+            raise self._scheduler_lost(failure) from failure
         return ""
 
     def _give_up(self, worker: str) -> None:

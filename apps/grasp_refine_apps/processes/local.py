@@ -99,10 +99,11 @@ class LocalPool:
         wait([source for process in self._processes.values() for source in process.sources], POLL_INTERVAL_S)
         messages: list[tuple[str, Any]] = []
         for name, process in list(self._processes.items()):
+            was_ready = process.ready
             received, ended = process.receive()
             messages += [(name, message) for message in received]
             late = not process.ready and self._patience_s is not None and process.age_s > self._patience_s
-            if process.ready:
+            if process.ready and not was_ready:
                 self._failed_starts = 0
             if not (ended or late):
                 continue
@@ -153,7 +154,7 @@ class _Process:
         self._log = tempfile.TemporaryFile()
         log = Connection(os.dup(self._log.fileno()), readable=False)
         self._process = context.Process(target=serve, args=(theirs, work, log, os.getpid()), daemon=True)
-        with _inherited():
+        with inherited_settings():
             self._process.start()
         theirs.close()
         log.close()
@@ -215,7 +216,7 @@ def _exit_text(exit_code: int | None) -> str:
 
 
 @contextmanager
-def _inherited() -> Iterator[None]:
+def inherited_settings() -> Iterator[None]:
     """Let processes that are started within inherit ONE_THREAD, and block interrupts until they are ready."""
     # Its first start would unblock the signals again.
     resource_tracker.ensure_running()

@@ -63,7 +63,7 @@ class Schedule(Generic[AnyTask]):
         if opened:
             self._touched.discard(task.group)
             self._untouched.append(task.group)
-        else:
+        elif task.group not in self._untouched:
             self._touched.add(task.group)
 
     def _count(self, group: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 WRITTEN = ("json", "html", "overwrite")
 """Options for output files."""
@@ -24,22 +24,33 @@ def invocation(command: str, options: Any) -> str:
 
     Args:
         command: Words of the command, such as "bench align".
-        options: Dataclass of the command; the options of nested dataclasses have no prefix.
+        options: Dataclass of the command.
     """
     return shlex.join(["refine-grasp", *command.split(), *words(options)])
 
 
-def words(options: Any) -> Iterator[str]:
-    """Yield the options that differ from their defaults."""
+def words(options: Any, group: str = "") -> Iterator[str]:
+    """Yield the options that differ from their defaults; those of a nested dataclass follow its name and a dot.
+
+    Args:
+        options: Dataclass.
+        group: Prefix of the names of its options, such as "weights."; a field that tyro gives no name adds none.
+    """
+    hints = get_type_hints(type(options), include_extras=True)
     for option in fields(options):
-        value = getattr(options, option.name)
+        value, name = getattr(options, option.name), group + option.name
         if is_dataclass(value):
-            yield from words(value)
+            yield from words(value, group if _is_nameless(hints[option.name]) else f"{name}.")
         elif value == option.default or option.name in WRITTEN:
             continue
         elif option.name in POSITIONAL:
             yield from map(str, value)
         elif isinstance(value, bool):
-            yield flag(option.name, "--" if value else "--no-")
+            yield flag(name, "--" if value else "--no-")
         else:
-            yield from (flag(option.name), *map(str, value if isinstance(value, tuple) else (value,)))
+            yield from (flag(name), *map(str, value if isinstance(value, tuple) else (value,)))
+
+
+def _is_nameless(hint: Any) -> bool:
+    """Return whether `arg(name="")` annotates a field."""
+    return any(getattr(note, "name", None) == "" for note in getattr(hint, "__metadata__", ()))

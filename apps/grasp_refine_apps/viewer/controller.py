@@ -200,8 +200,9 @@ class Controller(Editor):
                 return change
 
             if self.run_job("validate", "testing in MuJoCo", work):
-                # The simulated pose is the shown one, and stays shown.
-                self._set(pose=grasp.pose, frame=None, motion=None, trial=None)
+                # The simulated pose is the shown one, and stays shown: an earlier iteration replaces the present pose.
+                state = self._state if grasp.pose is self._state.pose else self._with_step(self._state, "")
+                self._become(replace(state, pose=grasp.pose, frame=None, motion=None, trial=None))
 
     def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""

@@ -68,3 +68,21 @@ def test_twenty_thousand_groups_are_no_burden():
     schedule = Schedule(some_tasks(Path(), *(f"{number}:" for number in range(20_000))))
     numbers = [schedule.take(None).number for _ in range(20_000)]
     assert numbers == list(range(20_000))
+
+
+def test_a_group_that_waits_to_be_opened_again_is_not_opened_twice():
+    """Two of its tasks were lost, and a worker that had it loaded took all that was left: the next `take` failed."""
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "a:", "b:", "b:"))
+    first = schedule.take(None)
+    second = schedule.take(None)
+    schedule.finish(second)
+    assert second.group == "b"
+    others = [schedule.take("b"), schedule.take(None)]
+    assert [task.number for task in others] == [4, 1]
+    schedule.requeue(first)
+    schedule.requeue(others[1])
+    done = []
+    while task := schedule.take("a"):
+        done.append(task.number)
+        schedule.finish(task)
+    assert sorted(done) == [0, 1, 2] and len(schedule) == 0

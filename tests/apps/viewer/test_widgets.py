@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -43,6 +43,22 @@ def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypa
         slider.show(value - 1.0)  # what was drawn of the state before
     until(lambda: sent and sent[-1] == 8.0)
     assert sent == sorted(sent) and slider.handle.value == 8.0 and page.told(slider.handle) == []
+    slider.close()
+
+
+def test_a_late_state_does_not_replace_what_a_user_sends(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
+    """A busy machine calls back so late that a state of before has moved the widget already."""
+    late: list[Callable[[Any], None]] = []
+    monkeypatch.setattr(widgets, "on_change", lambda handle, act: late.append(act))
+    monkeypatch.setattr(widgets, "HOLD_S", 0.1)
+    sent: list[float] = []
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
+    page.change(slider.handle, 3)
+    until(lambda: slider.handle.value == 3.0)
+    slider.show(8.0)
+    until(lambda: slider.handle.value == 8.0)
+    late[0](8.0)
+    assert sent == [3.0]
     slider.close()
 
 

@@ -116,8 +116,9 @@ class _Problem:
     variant: Variant
     layer: WitnessLayer
     target_a: Tensor
-    """Targets on body b (N, P, 3), metres, body frame."""
+    """Target points (N, P, 3) of body a, metres, frame of body a."""
     target_b: Tensor
+    """Likewise of body b."""
     watch: Stopwatch
 
     def errors(self, T_a: Tensor, T_b: Tensor, key: int, previous: Witness | None = None) -> tuple[Tensor, Witness]:

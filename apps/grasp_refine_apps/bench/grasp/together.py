@@ -10,6 +10,7 @@ from multiprocessing.synchronize import Barrier
 from typing import Any, TypeVar
 
 from grasp_refine.core.interruption import end_with
+from grasp_refine_apps.processes.local import inherited_settings
 
 Result = TypeVar("Result")
 
@@ -18,7 +19,7 @@ MAX_WAIT_S = 600.0
 
 
 def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> list[Result]:
-    """Run the works, each in a process of its own, and return their results.
+    """Run the works, each in a process of its own with one thread, and return their results.
 
     A `ProcessPoolExecutor` would not do: it starts processes while it already waits for others, and misses the end of
     one that it does not know yet (CPython 3.11).
@@ -38,7 +39,8 @@ def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> lis
             receiver, sender = context.Pipe(duplex=False)
             number[receiver] = len(number)
             process = context.Process(target=_do, args=(work, barrier, sender, os.getpid()))
-            process.start()
+            with inherited_settings():
+                process.start()
             processes.append(process)
             sender.close()
         while len(results) < len(works):
@@ -69,9 +71,8 @@ def _received(receiver: Any) -> Any:
 
 
 def _do(work: Callable[[Callable[[], None]], Result], barrier: Barrier, sender: Connection, parent: int) -> None:
-    """Do the work, with one thread: the other cores are for the others; send its result, or the error."""
+    """Do the work, and send its result, or the error."""
     end_with(parent)
-    os.environ["OMP_NUM_THREADS"] = "1"
 
     def ready() -> None:
         barrier.wait(MAX_WAIT_S)

@@ -112,6 +112,7 @@ class ExportPanel:
             found = Collection.of(problem)
             control.check()
             self._controller.change_collection(found)
+            self._controller.measure()
             self._controller.notify(f"{shown} is open: {_sentence(found)}")
 
         self._run("load", f"opening {shown}", work)

@@ -53,6 +53,8 @@ class LiveInput:
         self._loop = event_loop(handle)
         self._sending = Lock()
         self._known = self._shown = handle.value
+        self._unsent: Any = None
+        """Value of a user that was not sent yet; None: there is none."""
         self._until = float("-inf")
         self._timer: TimerHandle | None = None
         self._closed = False
@@ -89,14 +91,16 @@ class LiveInput:
     def _moved(self) -> None:
         """Send a user's change; viser calls this in any of its threads, and not always in order."""
         with self._sending:
-            self._touched()
-            # What the widget shows now, not what it showed when it was moved.
-            self._send(self._known)
+            if self._unsent is None or self.handle.value != self._known:
+                self._touched()
+            # The user's last value, even where a late state has meanwhile moved the widget.
+            value, self._unsent = self._unsent, None
+            self._send(value)
 
     def _touched(self) -> None:
         # In this order: `_settle`, in another thread, must not take a value for known that it may still overwrite.
         self._until = monotonic() + HOLD_S
-        self._known = self.handle.value
+        self._known = self._unsent = self.handle.value
 
 
 def in_a_row(gui: viser.GuiApi, buttons: Sequence[viser.GuiButtonHandle]) -> None:

@@ -99,7 +99,7 @@ def test_the_number_type_is_that_of_the_job(tasks: list[Tasks]):
 
 def test_another_process_finds_the_same(tasks: list[Tasks]):
     (job,) = made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])
-    (found,), problems = run_jobs([Job("there", job.run), Job("broken", replace(job, dtype="float5").run)], 2, quiet)
+    (found,), problems, _ = run_jobs([Job("there", job.run), Job("broken", replace(job, dtype="float5").run)], 2, quiet)
     np.testing.assert_array_equal(found.aligned.T_world_b, alone(job).aligned.T_world_b)
     assert len(problems) == 1 and "float5" in problems[0]
 
