@@ -122,7 +122,9 @@ def _scalar(of: Any, data: Any = None) -> Any:
 def _encode(text: Any, encoding: Any) -> bytes:
     # Bytes are written so where there is no opcode for them; other encodings could be bombs.
     if encoding not in ("latin1", "latin-1"):
-        raise Refused(f"holds text in the encoding {encoding!r}; only latin1 is read")
+        # Lists in lists would take exponentially long to format.
+        named = f"the encoding {encoding[:40]!r}" if isinstance(encoding, str) else "an encoding without a name"
+        raise Refused(f"holds text in {named}; only latin1 is read")
     return str.encode(text, "latin-1", errors="replace")
 
 

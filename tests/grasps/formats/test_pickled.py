@@ -302,6 +302,13 @@ def test_a_part_named_many_times_is_no_bomb():
         unpickle(data)
 
 
+def test_an_encoding_that_is_a_bomb_is_not_formatted():
+    # Each list holds the one before it twice.
+    doubled = b"]" + b"q\x000](h\x00h\x00e" * 2000
+    with refused(Refused, "encoding"):
+        unpickle(b"c_codecs\nencode\nS'x'\n" + doubled + b"\x86R.")
+
+
 def test_a_large_array_named_many_times_is_no_bomb():
     data = pickle.dumps([np.zeros(10**6)] * 1000)
     with refused(Refused, "bomb"):
