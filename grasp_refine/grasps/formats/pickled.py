@@ -34,6 +34,8 @@ TYPE_CODE = re.compile(rf"[<>=|]?[{ARRAY_KINDS}O?][0-9]{{0,9}}")
 """Type codes of these, and of objects, in pickles."""
 INTEGER_LIMIT = 2**64
 """Integers of this magnitude or more are refused."""
+MEMO_LIMIT = 2**32
+"""Places in the memo from here on are refused, as the opcodes other than PUT have none."""
 
 READABLE = "only numbers, text, lists, dicts and NumPy arrays are read"
 DAMAGED = (pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, OverflowError)
@@ -203,6 +205,10 @@ class _Unpickler(pickle._Unpickler):
     """Takes all values from the last mark on."""
     read: Callable[[int], bytes]
     """Returns the next bytes."""
+    readline: Callable[[], bytes]
+    """Returns the next line, with its end."""
+    memo: dict[int, Any]
+    """Place -> value that may be named again."""
 
     def __init__(self, data: bytes, budget: _Budget) -> None:
         file = _Bytes(data)
@@ -250,6 +256,13 @@ class _Unpickler(pickle._Unpickler):
         entries = self.pop_mark()
         self.stack[-1].update(_entries(entries))
 
+    def load_put(self) -> None:
+        """Remember the last value at a place given in digits; many large places could have the same hash."""
+        place = int(self.readline()[:-1])
+        if not 0 <= place < MEMO_LIMIT:
+            raise ValueError("a place in the memo")
+        self.memo[place] = self.stack[-1]
+
     def load_frame(self) -> None:
         """Skip the size of a frame, so that all bytes are requested from `_Bytes`."""
         self.read(8)
@@ -264,6 +277,7 @@ class _Unpickler(pickle._Unpickler):
         pickle.DICT[0]: load_dict,
         pickle.SETITEM[0]: load_setitem,
         pickle.SETITEMS[0]: load_setitems,
+        pickle.PUT[0]: load_put,
         pickle.FRAME[0]: load_frame,
         # A list is not hashed, and bytes are there before they get memory.
         pickle.EMPTY_SET[0]: pickle._Unpickler.dispatch[pickle.EMPTY_LIST[0]],

@@ -345,6 +345,13 @@ def test_a_memo_at_a_giant_place_takes_no_room():
     assert unpickle(b"Nr\xff\xff\xff\x7f.") is None
 
 
+@pytest.mark.parametrize("place", [b"4294967296", b"%d" % (2**61 - 1), b"-1", b"x"])
+def test_a_place_in_the_memo_that_needs_more_than_32_bits_is_refused(place: bytes):
+    assert unpickle(b"Np4294967295\n.") is None
+    with refused(Refused, "damaged"):
+        unpickle(b"Np" + place + b"\n.")
+
+
 def test_bytes_that_are_not_there_are_not_waited_for():
     for opcode in (pickletools.code2op["\x8e"], pickletools.code2op["\x96"]):
         with refused(Refused):
