@@ -82,9 +82,9 @@ class _Dtype:
 
 @dataclass(eq=False)
 class _Array:
-    """A NumPy array, or its entries where those are objects; None until the pickle has given all of it."""
+    """A NumPy array, or its entries where those are objects; Ellipsis until the pickle has given all of it."""
 
-    value: Any = None
+    value: Any = ...
 
     def set_state(self, state: Any) -> None:
         """Fill it."""
@@ -313,6 +313,8 @@ def _plain(value: Any, budget: _Budget, depth: int = 0) -> Any:
     if depth > MAX_DEPTH:
         raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep")
     if isinstance(value, _Array):
+        if value.value is ...:
+            raise Refused("holds an array without its entries")
         return _plain(value.value, budget, depth + 1)
     if isinstance(value, list | tuple):
         return type(value)(_plain(item, budget, depth + 1) for item in value)

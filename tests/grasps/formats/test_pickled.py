@@ -212,6 +212,7 @@ def test_objects_of_classes_are_refused_by_name():
         (b"c_codecs\nencode\n(S'x'\nS'zlib_codec'\ntR.", ("'zlib_codec'", "latin1")),
         (b"cnumpy\ndtype\n(S'f8'\ntRcnumpy.core.multiarray\nscalar\nh\x00.", ("damaged",)),
         (b"}]I1\ns.", ("keys",)),
+        (b"cnumpy.core.multiarray\n_reconstruct\n)R.", ("array", "entries")),
         (b"\x80\x04NN\x93.", ("damaged",)),
         (b"\x80\x04\x8c\x01aN\x93.", ("damaged",)),
         (b"\x80\x04N\x93.", ("damaged",)),
