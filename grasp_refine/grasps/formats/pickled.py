@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import pickle
 import re
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -106,7 +107,25 @@ def _values(data: Any, of: Any, shape: Any, order: Any) -> Any:
     if not isinstance(data, bytes) or len(data) != prod(shape) * dtype.itemsize or not dtype.itemsize:
         held = f"{len(data)} bytes" if isinstance(data, bytes) else "no bytes"
         raise Refused(f"an array of shape {shape} and type {dtype} in it is damaged: it holds {held}")
+    check_text(data, dtype)
     return np.frombuffer(data, dtype).reshape(shape, order="F" if order == "F" else "C")
+
+
+def check_text(data: bytes, dtype: np.dtype) -> None:
+    """Refuse an array of text with codes that are no characters: Python ends in errors of its own on them.
+
+    Args:
+        data: Bytes of the array.
+        dtype: Type of the array; only text is checked.
+
+    Raises:
+        Refused: There is such a code.
+    """
+    if dtype.kind != "U":
+        return
+    codes = np.frombuffer(data, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+    if codes.max(initial=0) > sys.maxunicode:
+        raise Refused("holds text that is damaged: some of its characters do not exist")
 
 
 def _dtype(code: Any, *_: Any) -> _Dtype:
