@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,17 +13,19 @@ from pathlib import Path
 from grasp_refine.core.errors import GraspRefineError
 
 _PARTIAL_MARK = ".partial."
-"""Separator between process and machine in the names of partial files."""
+"""Separator between the process with its thread and the machine in the names of partial files."""
 
 
 def half_written_path(path: Path) -> Path:
-    """Path of the partial file that this process writes before it becomes `path`."""
-    return path.with_name(f".{os.getpid()}{_PARTIAL_MARK}{_machine_id()}.{path.name}")
+    """Path of the partial file that this thread of this process writes before it becomes `path`."""
+    writer = f"{os.getpid()}-{threading.get_native_id()}"
+    return path.with_name(f".{writer}{_PARTIAL_MARK}{_machine_id()}.{path.name}")
 
 
 def half_written(name: str) -> tuple[int | None, str]:
     """Process of this machine that wrote a partial file, and the final file name; None: not such a file."""
-    pid, between, rest = name.removeprefix(".").partition(_PARTIAL_MARK)
+    writer, between, rest = name.removeprefix(".").partition(_PARTIAL_MARK)
+    pid, _, _ = writer.partition("-")
     host, _, whole = rest.partition(".")
     ours = name.startswith(".") and between and pid.isdecimal() and host == _machine_id()
     return (int(pid), whole) if ours else (None, name)

@@ -38,7 +38,7 @@ def entry_name(vertices: np.ndarray, faces: np.ndarray, settings: str) -> str:
 
 
 def save(entry: Path, polytopes: Sequence[Polytope]) -> None:
-    """Save polytopes as one entry, atomically, also when several processes write it.
+    """Save polytopes as one entry, atomically, also when several processes or threads write it.
 
     Raises:
         GraspFileError: the folder is not writable.

@@ -43,6 +43,9 @@ MAX_KEPT_RATIO = 0.9
 _SURFACE_POINTS, _MESH_POINTS = 2**13, 2**16
 """Points on the exposed surface of pieces, and on the mesh, between which protrusion is measured: 0 to 5 % too small on
 25 scanned and drawn objects."""
+_NEAREST = 8
+"""Points on the mesh, nearest to one on the pieces, to whose triangles its distance is measured. The points alone are
+up to 2 % of a cube's edge away where it touches its hull; with 4 triangles it is 1 %, with 8 nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +119,27 @@ def covering(
 def protrusion(pieces: Sequence[Piece], mesh: trimesh.Trimesh, least: float) -> float:
     """Protrusion of the union of `pieces` from `mesh`, in metres; 0 where it is at most `least`.
 
-    That is the largest distance from points on the exposed surface of the pieces to points on the mesh.
+    That is the largest distance from points on the exposed surface of the pieces to the mesh: to the triangles of the
+    `_NEAREST` points on it.
     """
     import trimesh
 
-    on_mesh, _ = trimesh.sample.sample_surface(mesh, _MESH_POINTS, seed=0)
+    on_mesh, sampled = trimesh.sample.sample_surface(mesh, _MESH_POINTS, seed=0)
+    # Vertices are points of one of their triangles: small ones may have no sampled point.
+    triangle = np.zeros(len(mesh.vertices), dtype=np.int64)
+    triangle[mesh.faces] = np.arange(len(mesh.faces))[:, None]
+    tree = KDTree(np.concatenate([on_mesh, mesh.vertices]))
     exposed = sample(pieces, _SURFACE_POINTS, seed=0).points
-    found = float(KDTree(np.concatenate([on_mesh, mesh.vertices])).query(exposed)[0].max())
+    # Its triangle is no farther than a point on it.
+    exposed = exposed[tree.query(exposed)[0] > least]
+    if not len(exposed):
+        return 0.0
+    near = tree.query(exposed, k=_NEAREST)[1].ravel()
+    # Tolerances of trimesh are for triangles about 1 large.
+    corners = mesh.triangles[np.concatenate([sampled, triangle])[near]] / mesh.scale
+    points = np.repeat(exposed, _NEAREST, axis=0) / mesh.scale
+    distances = np.linalg.norm(trimesh.triangles.closest_point(corners, points) - points, axis=1)
+    found = float(distances.reshape(-1, _NEAREST).min(axis=1).max() * mesh.scale)
     return found if found > least else 0.0
 
 

@@ -39,7 +39,7 @@ class LinkMeshes:
     limit: float = HULL_LIMIT
     """Greatest distance in metres by which a hull may stand out of its mesh; infinite: only hulls."""
     cache: Path | None = None
-    """Folder of earlier decompositions and measurements; None: no cache."""
+    """Folder of earlier decompositions; None: no cache."""
     progress: Callable[[str], None] = lambda line: None
     """Called with a line before and one after a mesh is cut by CoACD."""
     _read: dict[Path, trimesh.Trimesh] = field(default_factory=dict)

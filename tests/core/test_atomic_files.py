@@ -1,11 +1,12 @@
 """Files appear whole or not at all."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.atomic_files import half_written, half_written_path, written_whole
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from refusals import refused
 
@@ -22,6 +23,16 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     with written_whole(tmp_path / "new" / "file.txt") as partial:
         partial.write_text("whole")
     assert [entry.name for entry in (tmp_path / "new").iterdir()] == ["file.txt"]
+
+
+def test_each_thread_writes_a_partial_file_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "entry.npz"
+    with ThreadPoolExecutor(1) as pool, written_whole(path) as own:
+        own.write_text("whole")
+        other = pool.submit(half_written_path, path).result()
+        assert other != own
+        assert half_written(own.name) == half_written(other.name) == (os.getpid(), path.name)
+    assert path.read_text() == "whole"
 
 
 def test_what_cannot_be_written_is_an_error_of_the_kind_that_was_asked_for(tmp_path: Path) -> None:

@@ -163,6 +163,13 @@ def piece(*bounds: float) -> Piece:
     return box(high - low).transformed(np.block([[np.eye(3), (high + low)[:, None] / 2], [np.zeros(3), 1.0]]))
 
 
+@pytest.mark.parametrize("edge", [0.05, 0.3, 1.0])
+def test_a_box_of_any_size_is_its_own_hull(edge: float) -> None:
+    cube = trimesh.creation.box([edge, edge, edge])
+    assert protrusion([hull(cube.vertices)], cube, 1e-3 * edge) == 0
+    assert covering(cube, 5e-3).hull_stands_out == 0
+
+
 L_SHAPE = [0, 0, 0, 3, 1, 1], [0, 0, 0, 1, 3, 1]
 
 

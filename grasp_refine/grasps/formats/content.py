@@ -12,7 +12,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import MAGIC, array_header
-from grasp_refine.grasps.formats.pickled import ARRAY_KINDS, Refused, unpickle
+from grasp_refine.grasps.formats.pickled import ARRAY_KINDS, Refused, check_text, unpickle
 
 MAX_FILE_BYTES = 2**28
 """Largest size of a file in bytes; nearly all of a valid one are arrays."""
@@ -66,6 +66,7 @@ def _array(data: bytes) -> Any:
     needed = prod(shape) * dtype.itemsize
     if len(rest) < needed:
         raise Refused(f"is cut off: shape {shape} of {dtype} needs {needed} bytes, {len(rest)} are there")
+    check_text(rest[:needed], dtype)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of headers by Python 2, or damaged ones

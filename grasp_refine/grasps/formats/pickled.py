@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import pickle
 import re
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ TYPE_CODE = re.compile(rf"[<>=|]?[{ARRAY_KINDS}O?][0-9]{{0,9}}")
 """Type codes of these, and of objects, in pickles."""
 INTEGER_LIMIT = 2**64
 """Integers of this magnitude or more are refused."""
+MEMO_LIMIT = 2**32
+"""Places in the memo from here on are refused, as the opcodes other than PUT have none."""
 
 READABLE = "only numbers, text, lists, dicts and NumPy arrays are read"
 DAMAGED = (pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, OverflowError)
@@ -80,9 +83,9 @@ class _Dtype:
 
 @dataclass(eq=False)
 class _Array:
-    """A NumPy array, or its entries where those are objects; None until the pickle has given all of it."""
+    """A NumPy array, or its entries where those are objects; Ellipsis until the pickle has given all of it."""
 
-    value: Any = None
+    value: Any = ...
 
     def set_state(self, state: Any) -> None:
         """Fill it."""
@@ -104,7 +107,25 @@ def _values(data: Any, of: Any, shape: Any, order: Any) -> Any:
     if not isinstance(data, bytes) or len(data) != prod(shape) * dtype.itemsize or not dtype.itemsize:
         held = f"{len(data)} bytes" if isinstance(data, bytes) else "no bytes"
         raise Refused(f"an array of shape {shape} and type {dtype} in it is damaged: it holds {held}")
+    check_text(data, dtype)
     return np.frombuffer(data, dtype).reshape(shape, order="F" if order == "F" else "C")
+
+
+def check_text(data: bytes, dtype: np.dtype) -> None:
+    """Refuse an array of text with codes that are no characters: Python ends in errors of its own on them.
+
+    Args:
+        data: Bytes of the array.
+        dtype: Type of the array; only text is checked.
+
+    Raises:
+        Refused: There is such a code.
+    """
+    if dtype.kind != "U":
+        return
+    codes = np.frombuffer(data, np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+    if codes.max(initial=0) > sys.maxunicode:
+        raise Refused("holds text that is damaged: some of its characters do not exist")
 
 
 def _dtype(code: Any, *_: Any) -> _Dtype:
@@ -122,7 +143,9 @@ def _scalar(of: Any, data: Any = None) -> Any:
 def _encode(text: Any, encoding: Any) -> bytes:
     # Bytes are written so where there is no opcode for them; other encodings could be bombs.
     if encoding not in ("latin1", "latin-1"):
-        raise Refused(f"holds text in the encoding {encoding!r}; only latin1 is read")
+        # Lists in lists would take exponentially long to format.
+        named = f"the encoding {encoding[:40]!r}" if isinstance(encoding, str) else "an encoding without a name"
+        raise Refused(f"holds text in {named}; only latin1 is read")
     return str.encode(text, "latin-1", errors="replace")
 
 
@@ -201,6 +224,10 @@ class _Unpickler(pickle._Unpickler):
     """Takes all values from the last mark on."""
     read: Callable[[int], bytes]
     """Returns the next bytes."""
+    readline: Callable[[], bytes]
+    """Returns the next line, with its end."""
+    memo: dict[int, Any]
+    """Place -> value that may be named again."""
 
     def __init__(self, data: bytes, budget: _Budget) -> None:
         file = _Bytes(data)
@@ -248,6 +275,13 @@ class _Unpickler(pickle._Unpickler):
         entries = self.pop_mark()
         self.stack[-1].update(_entries(entries))
 
+    def load_put(self) -> None:
+        """Remember the last value at a place given in digits; many large places could have the same hash."""
+        place = int(self.readline()[:-1])
+        if not 0 <= place < MEMO_LIMIT:
+            raise ValueError("a place in the memo")
+        self.memo[place] = self.stack[-1]
+
     def load_frame(self) -> None:
         """Skip the size of a frame, so that all bytes are requested from `_Bytes`."""
         self.read(8)
@@ -262,6 +296,7 @@ class _Unpickler(pickle._Unpickler):
         pickle.DICT[0]: load_dict,
         pickle.SETITEM[0]: load_setitem,
         pickle.SETITEMS[0]: load_setitems,
+        pickle.PUT[0]: load_put,
         pickle.FRAME[0]: load_frame,
         # A list is not hashed, and bytes are there before they get memory.
         pickle.EMPTY_SET[0]: pickle._Unpickler.dispatch[pickle.EMPTY_LIST[0]],
@@ -297,6 +332,8 @@ def _plain(value: Any, budget: _Budget, depth: int = 0) -> Any:
     if depth > MAX_DEPTH:
         raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep")
     if isinstance(value, _Array):
+        if value.value is ...:
+            raise Refused("holds an array without its entries")
         return _plain(value.value, budget, depth + 1)
     if isinstance(value, list | tuple):
         return type(value)(_plain(item, budget, depth + 1) for item in value)

@@ -75,6 +75,10 @@ def export_xml(
     for node in root.iter():
         for word in _NEW_WORDS:
             node.attrib.pop(word, None)
+    # MuJoCo 3.3.0 to 3.3.2 know no types of lights.
+    for light in root.iterfind(".//light[@type='directional']"):
+        del light.attrib["type"]
+        light.set("directional", "true")
     text = ET.tostring(root, encoding="unicode") + "\n"
     _check_same_physics(model, text)
     with written_whole(path) as partial:

@@ -49,6 +49,18 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "grasp.npy"
 
 
+@pytest.mark.parametrize("order", "<>")
+def test_text_with_characters_that_do_not_exist_is_refused(file: Path, order: str):
+    names = np.array(["FFJ4", "\U0010ffff"], f"{order}U4")
+    bad = names.copy()
+    bad.view(f"{order}u4")[-1] = 0x110000
+    for wrap in (lambda array: array, lambda array: np.array({"joint_names": array}, dtype=object)):
+        file.write_bytes(npy(wrap(names)))
+        load_content(file)
+        file.write_bytes(npy(wrap(bad)))
+        check_refused(file, "text")
+
+
 def test_arrays_and_pickles_are_read(file: Path):
     for value in (np.arange(6.0, dtype=np.float32).reshape(2, 3), np.asfortranarray(np.ones((2, 3)))):
         file.write_bytes(npy(value))

@@ -212,6 +212,7 @@ def test_objects_of_classes_are_refused_by_name():
         (b"c_codecs\nencode\n(S'x'\nS'zlib_codec'\ntR.", ("'zlib_codec'", "latin1")),
         (b"cnumpy\ndtype\n(S'f8'\ntRcnumpy.core.multiarray\nscalar\nh\x00.", ("damaged",)),
         (b"}]I1\ns.", ("keys",)),
+        (b"cnumpy.core.multiarray\n_reconstruct\n)R.", ("array", "entries")),
         (b"\x80\x04NN\x93.", ("damaged",)),
         (b"\x80\x04\x8c\x01aN\x93.", ("damaged",)),
         (b"\x80\x04N\x93.", ("damaged",)),
@@ -302,6 +303,13 @@ def test_a_part_named_many_times_is_no_bomb():
         unpickle(data)
 
 
+def test_an_encoding_that_is_a_bomb_is_not_formatted():
+    # Each list holds the one before it twice.
+    doubled = b"]" + b"q\x000](h\x00h\x00e" * 2000
+    with refused(Refused, "encoding"):
+        unpickle(b"c_codecs\nencode\nS'x'\n" + doubled + b"\x86R.")
+
+
 def test_a_large_array_named_many_times_is_no_bomb():
     data = pickle.dumps([np.zeros(10**6)] * 1000)
     with refused(Refused, "bomb"):
@@ -336,6 +344,13 @@ def test_a_dict_is_not_copied_as_a_list():
 
 def test_a_memo_at_a_giant_place_takes_no_room():
     assert unpickle(b"Nr\xff\xff\xff\x7f.") is None
+
+
+@pytest.mark.parametrize("place", [b"4294967296", b"%d" % (2**61 - 1), b"-1", b"x"])
+def test_a_place_in_the_memo_that_needs_more_than_32_bits_is_refused(place: bytes):
+    assert unpickle(b"Np4294967295\n.") is None
+    with refused(Refused, "damaged"):
+        unpickle(b"Np" + place + b"\n.")
 
 
 def test_bytes_that_are_not_there_are_not_waited_for():

@@ -114,6 +114,10 @@ def test_words_that_mujoco_3_refuses_are_not_used(exported: Path) -> None:
     assert 'multiccd="disable"' in text
     for word in ("autoreset", "input=", "file="):
         assert not re.search(rf"\b{word}", text), word
+    # MuJoCo 3.3.0 to 3.3.2 know lights by this word alone.
+    lights = ET.fromstring(text).findall(".//light")
+    assert [(light.get("directional"), light.get("type")) for light in lights] == [("true", None)]
+    assert (mujoco.MjModel.from_xml_string(text).light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL).all()
 
 
 def test_what_is_not_written_exactly_is_named(
