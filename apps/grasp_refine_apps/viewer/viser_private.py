@@ -39,6 +39,11 @@ def is_removed(handle: Any) -> bool:
     return bool(handle._impl.removed)
 
 
+def send_value(handle: Any) -> None:
+    """Tell all pages the value of a widget; setting it to what it is tells nobody."""
+    handle._queue_update("value", handle.value)
+
+
 def event_loop(handle: Any) -> asyncio.AbstractEventLoop:
     """Return the loop of viser's thread, where changes by users arrive: what is set there comes in their order."""
     loop: asyncio.AbstractEventLoop = handle._impl.gui_api._event_loop

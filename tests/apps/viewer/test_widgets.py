@@ -62,6 +62,15 @@ def test_a_late_state_does_not_replace_what_a_user_sends(server: Any, page: Page
     slider.close()
 
 
+def test_a_page_hears_at_last_what_its_user_did(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
+    """A late state that crossed the last movement was shown for ever by the page that had sent it."""
+    monkeypatch.setattr(widgets, "HOLD_S", 0.1)
+    slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), lambda value: slider.show(value))
+    page.change(slider.handle, 3)
+    until(lambda: page.told(slider.handle)[-1:] == [3.0])
+    slider.close()
+
+
 def test_soon_after_the_newest_state_counts_again(server: Any, page: Page, monkeypatch: pytest.MonkeyPatch):
     """Here somebody undid the movement."""
     monkeypatch.setattr(widgets, "HOLD_S", 0.5)

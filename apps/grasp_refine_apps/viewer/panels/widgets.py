@@ -10,7 +10,7 @@ from typing import Any
 
 import viser
 
-from grasp_refine_apps.viewer.viser_private import event_loop, is_removed, widget_id
+from grasp_refine_apps.viewer.viser_private import event_loop, is_removed, send_value, widget_id
 
 HOLD_S = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
@@ -55,6 +55,8 @@ class LiveInput:
         self._known = self._shown = handle.value
         self._unsent: Any = None
         """Value of a user that was not sent yet; None: there is none."""
+        self._unsettled = False
+        """Whether a user has moved the widget since pages were last told its value."""
         self._until = float("-inf")
         self._timer: TimerHandle | None = None
         self._closed = False
@@ -79,8 +81,12 @@ class LiveInput:
             self._touched()
         wait = self._until - monotonic()
         if wait <= 0:
-            self.handle.value = self._shown
-            self._known = self.handle.value
+            if self.handle.value != self._shown:
+                self.handle.value = self._shown
+            elif self._unsettled:
+                # A page that has crossed a late state with its user's last movement shows that state.
+                send_value(self.handle)
+            self._known, self._unsettled = self.handle.value, False
         elif self._timer is None:
             self._timer = self._loop.call_later(wait, self._late)
 
@@ -96,6 +102,8 @@ class LiveInput:
             # The user's last value, even where a late state has meanwhile moved the widget.
             value, self._unsent = self._unsent, None
             self._send(value)
+        self._unsettled = True
+        self._loop.call_soon_threadsafe(self._settle)
 
     def _touched(self) -> None:
         # In this order: `_settle`, in another thread, must not take a value for known that it may still overwrite.
