@@ -210,8 +210,8 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         return number
     if bool in kinds:
         # A cell of a CSV file is text.
-        truth = {"true": True, "false": False}.get(str(value).lower())
-        if truth is None:
+        truth = {"true": True, "false": False}.get(value.lower()) if isinstance(value, str) else value
+        if not isinstance(truth, bool):
             raise GraspRefineError(f"{where} must be true or false, got {quote_value(value)}")
         return truth
     if not isinstance(value, str) or not value:

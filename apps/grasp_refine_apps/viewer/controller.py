@@ -201,8 +201,10 @@ class Controller(Editor):
 
             if self.run_job("validate", "testing in MuJoCo", work):
                 # The simulated pose is the shown one, and stays shown: an earlier iteration replaces the present pose.
-                state = self._state if grasp.pose is self._state.pose else self._with_step(self._state, "")
-                self._become(replace(state, pose=grasp.pose, frame=None, motion=None, trial=None))
+                state = replace(self._state, frame=None, motion=None, trial=None)
+                if grasp.pose is not state.pose:
+                    state = replace(self._with_step(state, ""), pose=grasp.pose)
+                self._become(state)
 
     def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""

@@ -138,6 +138,14 @@ def test_a_csv_list_has_a_job_in_each_line_and_empty_cells_are_left_to_the_optio
     assert found[1].inputs == Inputs(grasps=folder / "b9.npz", hand="allegro")
 
 
+def test_a_list_may_say_yes_and_no(folder: Path):
+    """The text 'false' once counted as yes: results of another object were taken."""
+    table = "[[job]]\ngrasps = 'b9.npz'\nother_object = true\n[[job]]\ngrasps = 'b10.npz'\nother_object = 'false'"
+    assert [job.inputs.other_object for job in jobs(listed(folder, table))] == [True, False]
+    cells = listed(folder, "grasps,other_object\nb9.npz,True\nb10.npz,false\n", "jobs.csv")
+    assert [job.inputs.other_object for job in jobs(cells)] == [True, False]
+
+
 def test_relative_paths_no_longer_depend_on_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(folder)
     (found,) = jobs("b9.npz", hand="deep/hand.urdf", objects=Path("deep"))
@@ -162,6 +170,7 @@ def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
         ("[[job]]\ngrasps = 3", ("job 1", "grasps", "3")),
         ("[[job]]\ngrasps = 'b9.npz'\nscale = 'big'", ("job 1", "scale", "'big'")),
         ("[[job]]\ngrasps = 'b9.npz'\nscale = true", ("job 1", "scale", "True")),
+        ("[[job]]\ngrasps = 'b9.npz'\nother_object = 1", ("job 1", "other_object", "true or false", "1")),
         ("[[job]]\ngrasps = 'b9.npz'\nunit = 'miles'", ("job 1", "unit", "m, cm, mm, in", "'miles'")),
         ("[[job]]\ngrasps = 'b9.npz'\nname = 3", ("job 1", "name", "3")),
         ("[[job]]\ngrasps = '*.nothing'", ("*.nothing",)),

@@ -17,6 +17,7 @@ import pytest
 
 from command_line import interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.processes import local
 from grasp_refine_apps.processes.dispatch import dispatch
 from grasp_refine_apps.processes.local import ONE_THREAD, LocalPool
 from grasp_refine_apps.processes.task import Failed
@@ -231,3 +232,39 @@ def test_an_interrupt_in_a_terminal_ends_everything_without_a_word(
     assert process.communicate(timeout=PATIENCE_S) == ("interrupted\n", "")
     assert soon(lambda: not any(alive(int(worker)) for worker in workers))
     assert not half.exists()
+
+
+class Startup:
+    """A process that starts or fails, as it was told."""
+
+    started = 0
+
+    def __init__(self, work: bytes) -> None:
+        self.pid = type(self).started = type(self).started + 1
+        self.ready, self.age_s, self.connection = False, 0.0, None
+        read, write = os.pipe()
+        os.write(write, b"x")
+        os.close(write)
+        self.sources = (read,)
+
+    def receive(self) -> tuple[list[Any], bool]:
+        self.ready = self.pid == 1
+        return [], not self.ready
+
+    def kill(self) -> tuple[int, str]:
+        os.close(self.sources[0])
+        return 1, "no memory"
+
+    def terminate(self) -> None: ...
+
+
+def test_workers_that_cannot_be_started_are_not_started_for_ever(monkeypatch: pytest.MonkeyPatch):
+    """While one worked, all others were started again and again: 134 times in 12 seconds."""
+    monkeypatch.setattr(local, "_Process", Startup)
+    pool = LocalPool(work, 3)
+    for _ in range(40):
+        pool.workers(3)
+        pool.listen()
+    assert pool.workers(3) == ["1"]
+    assert Startup.started <= 1 + local.MAX_FAILED_STARTS + 2
+    pool._processes.clear()

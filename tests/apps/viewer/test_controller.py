@@ -267,6 +267,20 @@ def test_targets_are_moved_replaced_deleted_and_brought_back(viewer: Controller)
 # validation
 
 
+def test_an_earlier_iteration_that_is_tested_can_be_undone(viewer: Controller) -> None:
+    """The refined pose was in no step once."""
+    viewer.start()
+    settled(viewer)
+    refined = viewer.state.pose
+    viewer.scrub(1)
+    tested = viewer.state.standing
+    viewer.run_trial("force-closure", 0.15)
+    settled(viewer)
+    assert same(viewer.state.pose, tested) and not same(tested, refined) and viewer.state.trial is not None
+    viewer.undo()
+    assert same(viewer.state.pose, refined)
+
+
 def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked_at(viewer: Controller) -> None:
     viewer.show(SLIPPING)
     first = viewer.state.pose
