@@ -61,6 +61,21 @@ def test_links_that_touch_are_told_by_stage(world: World) -> None:
     assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
 
 
+def test_what_is_within_a_gap_does_not_touch() -> None:
+    """MuJoCo lists contacts of bodies that are apart where a model of somebody else has gaps."""
+    wide = build_world(gripper(), ball(), FORCE_CLOSURE)
+    wide.model.geom_gap[:] = 0.02
+    early = simulate(wide, around(4.0, grasp=2 * RADIUS + 0.006))
+    assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
+
+
+def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
+    trials = holds(world, 4.0, 0.6)
+    peak_m, peak_rad = np.zeros(trials.reason.shape), np.zeros(trials.reason.shape)
+    peak_m[:, 1], peak_rad[:, 4] = 0.8 * FORCE_CLOSURE.farthest, 0.4 * FORCE_CLOSURE.steepest
+    assert (replace(trials, peak_m=peak_m, peak_rad=peak_rad).worst == 1).all()
+
+
 def test_deep_penetration_at_the_pregrasp_is_a_failure_of_its_own(world: World) -> None:
     motion = around(2.0)
     q = motion.q.copy()
@@ -243,6 +258,8 @@ def test_an_object_is_lifted_off_a_table() -> None:
     assert held.directions == ("lift",)
     assert held.success.all() and held.displacement_m.max() < 0.02
     assert (dropped.reason == Reason.MOVED).all()
+    lift = record(world, raised(around(8.0), 0.015), "lift", name="ball", hand="gripper")
+    assert lift is not None and lift.lifted()[-1] == pytest.approx([0.0, 0.0, TABLETOP.lift])
 
 
 def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:

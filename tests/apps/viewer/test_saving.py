@@ -86,6 +86,12 @@ def test_every_format_gives_the_grasp_back(name: str, format_name: str, unpacked
     assert any("targets" in note for note in saved.notes) == (format_name != "ours")
 
 
+@pytest.mark.parametrize(("scale", "end"), [(1.0, "_s10.npy"), (1.05, "_s105.npy"), (0.9, "_s09.npy")])
+def test_the_name_of_a_leap_cache_ends_in_its_scale(scale: float, end: str):
+    grasps = replace(shown("leap"), scale=np.array([scale]))
+    assert grasp_file(hand("leap"), grasps, "leap_cache").name.endswith(end)
+
+
 def test_our_format_holds_all_of_it(unpacked: Callable[[Saved], Path]):
     grasps = shown("allegro")
     saved = grasp_file(hand("allegro"), grasps, "ours")
