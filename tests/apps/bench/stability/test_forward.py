@@ -196,6 +196,8 @@ def test_gaps_that_are_told_as_contact_are_counted_and_are_no_fault():
     pairs = Pairs(*((body,) for body in made.pairs[0]), engine="python")
     right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs
     before = judged(right)
+    # In contact, the length of a normal changes no point.
+    assert counts(judged(right, normal=lambda n: 1.001 * n)) == {"wrong_points": 1}
     touching = {"distance": lambda _: 0.0, "status": lambda _: QueryStatus.PENETRATING}
     after = judged(right, **touching)
     assert counts(after) == {} and after.collapsed.sum() == before.collapsed.sum() + 1
