@@ -271,16 +271,10 @@ def test_meshes_that_cannot_be_used_are_refused_and_a_good_one_is_opened(page: V
     page.wait_for_text("allegro on ball")
 
 
-def test_a_small_window_keeps_scene_and_panel(page: ViserPage):
-    size = page.page.viewport_size
-    assert size is not None
-
-    def has_size(width: int, height: int, of_scene: int) -> bool:
-        # A busy browser may lose the first change of its window.
-        page.page.set_viewport_size({"width": width, "height": height})
-        return page.canvas_box()[2:] == (of_scene, height)
-
-    until(lambda: has_size(700, 500, 312), "a scene beside the panel")
+def test_a_small_window_has_scene_and_panel(viewer: Viewer, open_page: Callable[..., ViserPage]):
+    page = open_page(viewer.address, size=(700, 500))
+    page.wait_for_node(THUMB)
+    until(lambda: page.canvas_box()[2:] == (312.0, 500.0), "a scene beside the panel")
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
     page.tab("Refine")
 
@@ -290,8 +284,6 @@ def test_a_small_window_keeps_scene_and_panel(page: ViserPage):
 
     # The panel is laid out after the scene.
     until(whole, "a button as wide as the panel")
-    until(lambda: has_size(size["width"], size["height"], 1012), "a scene as large as before")
-    assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
 
 
 def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(

@@ -40,7 +40,7 @@ def test_late_states_do_not_push_a_slider_back(server: Any, page: Page, monkeypa
     slider = LiveInput(server.gui.add_slider("x", 0.0, 10.0, 0.5, 0.0), sent.append)
     for value in range(1, 9):
         page.change(slider.handle, value)
-        until(lambda: slider.handle.value == value)
+        until(lambda value=value: slider.handle.value == value)
         slider.show(value - 1.0)  # what was drawn of the state before
     until(lambda: sent and sent[-1] == 8.0)
     assert sent == sorted(sent) and slider.handle.value == 8.0 and page.told(slider.handle) == []
