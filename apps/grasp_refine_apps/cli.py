@@ -20,6 +20,7 @@ from io import TextIOWrapper
 from typing import NoReturn
 
 from grasp_refine.core.errors import GraspRefineError, visible
+from grasp_refine.core.interruption import INTERRUPTED, interruptible
 
 PROGRAM = "refine-grasp"
 
@@ -43,7 +44,7 @@ COMMANDS = {
 }
 """Name of each command -> description."""
 
-BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+BAD_INPUT, BROKEN_PIPE = 2, 141
 
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables set to 1: matrices are small here, and a second thread of linear algebra costs more than it
@@ -76,8 +77,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["MUJOCO_GL"] = "disable"
     if not of_process:
         return _exit_code(lambda: _run(name, rest))
-    from grasp_refine.core.interruption import interruptible
-
     code = INTERRUPTED
     with interruptible(_end_interrupted) as interrupted:
         try:

@@ -15,6 +15,9 @@ from types import FrameType
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that interrupt."""
 
+INTERRUPTED = 130
+"""Exit code of a command that was interrupted: that of a shell for SIGINT."""
+
 NOTICE_S = 2.0
 """Time (s) that compiled code may keep the main thread from raising KeyboardInterrupt."""
 

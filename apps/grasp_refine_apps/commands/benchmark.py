@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.interruption import INTERRUPTED
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
@@ -26,8 +27,6 @@ from grasp_refine_apps.report.screen import screen
 
 SOMETHING_WRONG = 1
 """Exit code when a study found something wrong, or a job failed."""
-INTERRUPTED = 130
-"""Exit code when an interruption ended it; the report has what was done until then."""
 
 
 class BenchCommand:
