@@ -28,6 +28,9 @@ _SOURCES = Path(__file__).with_name("native")
 _ITEMS_PER_THREAD = 512
 """Fewest items for another thread: about 2 ms of work; a thread also waits some milliseconds for more work."""
 
+_PROGRAMS_PER_THREAD = 128
+"""Fewest programs of contact forces for another thread, likewise."""
+
 
 def built_for() -> str:
     """Version of coal that the engine was built for."""
@@ -121,6 +124,22 @@ class NativeSearch:
         return run
 
 
+def solve_forces(
+    G: np.ndarray,
+    there: np.ndarray,
+    outer: np.ndarray,
+    friction: float,
+    share: float,
+    ridge: float,
+    local: np.ndarray,
+    solved: np.ndarray,
+    threads: int | None = None,
+) -> None:
+    """Fill in `local` and `solved` as `forces.programs.solve_programs`, no pressure being above `share` of all."""
+    threads = threads or _threads(solved.size, _PROGRAMS_PER_THREAD)
+    _native.solve_forces(G, there, outer, friction, share, ridge, local, solved, threads)
+
+
 def _shape_of(piece: Piece, unit: float) -> "_native.Shape":
     """Shape of a piece in a unit of length, built once."""
     shapes = piece.derived.setdefault("native", {})
@@ -140,9 +159,9 @@ def _side(bodies: Sequence[Body]) -> "_native.Side":
     return _native.Side(body, first, bounds.center, bounds.half, bounds.axes, bounds.radius, table, CELLS)
 
 
-def _threads(items: int) -> int:
-    """Number of threads for a number of items."""
-    return max(1, min(items // _ITEMS_PER_THREAD, _available()))
+def _threads(items: int, fewest: int = _ITEMS_PER_THREAD) -> int:
+    """Number of threads for a number of items, of which `fewest` are worth one."""
+    return max(1, min(items // fewest, _available()))
 
 
 @cache

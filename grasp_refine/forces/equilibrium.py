@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
+from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES
 from grasp_refine.forces.wrench import (
     LEVER_M,
-    MAX_PRESSURE_SHARE,
-    NUM_EDGES,
     PLANNING_FRICTION,
     RIDGE,
     basis_spin,
@@ -111,8 +110,7 @@ class Equilibrium:
         point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
         forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
         found = contact_forces_under(self.loads, point, normal, self.center, friction=self.friction, forms=forms)
-        parts = ("unbalanced", "force", "local", "solved")
-        return Balance(*(np.stack([getattr(one, part) for one in found], axis=1) for part in parts))
+        return Balance(found.unbalanced, found.force, found.local, found.solved)
 
     def rows(
         self,

@@ -73,12 +73,12 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     point, normal = contacts(hand, chain.links, witness)
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
-    pushed = [found.residual for found in contact_forces_under(PUSHES, point, normal, center, forms=forms)]
+    pushed = contact_forces_under(PUSHES, point, normal, center, forms=forms)
     slippery = contact_forces(point, normal, center, friction=LOW_FRICTION)
     distance = np.where(witness.valid, witness.distance, 0.0)
     return Quality(
         slippery=slippery.residual,
-        pushed=np.mean(pushed, axis=0),
+        pushed=pushed.residual.mean(axis=1),
         deep=np.maximum(-distance, 0.0).max(axis=1, initial=0.0) / DEEP,
         open=(slippery.pressure * np.maximum(distance, 0.0)).sum(axis=1) / DEEP,
     )

@@ -9,14 +9,8 @@ import pytest
 from claw import TIPS, around, claw, objects
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M, UNSOLVED_VALUE, Equilibrium
-from grasp_refine.forces.wrench import (
-    LEVER_M,
-    MAX_PRESSURE_SHARE,
-    NUM_EDGES,
-    PLANNING_FRICTION,
-    RIDGE,
-    grasp_map,
-)
+from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES
+from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION, RIDGE, grasp_map
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object

@@ -8,8 +8,9 @@ import pytest
 from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
+from grasp_refine.forces.programs import NUM_EDGES
 from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, Quality, quality
-from grasp_refine.forces.wrench import LEVER_M, NUM_EDGES, PLANNING_FRICTION
+from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object

@@ -1,6 +1,4 @@
 // Python module: shapes, the narrow phase, and witness queries for a batch of items on several threads.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -8,47 +6,19 @@
 
 #include <coal/config.hh>
 
-#include <unistd.h>
-
-#include <exception>
-#include <mutex>
 #include <numeric>
 #include <optional>
 #include <stdexcept>
 
+#include "batch.h"
 #include "search.h"
 
-namespace nb = nanobind;
-using namespace nb::literals;
 using namespace grasp_refine;
+using namespace nb::literals;
 
-template <class T>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+void bind_forces(nb::module_& m);
+
 using RowMatrix = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-
-// The process that loaded this module. A fork of it has lost the threads of OpenMP and would wait for them for ever.
-const pid_t kProcess = getpid();
-
-// Call work(i) for all i of `order` on several threads; the first error is thrown.
-template <class Work>
-void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
-  if (getpid() != kProcess) threads = 1;
-  std::exception_ptr error;
-  std::mutex guard;
-  const auto count = static_cast<int64_t>(order.size());
-#pragma omp parallel for schedule(dynamic, 16) num_threads(threads) if (threads > 1)
-  for (int64_t k = 0; k < count; ++k) {
-    try {
-      work(order[k]);
-    } catch (...) {
-      std::lock_guard<std::mutex> lock(guard);
-      if (!error) error = std::current_exception();
-    }
-  }
-  if (error) std::rethrow_exception(error);
-}
 
 // Items of equal keys follow each other, so that their pieces stay in the processor's cache.
 template <class Key>
@@ -280,4 +250,6 @@ NB_MODULE(_native, m) {
            "new_normal"_a.noconvert(), "new_distance"_a.noconvert(), "new_status"_a.noconvert(),
            "new_winner"_a.noconvert(), "new_num_queries"_a.noconvert(), "threads"_a)
       .def("trace", &trace);
+
+  bind_forces(m);
 }

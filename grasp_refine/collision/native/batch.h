@@ -1,0 +1,44 @@
+// What all parts of the module share: arrays of Python, and loops over the items of a batch.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <unistd.h>
+
+#include <cstdint>
+#include <exception>
+#include <mutex>
+#include <vector>
+
+namespace grasp_refine {
+
+namespace nb = nanobind;
+
+template <class T>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+
+// The process that loaded this module. A fork of it has lost the threads of OpenMP and would wait for them for ever.
+inline const pid_t kProcess = getpid();
+
+// Call work(i) for all i of `order` on several threads; the first error is thrown.
+template <class Work>
+void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
+  if (getpid() != kProcess) threads = 1;
+  std::exception_ptr error;
+  std::mutex guard;
+  const auto count = static_cast<int64_t>(order.size());
+#pragma omp parallel for schedule(dynamic, 16) num_threads(threads) if (threads > 1)
+  for (int64_t k = 0; k < count; ++k) {
+    try {
+      work(order[k]);
+    } catch (...) {
+      std::lock_guard<std::mutex> lock(guard);
+      if (!error) error = std::current_exception();
+    }
+  }
+  if (error) std::rethrow_exception(error);
+}
+
+}  // namespace grasp_refine

@@ -1,0 +1,75 @@
+// Contact forces of a batch of grasps.
+#include "forces.h"
+
+#include <numeric>
+#include <stdexcept>
+
+#include "batch.h"
+
+namespace grasp_refine {
+
+namespace {
+
+// The grasps of a batch, each under P loads.
+struct Grasps {
+  size_t contacts, rows, loads;
+  const double* G;    // (N, K, R, 3)
+  const bool* there;  // (N, K)
+  const double* load; // (N, P, R)
+  double friction, share, ridge;
+  double* force;      // (N, P, K, 3)
+  bool* solved;       // (N, P)
+
+  // The forces of grasp n; what is no contact has none.
+  void solve(size_t n) const {
+    thread_local ForceProgram program;
+    thread_local std::vector<size_t> contact;
+    thread_local std::vector<double> map, found;
+    const size_t block = 3 * rows;
+    contact.clear(), map.clear();
+    for (size_t k = 0; k < contacts; ++k) {
+      if (!there[n * contacts + k]) continue;
+      contact.push_back(k);
+      const double* from = G + (n * contacts + k) * block;
+      map.insert(map.end(), from, from + block);
+    }
+    const size_t count = contact.size();
+    std::fill_n(force + n * loads * contacts * 3, loads * contacts * 3, 0.0);
+    std::fill_n(solved + n * loads, loads, false);
+    if (!count) return;
+    const Pyramid pyramid(friction, std::max(share, 1.0 / double(count)));
+    found.resize(3 * count);
+    for (size_t p = 0; p < loads; ++p) {
+      const double* w = load + (n * loads + p) * rows;
+      if (p == 0 || !solved[n * loads + p - 1]) program.prepare(map.data(), count, rows, w, pyramid, ridge);
+      if (!program.solve(w, found.data())) continue;
+      solved[n * loads + p] = true;
+      double* to = force + (n * loads + p) * contacts * 3;
+      for (size_t c = 0; c < count; ++c) std::copy_n(&found[3 * c], 3, to + 3 * contact[c]);
+    }
+  }
+};
+
+// `contact_programs` of programs.py.
+void solve_forces(In<double> G, In<bool> there, In<double> load, double friction, double share, double ridge,
+                  Out<double> force, Out<bool> solved, int threads) {
+  const size_t N = G.shape(0), K = G.shape(1), R = G.shape(2), P = load.shape(1);
+  if (there.size() != N * K || load.size() != N * P * R || force.size() != N * P * K * 3 || solved.size() != N * P)
+    throw std::invalid_argument("forces, loads and contacts are of other shapes");
+  const Grasps grasps{K, R, P, G.data(), there.data(), load.data(), friction, share, ridge, force.data(), solved.data()};
+
+  nb::gil_scoped_release without_the_gil;
+  std::vector<size_t> order(N);
+  std::iota(order.begin(), order.end(), 0);
+  for_each(order, threads, [&](size_t n) { grasps.solve(n); });
+}
+
+}  // namespace
+
+}  // namespace grasp_refine
+
+void bind_forces(nanobind::module_& m) {
+  using namespace nanobind::literals;
+  m.def("solve_forces", &grasp_refine::solve_forces, "G"_a, "there"_a, "load"_a, "friction"_a, "share"_a, "ridge"_a,
+        "force"_a.noconvert(), "solved"_a.noconvert(), "threads"_a);
+}

@@ -1,0 +1,91 @@
+"""The quadratic programs of contact forces: compiled for a whole batch, or one after another by DAQP.
+
+The compiled solver is an active-set method that knows the friction pyramids (see `collision/native/forces.h`); DAQP
+(Arnstroem et al. 2022) serves where there is no compiled module (see `collision.engine`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.collision.engine import chosen
+
+MAX_PRESSURE_SHARE = 0.5
+"""Largest share of the total pressure at one contact: every push needs a counter-push."""
+
+NUM_EDGES = 8
+"""Number of edges of the pyramids that approximate friction cones from within."""
+
+DAQP_OPTIMAL, DAQP_EQUALITY = 1, 5
+"""Daqp's codes for an optimal solution, and for a constraint that always holds with equality."""
+
+
+def solve_programs(
+    G: Float[np.ndarray, "N K R 3"],
+    there: Bool[np.ndarray, "N K"],
+    outer: Float[np.ndarray, "N P R"],
+    friction: float,
+    ridge: float,
+) -> tuple[Float[np.ndarray, "N P K 3"], Bool[np.ndarray, "N P"]]:
+    """Best forces (pressure and two tangents) of N grasps under P loads each, and True where they were found.
+
+    They minimise |outer + sum G_k f_k|^2 + ridge sum |f_k|^2 (see `wrench.contact_forces`). Forces that were not found,
+    and those of what is no contact, are 0. Those of a grasp do not depend on the other ones.
+
+    Args:
+        G: Grasp maps (see `wrench.grasp_map`).
+        there: Mask of the contacts.
+        outer: Loads.
+        friction: Coefficient of friction.
+        ridge: Weight of the squared forces.
+    """
+    solve = _solve_compiled if chosen("auto") == "native" else _solve_by_daqp
+    return solve(G, there, outer, friction, ridge)
+
+
+def _solve_compiled(
+    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float
+) -> tuple[np.ndarray, np.ndarray]:
+    from grasp_refine.collision.native_search import solve_forces
+
+    (N, P), K = outer.shape[:2], G.shape[1]
+    local, solved = np.empty((N, P, K, 3)), np.empty((N, P), dtype=bool)
+    solve_forces(G, there, outer, friction, MAX_PRESSURE_SHARE, ridge, local, solved)
+    return local, solved
+
+
+def _solve_by_daqp(
+    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float
+) -> tuple[np.ndarray, np.ndarray]:
+    import daqp
+
+    (N, P), K = outer.shape[:2], G.shape[1]
+    local, solved = np.zeros((N, P, K, 3)), np.zeros((N, P), dtype=bool)
+    for n in np.flatnonzero(there.any(axis=1)):
+        place = np.flatnonzero(there[n])
+        A = np.moveaxis(G[n, place], 1, 0).reshape(G.shape[2], -1)
+        H, constraints = A.T @ A + ridge * np.eye(A.shape[1]), _constraints(len(place), friction)
+        for p in range(P):
+            x, _, flag, _ = daqp.solve(H, outer[n, p] @ A, *constraints)
+            if flag == DAQP_OPTIMAL:
+                local[n, p, place], solved[n, p] = x.reshape(-1, 3), True
+    return local, solved
+
+
+def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, upper and lower bounds and kinds of the constraints on pressures and tangential forces of C contacts.
+
+    The first bounds are those of the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
+    come the sum of the pressures and, for each contact, the faces of its pyramid, which lie between two edges.
+    """
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    face = np.stack([np.full(NUM_EDGES, -friction * np.cos(np.pi / NUM_EDGES)), np.cos(angle), np.sin(angle)], axis=1)
+    rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), face)])
+    none, cap = 1e30, max(MAX_PRESSURE_SHARE, 1.0 / C)  # 1e30 is infinity for daqp
+    faces = np.full(C * NUM_EDGES, none)
+    lower = np.concatenate([np.tile([0.0, -none, -none], C), [1.0], -faces])
+    upper = np.concatenate([np.tile([cap, none, none], C), [1.0], 0.0 * faces])
+    sense = np.zeros(len(lower), dtype=np.int32)
+    sense[3 * C] = DAQP_EQUALITY
+    return rows, upper, lower, sense

@@ -1,0 +1,157 @@
+"""The compiled solver of contact forces against DAQP: degenerate contacts, other loads, threads."""
+
+import numpy as np
+import pytest
+
+from grasp_refine.collision.engine import VARIABLE, why_not_native
+from grasp_refine.forces.equilibrium import LOADS
+from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES, solve_programs
+from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, contact_forces, grasp_map
+
+compiled = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
+
+FEASIBLE = 2e-6
+"""DAQP's tolerance on constraints, in forces: by it, its values may be too good."""
+
+Contacts = tuple[np.ndarray, np.ndarray]
+
+
+def random(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    normal = rng.normal(size=(count, contacts, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return -0.04 * normal + 0.01 * rng.normal(size=normal.shape), normal
+
+
+def coincident(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    point, normal = random(rng, count, contacts)
+    return np.repeat(point[:, :1], contacts, axis=1), np.repeat(normal[:, :1], contacts, axis=1)
+
+
+def twins(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    point, normal = random(rng, count, contacts)
+    return point[:, np.arange(contacts) // 2], normal[:, np.arange(contacts) // 2]
+
+
+def parallel(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    point, normal = random(rng, count, contacts)
+    return point, np.repeat(normal[:, :1], contacts, axis=1)
+
+
+def opposite(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    """All on one line, from both sides."""
+    normal = random(rng, count, 1)[1] * np.where(np.arange(contacts) % 2, 1.0, -1.0)[:, None]
+    return -0.04 * normal, normal
+
+
+def box(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    """On a grid on the sides of a cube: many ties."""
+    normal = np.concatenate([np.eye(3), -np.eye(3)])[rng.integers(0, 6, (count, contacts))]
+    return -0.04 * normal + 0.01 * rng.integers(-2, 3, normal.shape), normal
+
+
+def central(rng: np.random.Generator, count: int, contacts: int) -> Contacts:
+    point, normal = random(rng, count, contacts)
+    return 0.0 * point, normal
+
+
+def broken_constraints(local: np.ndarray, there: np.ndarray, friction: float) -> np.ndarray:
+    """By how much forces (N, P, K, 3) break the worst of their constraints (N, P)."""
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    rim = friction * np.cos(np.pi / NUM_EDGES)
+    face = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+    cap = np.maximum(MAX_PRESSURE_SHARE, 1.0 / there.sum(axis=1))[:, None]
+    pressure = local[..., 0]
+    parts = [
+        (local @ face.T).max(axis=(-2, -1)), pressure.max(axis=-1) - cap, -pressure.min(axis=-1),
+        np.abs(pressure.sum(axis=-1) - 1.0), np.abs(np.where(there[:, None, :, None], 0.0, local)).max(axis=(-2, -1)),
+    ]  # fmt: skip
+    return np.max(parts, axis=0)
+
+
+def value(G: np.ndarray, outer: np.ndarray, local: np.ndarray, ridge: float) -> np.ndarray:
+    unbalanced = outer + np.einsum("nkri,npki->npr", G, local)
+    return (unbalanced**2).sum(axis=-1) + ridge * (local**2).sum(axis=(-2, -1))
+
+
+def both(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> list[tuple[np.ndarray, np.ndarray]]:
+    found = []
+    for engine in ("native", "python"):
+        monkeypatch.setenv(VARIABLE, engine)
+        found.append(solve_programs(*arguments))
+    return found
+
+
+@compiled
+@pytest.mark.parametrize("place", [random, coincident, twins, parallel, opposite, box, central])
+@pytest.mark.parametrize(
+    ("friction", "ridge"), [(PLANNING_FRICTION, RIDGE), (0.0, RIDGE), (0.7, RIDGE), (PLANNING_FRICTION, 0.2)]
+)
+def test_both_solvers_find_the_same_forces(
+    monkeypatch: pytest.MonkeyPatch, place: object, friction: float, ridge: float
+) -> None:
+    """Some contacts are none; with loads, and forms that are minimised with the wrench."""
+    rng = np.random.default_rng(1)
+    for contacts in (1, 2, 3, 5, 8, 15):
+        point, normal = place(rng, 6, contacts)
+        forms = rng.normal(size=(6, contacts % 3, contacts, 3)) if contacts % 3 else None
+        point[5, contacts // 2 + 1 :] = np.nan
+        G, _ = grasp_map(point, normal, np.zeros(3), forms)
+        outer = np.zeros((6, 6, G.shape[2]))
+        outer[..., :6] = np.concatenate([np.zeros((1, 6)), LOADS, [[0, 0, 0, 0.1, -0.3, 0.2]]])
+        there = np.isfinite(point[..., 0])
+        (mine, solved), (theirs, also) = both(monkeypatch, G, there, outer, friction, ridge)
+        assert solved.all() and also.all()
+        assert broken_constraints(mine, there, friction).max() < 1e-12
+        assert broken_constraints(theirs, there, friction).max() < FEASIBLE
+        # The value is strictly convex: the forces are the same, as far as DAQP's are allowed.
+        np.testing.assert_allclose(value(G, outer, mine, ridge), value(G, outer, theirs, ridge), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(mine, theirs, atol=1e-4)
+
+
+@compiled
+def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of any number of threads, to the last bit; a load after another one starts elsewhere, and ends there too."""
+    monkeypatch.setenv(VARIABLE, "native")
+    from grasp_refine.collision.native_search import solve_forces
+
+    rng = np.random.default_rng(2)
+    point, normal = random(rng, 300, 6)
+    there = rng.random((300, 6)) < 0.8
+    G, _ = grasp_map(point, normal, np.zeros(3))
+    outer = np.repeat(LOADS[None], 300, axis=0)
+    together, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
+    np.testing.assert_array_equal(solved, np.repeat(there.any(axis=1)[:, None], 4, axis=1))
+    for threads in (1, 3):
+        local, found = np.empty_like(together), np.empty_like(solved)
+        solve_forces(G, there, outer, PLANNING_FRICTION, MAX_PRESSURE_SHARE, RIDGE, local, found, threads)
+        np.testing.assert_array_equal(local, together)
+    for n in range(0, 300, 50):
+        rows = slice(n, n + 1)
+        local, _ = solve_programs(G[rows], there[rows], outer[rows], PLANNING_FRICTION, RIDGE)
+        np.testing.assert_array_equal(local[0], together[n])
+    for p in range(4):
+        local, _ = solve_programs(G, there, outer[:, p : p + 1], PLANNING_FRICTION, RIDGE)
+        np.testing.assert_allclose(local[:, 0], together[:, p], atol=1e-7)
+
+
+@compiled
+def test_a_load_that_is_not_finite_has_no_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loads after it, and the other grasps, have theirs."""
+    monkeypatch.setenv(VARIABLE, "native")
+    point, normal = random(np.random.default_rng(3), 3, 5)
+    G, _ = grasp_map(point, normal, np.zeros(3))
+    there, outer = np.ones((3, 5), dtype=bool), np.repeat(LOADS[None], 3, axis=0)
+    expected, _ = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
+    outer[1, 1, 2] = np.nan
+    local, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
+    np.testing.assert_array_equal(np.argwhere(~solved), [[1, 1]])
+    assert not local[1, 1].any()
+    np.testing.assert_allclose(local[solved], expected[solved], atol=1e-7)
+
+
+def test_a_solver_that_gives_up_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "python")
+    monkeypatch.setattr("daqp.solve", lambda *arguments: (np.ones(6), 0.0, -4, {}))
+    point, normal = opposite(np.random.default_rng(4), 1, 2)
+    found = contact_forces(point, normal, np.zeros(3))
+    assert not found.solved[0] and np.isnan(found.residual[0]) and not found.force.any()
