@@ -9,6 +9,7 @@ balance within the active constraints counts almost nothing (variable projection
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -138,28 +139,29 @@ class Equilibrium:
         local, f = balance.local[:, :, columns], balance.force[:, :, columns]
         there = (witness.valid & balance.pressed[:, columns])[..., None]
         p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
-        sliding = (np.where(there[..., None], part, 0.0) for part in _contact_motion(witness, E, K_link, K_object, n))
-        point, turn = (part[:, None] for part in sliding)
-        # df = Omega x f, d(r x f) = dr x f + r x df
-        force = -hat(f) @ turn
-        moment = hat(p - self.center)[:, None] @ force - hat(f) @ point
-        covector = np.concatenate([force, moment / LEVER_M], axis=-2).reshape(M, P * C * 6, 6)
-        J = (
-            self.chain.to_joint_space(frames, covector, np.tile(np.repeat(columns, 6), P))
-            .reshape(M, P, C, 6, -1)
-            .sum(axis=2)
-        )
+        motion = np.where(there[..., None], _contact_motion(witness, E, K_link, K_object, n), 0.0)
+        motion = self.chain.to_joint_space(frames, motion.reshape(M, C * 6, 6), np.repeat(columns, 6))
+        # What is unbalanced is a . f, summed over the contacts, with forms a of forces at points x: da = b x dx.
+        twists = self._twist_forms(frames, columns)
+        forms = _at(twists, p)
+        eye, arm = np.zeros((2, M, 3, C, 3))
+        eye[:] = np.eye(3)[:, None]
+        arm[:] = ((p - self.center) / LEVER_M)[:, None]
+        a = np.concatenate([eye, cross(eye, arm), forms], axis=1)
+        b = np.concatenate([np.zeros_like(eye), eye / LEVER_M, twists[..., 3:]], axis=1)
+        # Forces turn with their basis, df = Omega x f: d(a . f) = (f x a) . Omega + (f x b) . dx.
+        covector = cross(np.stack([f, f], axis=-2)[:, :, None], np.stack([a, b], axis=-2)[:, None])
+        J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
         if len(self.forms):
-            changed = np.concatenate([force, hat(p)[:, None] @ force - hat(f) @ point], axis=-2)
-            J = np.concatenate([J, self._torque_rows(frames, columns, p, f, changed)], axis=2)
-        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, self.torque_forms(p, frames, columns))
-        values, vectors = np.linalg.eigh(_compliance(G, local, self.friction))
-        root = np.sqrt(1.0 + np.maximum(values, 0.0) / RIDGE)[..., None, :]
-        share = 1.0 / np.sqrt(P)
-        residual = matvec((vectors * root) @ vectors.mT, balance.unbalanced)
-        stiff = (vectors / root) @ vectors.mT @ J
+            J[:, :, 6:] += self._axis_changes(frames, columns, p, f)
+        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, forms)
+        # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
+        L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local) / RIDGE)
+        residual = matvec(L.mT, balance.unbalanced)
+        stiff = np.linalg.inv(L) @ J
         solved = balance.solved[..., None]
         residual, stiff = np.where(solved, residual, 0.0), np.where(solved[..., None], stiff, 0.0)
+        share = 1.0 / np.sqrt(P)
         return share * residual.reshape(M, -1), share * stiff.reshape(M, residual.shape[1] * residual.shape[2], -1)
 
     def torque_forms(
@@ -174,79 +176,83 @@ class Equilibrium:
         """
         if not len(self.forms):
             return None
-        links = np.arange(p.shape[1]) if columns is None else columns
-        axes = frames.axes[..., 6:]
-        # Velocity of each point per joint.
-        velocity = axes[:, None, :3] - hat(p) @ axes[:, None, 3:]
-        velocity = velocity * self.chain.joint_mask(links)[:, None, 6:]
-        return np.einsum("ej,mcij->meci", self.forms, velocity)
+        return _at(self._twist_forms(frames, np.arange(p.shape[1]) if columns is None else columns), p)
 
-    def _torque_rows(
-        self, frames: Frames, columns: np.ndarray, p: np.ndarray, f: np.ndarray, changed: np.ndarray
-    ) -> np.ndarray:
-        """Derivative (M, P, E, 6 + n) of the combinations of torques, S . W summed over the forces' wrenches W.
+    def _twist_forms(self, frames: Frames, columns: np.ndarray) -> Float[np.ndarray, "M E C 6"]:
+        """The same torques as twists of the links: those with which the forces' wrenches are multiplied."""
+        axes = frames.axes[..., 6:].mT
+        weight = self.forms[:, None] * self.chain.joint_mask(columns)[:, 6:]
+        E, C, m = weight.shape
+        return (weight.reshape(E * C, m) @ axes).reshape(len(axes), E, C, 6)
 
-        `changed` is that of the wrenches W = (f, p x f) about the world's origin, in the twists of the links.
+    def _axis_changes(self, frames: Frames, columns: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
+        """Derivative (M, P, E, 6 + n) of these torques as the axes of the joints move, while the forces rest."""
+        (M, P), chain = f.shape[:2], self.chain
+        used = np.flatnonzero(self.forms.any(axis=0))
+        follows = chain.joint_mask(columns)[:, 6 + used]
+        linear, angular = np.split(frames.axes[..., 6 + used].mT[:, None], 2, axis=-1)
+        W = np.concatenate([f, cross(p[:, None] + np.zeros_like(f), f)], axis=-1)
+        force, moment = np.split(follows.T @ W, 2, axis=-1)
+        linear, angular = (part + np.zeros_like(force) for part in (linear, angular))
+        # An axis S moves with its link: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
+        turned = cross(linear, force) + cross(angular, moment)
+        by_axis = np.concatenate([cross(angular, force), turned], axis=-1).reshape(M, P * len(used), 6)
+        by_axis = chain.to_joint_space(frames, by_axis, np.tile(len(chain.links) + used, P))
+        return self.forms[:, used] @ by_axis.reshape(M, P, len(used), -1)
+
+    def _compliance(self, G: np.ndarray, local: np.ndarray) -> np.ndarray:
+        """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints."""
+        faces, projectors = self._free_changes
+        held = local @ faces.T > -ACTIVE_TOLERANCE
+        pressure = local[..., 0]
+        case = np.packbits(held, axis=-1)[..., 0] + 256 * (pressure > MAX_PRESSURE_SHARE - ACTIVE_TOLERANCE)
+        N = projectors[np.where(pressure > ACTIVE_TOLERANCE, case, -1)]
+        M, P, C = local.shape[:3]
+        R = G.shape[2]
+        free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
+        along = N[..., 0].reshape(M, P, 3 * C, 1)
+        # The pressures sum to 1.
+        length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
+        scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
+        return free @ free.mT - scale * (lost @ lost.mT)
+
+    @cached_property
+    def _free_changes(self) -> tuple[Float[np.ndarray, "8 3"], Float[np.ndarray, "513 3 3"]]:
+        """Normals of a pyramid's faces, and projectors onto the changes of a force that keep its active constraints.
+
+        Projectors are numbered by the faces that hold the force, as the bits of a byte, plus 256 at the cap; the last
+        one is 0.
         """
-        chain, m = self.chain, len(self.chain.joints)
-        M, P, C = f.shape[:3]
-        S = frames.axes[..., 6:].mT
-        follows = chain.joint_mask(columns)[:, 6:]
-        W = np.concatenate([f, np.cross(p[:, None], f)], axis=-1)
-        force, moment = np.split((follows.T @ W).reshape(M, P, m, 6), 2, axis=-1)
-        linear, angular = S[:, None, :, :3], S[:, None, :, 3:]
-        # An axis moves with its link: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
-        turned = np.cross(linear, force) + np.cross(angular, moment)
-        by_axis = np.concatenate([np.cross(angular, force), turned], axis=-1)
-        carried = np.tile(len(chain.links) + np.arange(m), P)
-        by_axes = chain.to_joint_space(frames, by_axis.reshape(M, P * m, 6), carried).reshape(M, P, m, -1)
-        pulled = chain.to_joint_space(frames, changed.reshape(M, P * C * 6, 6), np.tile(np.repeat(columns, 6), P))
-        # sum over contacts c of forms S follows[c] . dW_c
-        weight = np.einsum("ej,mjw,cj->mecw", self.forms, S, follows).reshape(M, 1, len(self.forms), C * 6)
-        return self.forms @ by_axes + weight @ pulled.reshape(M, P, C * 6, -1)
+        angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+        rim = self.friction * np.cos(np.pi / NUM_EDGES)
+        faces = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+        held = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
+        squares = (held[:, None] * faces.T) @ faces
+        values, vectors = np.linalg.eigh(np.concatenate([squares, squares + np.diag([1.0, 0.0, 0.0])]))
+        projectors = (vectors * (values < 1e-6)[:, None]) @ vectors.mT
+        return faces, np.concatenate([projectors, np.zeros((1, 3, 3))])
+
+
+def _at(twists: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Velocities (M, E, C, 3) at points (M, C, 3) of links with twists (M, E, C, 6)."""
+    linear, angular = np.split(twists, 2, axis=-1)
+    return linear + cross(angular, p[:, None] + np.zeros_like(angular))
 
 
 def _contact_motion(
     witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of contact points and rotations of their local bases, both (M, C, 3, 6), in the twists of the links.
+) -> Float[np.ndarray, "M C 6 6"]:
+    """Rotations of the contacts' local bases, then movements of their points, in the twists of the links.
 
     The bases are those of `basis_tangents`; they turn by n x dn and about the normal.
     """
     distance = np.where(witness.valid, witness.distance, 0.0)
     U_link, U_object = contact_slip_jacobian(witness.point_b, witness.normal, distance, E, K_link, K_object)
-    eye = np.eye(3) + np.zeros_like(n[..., None])
-    turned = np.concatenate([np.zeros_like(eye), cross(n[..., None, :] + np.zeros_like(eye), eye)], axis=-1)
-    normal = turned - E @ (K_link @ U_link)
-    return -(E @ U_object), hat(n) @ normal + n[..., :, None] * basis_spin(n, normal)[..., None, :]
-
-
-def _compliance(G: np.ndarray, local: np.ndarray, friction: float) -> np.ndarray:
-    """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints."""
-    N = _free_changes(local, friction)
-    M, P, C = local.shape[:3]
-    R = G.shape[2]
-    free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
-    along = N[..., 0].reshape(M, P, 3 * C, 1)
-    # The pressures sum to 1.
-    length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
-    scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
-    return free @ free.mT - scale * (lost @ lost.mT)
-
-
-def _free_changes(local: np.ndarray, friction: float) -> np.ndarray:
-    """Projectors (..., C, 3, 3) onto the changes of each force that keep its active constraints."""
-    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
-    rim = friction * np.cos(np.pi / NUM_EDGES)
-    face = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
-    pressure = local[..., 0]
-    held = local @ face.T > -ACTIVE_TOLERANCE
-    rows = np.where(held[..., None], face, 0.0)
-    capped = pressure > MAX_PRESSURE_SHARE - ACTIVE_TOLERANCE
-    rows = np.concatenate([rows, np.where(capped[..., None], [1.0, 0.0, 0.0], 0.0)[..., None, :]], axis=-2)
-    values, vectors = np.linalg.eigh(rows.mT @ rows)
-    kept = (values < 1e-6) & (pressure > ACTIVE_TOLERANCE)[..., None]
-    return (vectors * kept[..., None, :]) @ vectors.mT
+    normal = -(E @ (K_link @ U_link))
+    # dn = w x n while the link's surface is flat.
+    normal[..., 3:] -= hat(n)
+    turn = hat(n) @ normal + n[..., :, None] * basis_spin(n, normal)[..., None, :]
+    return np.concatenate([turn, -(E @ U_object)], axis=-2)
 
 
 def _infeasible_torques(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
