@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from grasp_refine.collision.engine import VARIABLE, why_not_native
+
 # One thread, as the commands take: of two processes of tests on two cores, each would wait for the other's threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -35,6 +37,15 @@ def plain_terminal() -> Iterator[None]:
         for variable in ("COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
             patch.delenv(variable, raising=False)
         yield
+
+
+@pytest.fixture(params=["native", "python"])
+def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What "auto" means: every test that asks, asks each engine; skips where the compiled one is not there."""
+    if request.param == "native" and why_not_native():
+        pytest.skip(f"no compiled engine: {why_not_native()}")
+    monkeypatch.setenv(VARIABLE, request.param)
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -102,7 +102,9 @@ class NativeSearch:
         found = (
             *points, np.empty(shape), np.empty(shape, np.int8), np.empty(shape, np.int64), np.empty(shape, np.int64)
         )  # fmt: skip
-        self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads or _threads(limit.size))
+        self._compiled.query(
+            pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads or threads_for(limit.size)
+        )
         return found
 
     def bare_loop(
@@ -118,7 +120,7 @@ class NativeSearch:
         distance = np.empty(len(item))
 
         def run() -> np.ndarray:
-            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads or _threads(len(pair)))
+            self._narrow_phase.distances(item, piece_pair, T_a, T_b, distance, threads or threads_for(len(pair)))
             return distance
 
         return run
@@ -136,7 +138,7 @@ def solve_forces(
     threads: int | None = None,
 ) -> None:
     """Fill in `local` and `solved` as `forces.programs.solve_programs`, no pressure being above `share` of all."""
-    threads = threads or _threads(solved.size, _PROGRAMS_PER_THREAD)
+    threads = threads or threads_for(solved.size, _PROGRAMS_PER_THREAD)
     _native.solve_forces(G, there, outer, friction, share, ridge, local, solved, threads)
 
 
@@ -159,7 +161,7 @@ def _side(bodies: Sequence[Body]) -> "_native.Side":
     return _native.Side(body, first, bounds.center, bounds.half, bounds.axes, bounds.radius, table, CELLS)
 
 
-def _threads(items: int, fewest: int = _ITEMS_PER_THREAD) -> int:
+def threads_for(items: int, fewest: int = _ITEMS_PER_THREAD) -> int:
     """Number of threads for a number of items, of which `fewest` are worth one."""
     return max(1, min(items // fewest, _available()))
 

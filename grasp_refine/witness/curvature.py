@@ -1,7 +1,9 @@
-"""Curvatures of surfaces near witness points, fitted to all surface candidates at once.
+"""Curvatures of surfaces near witness points, fitted to the surface candidates around them.
 
 Like the fit of `contact_kinematics` to a few samples, for the solvers that need it in every iteration: weights and
-moments of all candidates of a body come from three matrix products, without a choice of samples.
+moments of the candidates of a body come from three matrix products. A wide neighbourhood is fitted to a random half of
+them, a quarter and so on, as long as enough are left in it. The compiled engine (see `native_curvature`) does it in
+double precision, and visits only the candidates nearby.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,18 +20,24 @@ RIDGE_RATIO = 1e-3
 _BLOCK_POINTS = 128
 """Witness points that are fitted together, so that their weights stay in the processor's cache."""
 
+_ENOUGH_CANDIDATES = 64
+"""Number of candidates within the radius, on a flat surface, of which a half is too few for a fit."""
+
 _MIN_CANDIDATES = 16.0
-"""Number of 1024 candidates within half the smallest radius, on a flat surface."""
+"""Number of 1024 candidates within the smallest radius, on a flat surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curvatures:
     """Curvature fit to the candidates of B bodies; single precision about their centres suffices."""
 
+    count: np.ndarray
+    """Number of candidates (B,) of each body."""
+    density: np.ndarray
+    """Candidates per square metre (B,)."""
+
     center: np.ndarray
     """Mean of the candidates (B, 3), body frames, metres."""
-    safe: np.ndarray
-    """Safe radius 2 sqrt(16 area / (1024 pi)) of each body (B,), in metres: half of it holds just enough candidates."""
     position: np.ndarray
     """Features (v, |v|^2, 1) of each candidate (B, 5, N), about the centre."""
     normal: np.ndarray
@@ -40,24 +48,24 @@ class Curvatures:
     @staticmethod
     def of(bodies: Sequence[Body]) -> "Curvatures":
         """Precompute the features of bodies; fewer candidates than others are padded with zeros, which weigh 0."""
-        area = np.array([body.area for body in bodies])
         center = np.array([body.candidates.points.mean(axis=0) for body in bodies])
-        columns = np.zeros((len(bodies), max(len(body.candidates.points) for body in bodies), 33), dtype=np.float32)
+        count = np.array([len(body.candidates.points) for body in bodies])
+        density = count / np.array([body.area for body in bodies])
+        columns = np.zeros((len(bodies), count.max(), 33), dtype=np.float32)
         for row, body, middle in zip(columns, bodies, center, strict=True):
             v, n = body.candidates.points - middle, body.candidates.normals
             one = np.ones((len(v), 1))
             squares = [(v[:, :, None] * other[:, None, :]).reshape(-1, 9) for other in (v, n)]
             row[: len(v)] = np.hstack([v, (v * v).sum(axis=1, keepdims=True), one, n, one, v, n, *squares])
         parts = columns[..., :5].mT, columns[..., 5:8].mT, columns[..., 8:]
-        return Curvatures(
-            center, 2.0 * np.sqrt(_MIN_CANDIDATES * area / (1024 * np.pi)), *map(np.ascontiguousarray, parts)
-        )
+        return Curvatures(count, density, center, *map(np.ascontiguousarray, parts))
 
     def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Fit symmetric curvatures K (R, 2, 2) in 1/m, positive for convex: E^T n_j = b + K E^T (v_j - x).
 
-        Least squares over the candidates v_j, n_j within the radius rho, weighted by 1 - |v_j - x|^2 / rho^2;
-        eigenvalues are clipped to [-1/rho, 4/rho], the range that candidates of that spread can resolve.
+        Least squares over the candidates v_j, n_j within the radius rho, or a sample of them where that is wide,
+        weighted by 1 - |v_j - x|^2 / rho^2; eigenvalues are clipped to [-1/rho, 4/rho], the range that candidates of
+        that spread can resolve.
 
         Args:
             body: Body (R,) of each witness point.
@@ -74,17 +82,30 @@ class Curvatures:
         weigh[:, 3] = -scale
         weigh[:, 4] = 1.0 - scale * (y * y).sum(axis=1)
         facing = normal.astype(np.float32)
-        order = np.argsort(body, kind="stable")
-        ends = np.searchsorted(body[order], np.arange(len(self.center) + 1))
-        for b in np.flatnonzero(np.diff(ends)):
-            for start in range(ends[b], ends[b + 1], _BLOCK_POINTS):
-                rows = order[start : min(start + _BLOCK_POINTS, ends[b + 1])]
+        level = self._level(body, radius)
+        key = body * (level.max(initial=0) + 1) + level
+        order = np.argsort(key, kind="stable")
+        for group in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+            for start in range(0, len(group), _BLOCK_POINTS):
+                rows = group[start : start + _BLOCK_POINTS]
+                b, some = body[rows[0]], slice(self.count[body[rows[0]]] >> level[rows[0]])
                 # One row at a time: in a product of many rows, the rounding of each depends on their number.
-                weight = weigh[rows, None] @ self.position[b]
+                weight = weigh[rows, None] @ self.position[b][:, some]
                 np.maximum(weight, 0.0, out=weight)
-                weight *= facing[rows, None] @ self.normal[b] >= COS_NORMALS
-                moments[rows] = (weight @ self.products[b])[:, 0]
+                weight *= facing[rows, None] @ self.normal[b][:, some] >= COS_NORMALS
+                moments[rows] = (weight @ self.products[b][some])[:, 0]
         return _curvature(moments, E, radius)
+
+    def _level(self, body: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Halvings (R,) of the candidates: their order is random, so the first ones are a sample of the surface."""
+        expected = self.density[body] * np.pi * radius * radius
+        most = np.maximum(np.frexp(self.count / _ENOUGH_CANDIDATES)[1] - 1, 0)
+        return np.clip(np.frexp(expected / _ENOUGH_CANDIDATES)[1] - 1, 0, most[body])
+
+
+def smallest_radii(bodies: Sequence[Body]) -> np.ndarray:
+    """Radii sqrt(16 area / (1024 pi)) (B,) in metres of neighbourhoods of bodies that hold just enough candidates."""
+    return np.sqrt(_MIN_CANDIDATES * np.array([body.area for body in bodies]) / (1024 * np.pi))
 
 
 def raise_eigenvalues(K_a: np.ndarray, K_b: np.ndarray, floor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

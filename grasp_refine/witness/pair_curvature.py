@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.collision.query import Pairs, Witness
 from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import matvec
+from grasp_refine.geometry.body import Body
 from grasp_refine.witness.analytical import feature_slip
-from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues
+from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, smallest_radii
 from grasp_refine.witness.size import length_factor
+
+if TYPE_CHECKING:
+    from grasp_refine.witness.native_curvature import NativePairs
 
 SMALLEST_CURVATURE = 1.0
 """Floor of the summed curvatures of two bodies, divided by the mean of their diagonals."""
@@ -33,10 +40,12 @@ class PairCurvatures:
 
     pairs: Pairs
     """The body pairs."""
-    bodies: Curvatures
+    bodies: tuple[Body, ...]
     """The distinct bodies."""
     body: np.ndarray
     """Indices into them of the first bodies, then the second ones (2 P,)."""
+    smallest_radius: np.ndarray
+    """Smallest radii (2, P) of neighbourhoods on the first bodies, and on the second ones, in metres."""
     floor: np.ndarray
     """Floor (P,) of the eigenvalues of K_a + K_b, in 1/m."""
     corner: np.ndarray
@@ -51,8 +60,9 @@ class PairCurvatures:
         diagonal = np.array([one.diagonal for one in both]).reshape(2, -1)
         return PairCurvatures(
             pairs,
-            Curvatures.of(distinct),
+            tuple(distinct),
             body,
+            smallest_radii(distinct)[body].reshape(2, -1),
             smallest / diagonal.mean(axis=0),
             CORNER_CURVATURE_PER_M / length_factor(pairs.a, pairs.b),
         )
@@ -69,8 +79,8 @@ class PairCurvatures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
 
-        The neighbourhood of a witness has the radius max(2 width |t - x|, safe / 2); with a width of 0 there is
-        none, and the curvatures are those of the exact face, edge or vertex, rounded or not.
+        The neighbourhood of a witness has the radius 2 width |t - x|, or at least `smallest_radius`; with a width of 0
+        there is none, and the curvatures are those of the exact face, edge or vertex, rounded or not.
 
         Args:
             pair: Body pair (M,) of each item.
@@ -81,17 +91,45 @@ class PairCurvatures:
             miss: Distances |t - x| (2, M) of the witness points from their targets on a, then on b, in metres.
             width: Factors (M,) of the radii.
         """
+        radius = np.where(width > 0, np.maximum(2.0 * width * miss, self.smallest_radius[:, pair]), 0.0)
+        fit = self._fit_in_python if self._compiled is None else self._compiled.fit
+        return fit(pair, T_world_a, T_world_b, witness, E, radius)
+
+    @cached_property
+    def _compiled(self) -> NativePairs | None:
+        """The fit of the compiled engine, if it is the one of the pairs."""
+        if chosen(self.pairs.engine) == "python":
+            return None
+        from grasp_refine.witness.native_curvature import NativeCurvatures, NativePairs
+
+        bodies = NativeCurvatures.of(self.bodies)
+        return NativePairs(bodies, self.body, self.pairs.first_piece_pair, self.floor, self.corner)
+
+    @cached_property
+    def _curvatures(self) -> Curvatures:
+        return Curvatures.of(self.bodies)
+
+    def _fit_in_python(
+        self,
+        pair: np.ndarray,
+        T_world_a: np.ndarray,
+        T_world_b: np.ndarray,
+        witness: Witness,
+        E: np.ndarray,
+        radius: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Fit with the radii (2, M) on a, then on b; 0 stands for the exact feature."""
         count = len(pair)
         T = np.concatenate([T_world_a, T_world_b])
         R = T[:, :3, :3].mT
         x = matvec(R, np.concatenate([witness.point_a, witness.point_b]) - T[:, :3, 3])
         normal = matvec(R, np.concatenate([witness.normal, -witness.normal]))
         E = R @ np.concatenate([E, E])
+        rho = radius.reshape(-1)
+        K = np.empty((2 * count, 2, 2))
+        fitted, exact = np.flatnonzero(rho > 0), np.flatnonzero(rho == 0)
         body = np.concatenate([self.body[pair], self.body[pair + len(self.pairs)]])
-        both = np.concatenate([width, width])
-        radius = np.maximum(2.0 * both * miss.reshape(-1), 0.5 * self.bodies.safe[body])
-        K = self.bodies.fit(body, x, normal, E, radius)
-        exact = np.flatnonzero(both == 0)
+        K[fitted] = self._curvatures.fit(body[fitted], x[fitted], normal[fitted], E[fitted], rho[fitted])
         if len(exact):
             corner = np.tile(self.corner[pair], 2)
             K[exact] = self._of_features(exact, x, normal, E, witness, corner)

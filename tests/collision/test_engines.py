@@ -154,7 +154,7 @@ def test_threads_change_nothing(both: tuple[Pairs, Pairs]) -> None:
 @native
 @pytest.mark.parametrize(("told", "threads"), [("1", 1), ("2", 2), ("3,1", 3)])
 def test_the_number_of_threads_is_that_of_openmp_and_few_items_take_one(told: str, threads: int) -> None:
-    code = "from grasp_refine.collision.native_search import _threads; print(*map(_threads, (1, 1000, 10**6)))"
+    code = "from grasp_refine.collision.native_search import threads_for; print(*map(threads_for, (1, 1000, 10**6)))"
     result = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | {"OMP_NUM_THREADS": told}, capture_output=True, text=True
     )

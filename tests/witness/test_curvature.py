@@ -1,21 +1,41 @@
-"""Curvatures fitted to all candidates: surfaces of known curvature, eigenvalues, and rows that ignore each other."""
+"""Curvatures fitted to candidates: surfaces of known curvature, eigenvalues, and rows that ignore each other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from grasp_refine.collision.engine import chosen, why_not_native
 from grasp_refine.core.se3 import exp_so3, tangents
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import box, capsule, hull, sphere
-from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, with_eigenvalues
+from grasp_refine.geometry.sampling import Candidates
+from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, smallest_radii, with_eigenvalues
+
+if TYPE_CHECKING:
+    from grasp_refine.witness.native_curvature import NativeCurvatures
+
+pytestmark = pytest.mark.usefixtures("engine")
+native = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
 
 FINE = 8192
 """Candidates of finely sampled bodies."""
 
 
+@cache
 def ball(radius: float, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Body:
     return build_body("ball", [sphere(radius, center)], candidates=FINE)
+
+
+def curvatures_of(bodies: Sequence[Body]) -> "Curvatures | NativeCurvatures":
+    """Fit of the engine in use."""
+    if chosen("auto") == "python":
+        return Curvatures.of(bodies)
+    from grasp_refine.witness.native_curvature import NativeCurvatures
+
+    return NativeCurvatures.of(bodies)
 
 
 def random_directions(count: int, seed: int) -> np.ndarray:
@@ -26,7 +46,7 @@ def random_directions(count: int, seed: int) -> np.ndarray:
 def fit(body: Body, x: np.ndarray, n: np.ndarray, radius: float, E: np.ndarray | None = None) -> np.ndarray:
     """Curvatures (R, 2, 2) of one body at x (R, 3)."""
     E = tangents(n) if E is None else E
-    return Curvatures.of([body]).fit(np.zeros(len(x), dtype=int), x, n, E, np.full(len(x), radius))
+    return curvatures_of([body]).fit(np.zeros(len(x), dtype=int), x, n, E, np.full(len(x), radius))
 
 
 # surfaces of known curvature
@@ -114,19 +134,18 @@ def test_where_there_are_no_candidates_or_all_the_fit_is_finite_and_within_what_
         np.testing.assert_array_equal(values, 0.0)
 
 
-def test_the_safe_radius_holds_sixteen_of_1024_candidates_on_a_plane() -> None:
+def test_the_smallest_radius_holds_sixteen_of_1024_candidates_on_a_plane() -> None:
     body = build_body("box", [box([0.3, 0.3, 0.3])], candidates=1024)
-    bodies = Curvatures.of([body])
     x = np.random.default_rng(3).uniform(-0.1, 0.1, (50, 2))
     on_top = body.candidates.points[body.candidates.normals[:, 2] > 0.5][:, :2]
-    inside = (np.linalg.norm(on_top - x[:, None], axis=2) < 0.5 * bodies.safe[0]).sum(axis=1)
+    inside = (np.linalg.norm(on_top - x[:, None], axis=2) < smallest_radii([body])[0]).sum(axis=1)
     assert inside.mean() == pytest.approx(16, abs=2)
 
 
 # rows
 
 
-def many_rows(count: int) -> tuple[Curvatures, tuple[np.ndarray, ...]]:
+def many_rows(count: int) -> "tuple[list[Body], tuple[np.ndarray, ...]]":
     """Items on two bodies in random order, with radii that hold few candidates, so that rounding shows."""
     bodies = [
         build_body("rod", [capsule(0.02, (0, 0, -0.05), (0, 0, 0.05))], candidates=256),
@@ -136,24 +155,25 @@ def many_rows(count: int) -> tuple[Curvatures, tuple[np.ndarray, ...]]:
     body, pick = rng.integers(2, size=count), rng.integers(256, size=count)
     x = np.stack([bodies[b].candidates.points[p] for b, p in zip(body, pick, strict=True)])
     n = np.stack([bodies[b].candidates.normals[p] for b, p in zip(body, pick, strict=True)])
-    return Curvatures.of(bodies), (body, x, n, tangents(n), rng.uniform(0.005, 0.03, count))
+    return bodies, (body, x, n, tangents(n), rng.uniform(0.005, 0.06, count))
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 64, 129])
 def test_a_row_does_not_depend_on_the_others_to_the_last_bit(count: int) -> None:
     """One matrix product for all rows once made K differ by 5e-4 with their number: refined grasps then did, too."""
     bodies, rows = many_rows(300)
-    every = bodies.fit(*rows)
+    curvatures = curvatures_of(bodies)
+    every = curvatures.fit(*rows)
     rng = np.random.default_rng(count)
     for _ in range(5):
         some = rng.permutation(300)[:count]
-        np.testing.assert_array_equal(bodies.fit(*(a[some] for a in rows)), every[some])
+        np.testing.assert_array_equal(curvatures.fit(*(a[some] for a in rows)), every[some])
 
 
 def test_bodies_may_have_different_numbers_of_candidates() -> None:
     bodies = [ball(0.02), build_body("box", [box([0.05, 0.06, 0.07])], candidates=100)]
     c = bodies[1].candidates
-    both = Curvatures.of(bodies).fit(
+    both = curvatures_of(bodies).fit(
         np.ones(20, dtype=int), c.points[:20], c.normals[:20], tangents(c.normals[:20]), np.full(20, 0.02)
     )
     np.testing.assert_allclose(both, fit(bodies[1], c.points[:20], c.normals[:20], 0.02), atol=1e-3 / 0.02)
@@ -176,6 +196,52 @@ def test_single_precision_about_the_centre_suffices() -> None:
         values, vectors = np.linalg.eigh(0.5 * (K + K.T))
         expected.append(vectors @ np.diag(np.clip(values, -1 / radius, 4 / radius)) @ vectors.T)
     np.testing.assert_allclose(fit(body, x, n, radius), expected, atol=1e-3 / radius)
+
+
+@pytest.mark.parametrize(("expected", "first"), [(30, 8192), (120, 8192), (130, 4096), (1000, 1024), (1e6, 64)])
+def test_a_wide_neighbourhood_is_fitted_to_a_sample_of_it(expected: float, first: int) -> None:
+    """Of as many candidates as a disc of the radius holds, all count, or those left after halvings, at least 64."""
+    body = build_body("hull", [hull(np.random.default_rng(2).normal(size=(40, 3)) * 0.02)], candidates=FINE)
+    c = body.candidates
+    radius = np.sqrt(expected * body.area / (FINE * np.pi))
+    found = fit(body, c.points[-40:], c.normals[-40:], radius)
+
+    def of_the_first(count: int) -> np.ndarray:
+        some = Candidates(c.points[:count], c.normals[:count], FINE / first * c.areas[:count])
+        return fit(Body("part", body.pieces, some), c.points[-40:], c.normals[-40:], radius)
+
+    np.testing.assert_allclose(found, of_the_first(first), atol=1e-4 / radius)
+    assert np.abs(found - of_the_first(first // 2)).max() > 0.01 / radius
+
+
+@native
+def test_both_engines_fit_the_same_at_any_width_and_number_of_candidates() -> None:
+    from grasp_refine.witness.native_curvature import NativeCurvatures
+
+    for candidates in (1, 16, 17, 100, 1024):
+        body = build_body("hull", [hull(np.random.default_rng(2).normal(size=(40, 3)) * 0.02)], candidates=candidates)
+        c, rng = body.candidates, np.random.default_rng(3)
+        pick = rng.integers(candidates, size=200)
+        n, radius = random_directions(200, 4), 10 ** rng.uniform(-2.5, 0.5, 200)
+        x = c.points[pick] + 1e-3 * n
+        rows = np.zeros(200, dtype=int), x, n, tangents(n), radius
+        found, expected = NativeCurvatures.of([body]).fit(*rows), Curvatures.of([body]).fit(*rows)
+        # A candidate at the rim of its neighbourhood counts a little, or not at all, by rounding.
+        np.testing.assert_allclose(radius[:, None, None] * found, radius[:, None, None] * expected, atol=2e-2)
+        assert np.median(np.abs(radius[:, None, None] * (found - expected))) < 1e-5
+
+
+@native
+def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from grasp_refine.witness import native_curvature
+
+    bodies, rows = many_rows(300)
+    fits = []
+    for threads in (1, 2, 3):
+        monkeypatch.setattr(native_curvature, "_threads", lambda count, threads=threads: threads)
+        fits.append(native_curvature.NativeCurvatures.of(bodies).fit(*rows))
+    np.testing.assert_array_equal(fits[1], fits[0])
+    np.testing.assert_array_equal(fits[2], fits[0])
 
 
 # eigenvalues

@@ -16,6 +16,8 @@ from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import ring_body
 from twists import poses_at_gap, random_poses
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 def items(pairs: Pairs, gap: float, count: int = 12, seed: int = 1) -> tuple[np.ndarray, np.ndarray, Witness]:
     """Poses (M, 4, 4) and witness points (M,) of one pair."""

@@ -1,13 +1,14 @@
-// What all parts of the module share: arrays of Python, and loops over the items of a batch.
+// Arrays of a batch of items, and the loop over its items on several threads.
 #pragma once
+
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
 #include <unistd.h>
 
-#include <cstdint>
 #include <exception>
 #include <mutex>
+#include <numeric>
 #include <vector>
 
 namespace grasp_refine {
@@ -18,6 +19,11 @@ template <class T>
 using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+
+template <class T>
+std::vector<T> list_of(const In<T>& array) {
+  return {array.data(), array.data() + array.size()};
+}
 
 // The process that loaded this module. A fork of it has lost the threads of OpenMP and would wait for them for ever.
 inline const pid_t kProcess = getpid();
@@ -39,6 +45,16 @@ void for_each(const std::vector<size_t>& order, int threads, const Work& work) {
     }
   }
   if (error) std::rethrow_exception(error);
+}
+
+// Items of equal keys follow each other, so that their pieces stay in the processor's cache.
+template <class Key>
+std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {
+  std::vector<size_t> start(keys + 1), order(count);
+  for (size_t i = 0; i < count; ++i) ++start[key(i) + 1];
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  for (size_t i = 0; i < count; ++i) order[start[key(i)]++] = i;
+  return order;
 }
 
 }  // namespace grasp_refine

@@ -66,10 +66,10 @@ void solve_forces(In<double> G, In<bool> there, In<double> load, double friction
 
 }  // namespace
 
-}  // namespace grasp_refine
-
-void bind_forces(nanobind::module_& m) {
-  using namespace nanobind::literals;
-  m.def("solve_forces", &grasp_refine::solve_forces, "G"_a, "there"_a, "load"_a, "friction"_a, "share"_a, "ridge"_a,
+void bind_forces(nb::module_& m) {
+  using namespace nb::literals;
+  m.def("solve_forces", &solve_forces, "G"_a, "there"_a, "load"_a, "friction"_a, "share"_a, "ridge"_a,
         "force"_a.noconvert(), "solved"_a.noconvert(), "threads"_a);
 }
+
+}  // namespace grasp_refine

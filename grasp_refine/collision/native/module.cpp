@@ -6,29 +6,21 @@
 
 #include <coal/config.hh>
 
-#include <numeric>
 #include <optional>
 #include <stdexcept>
 
 #include "batch.h"
 #include "search.h"
 
+namespace grasp_refine {
+void bind_curvature(nb::module_& m);
+void bind_forces(nb::module_& m);
+}  // namespace grasp_refine
+
 using namespace grasp_refine;
 using namespace nb::literals;
 
-void bind_forces(nb::module_& m);
-
 using RowMatrix = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-
-// Items of equal keys follow each other, so that their pieces stay in the processor's cache.
-template <class Key>
-std::vector<size_t> by_key(size_t count, size_t keys, const Key& key) {
-  std::vector<size_t> start(keys + 1), order(count);
-  for (size_t i = 0; i < count; ++i) ++start[key(i) + 1];
-  std::partial_sum(start.begin(), start.end(), start.begin());
-  for (size_t i = 0; i < count; ++i) order[start[key(i)]++] = i;
-  return order;
-}
 
 // The pose of body b in the frame of body a, from two (4, 4) poses in the world.
 Transform3s relative(const double* a, const double* b) {
@@ -158,11 +150,6 @@ void distances(const NarrowPhase& narrow_phase, In<int64_t> item, In<int64_t> pa
   });
 }
 
-template <class T>
-std::vector<T> list_of(const In<T>& array) {
-  return {array.data(), array.data() + array.size()};
-}
-
 Side side_of(In<int64_t> body, In<int64_t> first, In<double> center, In<double> half, In<double> axes,
              In<double> radius, In<double> supports, size_t cells) {
   Side side{list_of(body), list_of(first), {}, {}, {}, list_of(radius), supports.data(), supports.shape(1),
@@ -183,6 +170,10 @@ NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, const std::vector<
   NarrowPhase made{{}, {gjk, epa, retry, slack}};
   for (size_t k = 0; k < a.size(); ++k) made.pairs.push_back({a[k], b.at(k), unit.at(k)});
   return made;
+}
+
+namespace grasp_refine {
+void bind_curvature(nb::module_& m);
 }
 
 NB_MODULE(_native, m) {
@@ -251,5 +242,6 @@ NB_MODULE(_native, m) {
            "new_winner"_a.noconvert(), "new_num_queries"_a.noconvert(), "threads"_a)
       .def("trace", &trace);
 
+  bind_curvature(m);
   bind_forces(m);
 }

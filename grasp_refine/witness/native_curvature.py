@@ -1,0 +1,93 @@
+"""Curvatures near witness points, compiled: `curvature` and `pair_curvature` in C++ (see `collision/native`).
+
+The candidates of a body are sorted into blocks: those beyond the radius are skipped, and those within it whose normals
+all agree count by their sums. The results are the same for any number of threads, and each depends on its own arguments
+only. The GIL is released.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# Loads coal's library, which _native needs.
+from grasp_refine.collision.native_search import threads_for
+from grasp_refine.collision.query import Witness
+from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece
+
+from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled  # isort: skip
+
+_FITS_PER_QUERY = 8
+"""Number of fits that take as long as one item of a query."""
+
+
+@dataclass(frozen=True, eq=False)
+class NativeCurvatures:
+    """Candidates and exact features of B bodies."""
+
+    compiled: "_native.CurvedBodies"
+    """The bodies in C++."""
+
+    @staticmethod
+    def of(bodies: Sequence[Body]) -> "NativeCurvatures":
+        """Sort the candidates of bodies into blocks."""
+        compiled = _native.CurvedBodies()
+        for body in bodies:
+            candidates, features = body.candidates, [_features(piece) for piece in body.pieces]
+            compiled.add(candidates.points, candidates.normals, body.area, features)
+        return NativeCurvatures(compiled)
+
+    def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """Return the curvatures (R, 2, 2) of `Curvatures.fit`."""
+        K = np.empty((len(x), 2, 2))
+        self.compiled.fit(body, x, normal, E, radius, K, _threads(len(x)))
+        return K
+
+
+class NativePairs:
+    """Curvatures of P body pairs."""
+
+    def __init__(
+        self,
+        bodies: NativeCurvatures,
+        body: np.ndarray,
+        first_piece_pair: np.ndarray,
+        floor: np.ndarray,
+        corner: np.ndarray,
+    ) -> None:
+        """Prepare the pairs; the arguments are fields of a `PairCurvatures` and its `Pairs`."""
+        self._compiled = _native.CurvaturePairs(bodies.compiled, body, first_piece_pair, floor, corner)
+
+    def fit(
+        self,
+        pair: np.ndarray,
+        T_world_a: np.ndarray,
+        T_world_b: np.ndarray,
+        witness: Witness,
+        E: np.ndarray,
+        radius: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the curvatures K_a and K_b (M, 2, 2) of `PairCurvatures.fit`, with radii (2, M) on a, then on b.
+
+        A radius of 0 stands for the exact feature.
+        """
+        w, count = witness, len(pair)
+        K_a, K_b = np.empty((2, count, 2, 2))
+        self._compiled.fit(
+            pair, T_world_a, T_world_b, w.point_a, w.point_b, w.normal, E, radius, w.winner, K_a, K_b, _threads(count)
+        )
+        return K_a, K_b
+
+
+def _features(piece: Piece) -> "_native.Features":
+    """Faces, edges and vertices of a piece, built once."""
+    if "features" not in piece.derived:
+        planes = piece.planes if len(piece.vertices) > 2 else (np.zeros((0, 3)), np.zeros(0))
+        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (piece.vertices, *planes))
+        piece.derived["features"] = _native.Features(*arrays, piece.radius)
+    return piece.derived["features"]
+
+
+def _threads(count: int) -> int:
+    return threads_for(count // _FITS_PER_QUERY)
