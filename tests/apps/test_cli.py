@@ -125,6 +125,14 @@ def test_hands_and_doctor_need_no_torch_to_start():
 # run
 
 
+def test_a_run_with_the_default_solver_loads_no_torch():
+    code = "import sys; from grasp_refine_apps.cli import main; main(sys.argv[1:]); print('torch' in sys.modules)"
+    result = subprocess.run(
+        [sys.executable, "-c", code, *QUICK], capture_output=True, text=True, env=subprocess_environment()
+    )
+    assert result.stdout.endswith("False\n"), result.stderr
+
+
 def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixture[str]):
     assert main([*QUICK, "--out", "results/deep", "--json", "results/deep/report.json"]) == 0
     assert {str(path) for path in Path().rglob("*") if path.is_file()} == {

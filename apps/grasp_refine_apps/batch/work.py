@@ -31,6 +31,7 @@ from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed, Heartbeat
 from grasp_refine_apps.report.command_line import words
+from grasp_refine_apps.torch_threads import limit_torch_threads
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,7 @@ class ShardWork:
         Raises:
             GraspRefineError: an input cannot be used, or the file cannot be written.
         """
-        # It takes a second to load, and only workers need it.
-        import torch
-
-        # Each worker has a core of its own.
-        torch.set_num_threads(1)
+        limit_torch_threads(self.config)
         if not self.profile:
             return self._done(shard, heartbeat)
         with Stopwatch() as watch:

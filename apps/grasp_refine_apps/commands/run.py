@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import torch
 from tyro.conf import arg
 
 from grasp_refine.collision.engine import chosen
@@ -38,6 +37,7 @@ from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
+from grasp_refine_apps.torch_threads import limit_torch_threads
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,7 @@ class Run:
             "validation": settings(self.validation),
             "protocol": settings(protocol),
         }
-        # The tensors of a batch of grasps are small.
-        torch.set_num_threads(1)
+        limit_torch_threads(config)
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
             check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)

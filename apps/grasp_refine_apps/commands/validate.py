@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import torch
 from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
@@ -82,7 +81,6 @@ class Validate:
         protocol = self.simulation.protocol() if self.simulation.simulate else None
         files = self.output.compare or self.files
         self._check(protocol, files)
-        torch.set_num_threads(1)
         with Reporter(screen(stderr=True)) as reporter:
             loaders = [Loader(self.sources.of(path), self.robustness.seed, reporter.say) for path in files]
             drafts = [loader.draft() for loader in loaders]
