@@ -142,6 +142,12 @@ class ViserPage:
         left, top, width, height = self.page.evaluate(PROJECTION)[3]
         return left, top, width, height
 
+    def scene_size(self) -> tuple[float, float]:
+        """Width and height of the place of the 3D scene in the window, which the canvas takes when viser measures."""
+        box = "window.__viserMutable.canvas.parentElement.getBoundingClientRect()"
+        width, height = self.page.evaluate(f"() => [{box}.width, {box}.height]")
+        return width, height
+
     def picture(self) -> np.ndarray:
         """The pixels of the 3D scene as drawn, on white, (height, width, 3) uint8: what lies above it is left out."""
         # A screenshot of the page would wait until the browser has nothing else to draw.

@@ -52,6 +52,8 @@ class Phase:
     """Factor of the penetration weights: while contacts slide, links may penetrate a little."""
     balance: bool = True
     """Whether contact forces should balance."""
+    patience: int = 8
+    """Largest number of iterations without progress."""
 
     def touching(self, touching: ContactSelection) -> ContactSelection:
         """Return the contact selection of this phase, given that of the last phase."""
@@ -228,7 +230,13 @@ class _Search:
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, phase.touching(config.contact_selection), prepared)
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
-        solver = replace(config.solver, iterations=min(config.solver.iterations, phase.iterations))
+        solver = replace(
+            config.solver,
+            iterations=min(config.solver.iterations, phase.iterations),
+            last_patience=min(config.solver.last_patience, phase.patience),
+            # Contacts may be anywhere: another neighbourhood brings them no nearer.
+            widths=config.solver.widths[:1],
+        )
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
         left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]

@@ -89,7 +89,9 @@ class LevenbergMarquardt(Solver):
     good: float = 1e-7
     """Best loss (m^2) below which a member does not restart; 1e-7 is a third of a millimetre."""
     widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
-    """Factors of the radii of the smoothing neighbourhoods, the next one after each rejection; 0: no smoothing."""
+    """Factors of the radii of the smoothing neighbourhoods, the next one after each rejection; 0: no smoothing.
+
+    Only the first one counts in the search for force closure."""
 
     def __post_init__(self) -> None:
         """Refuse settings with which lambda would vanish, stay constant, or change the wrong way.

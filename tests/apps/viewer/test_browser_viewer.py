@@ -274,7 +274,7 @@ def test_meshes_that_cannot_be_used_are_refused_and_a_good_one_is_opened(page: V
 def test_a_small_window_has_scene_and_panel(viewer: Viewer, open_page: Callable[..., ViserPage]):
     page = open_page(viewer.address, size=(700, 500))
     page.wait_for_node(THUMB)
-    until(lambda: page.canvas_box()[2:] == (312.0, 500.0), "a scene beside the panel")
+    until(lambda: page.scene_size() == (312.0, 500.0), "a scene beside the panel")
     assert share_of(page.wait_for_scene(), (0, 0, 0), (235, 235, 235)) > 0.05
     page.tab("Refine")
 
