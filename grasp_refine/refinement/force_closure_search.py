@@ -34,8 +34,11 @@ GOOD_QUALITY = 0.05
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
 
-STARTS_AT_ONCE = 16
-"""Target number of members of a batch: of few grasps, several starts are tried at once."""
+FINALISTS = 2
+"""Number of further starts of a grasp that are followed to the end: those whose forces soon balance best."""
+
+MEMBERS_AT_ONCE = 1024
+"""Largest number of further starts that are begun together, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ SETTLE = Phase("contacts settle", 15)
 CLOSE = Phase("gaps close", 40, balance=False)
 PHASES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
+RACE = replace(SLIDE, iterations=10)
+"""Contacts of all further starts slide a little: the loss then tells most of those that will not balance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +107,8 @@ def most_iterations(config: Config) -> int:
     """Return the largest number of iterations of a grasp, over all its starts."""
     most = config.solver.iterations
     each = sum(min(phase.iterations, most) for phase in PHASES)
-    return min(CLOSE.iterations, most) + config.starts * each
+    further = config.starts - 1
+    return min(CLOSE.iterations, most) + (1 + min(further, FINALISTS)) * each + further * min(RACE.iterations, most)
 
 
 def search(
@@ -131,18 +137,10 @@ def search(
     rows = search.unsatisfied(rows)
     search.take(rows, search.attempt(rows, search.given(rows), PHASES))
     search.starts[status == Status.RUNNING] = 1
-    while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
-        # The result of a grasp does not depend on how many starts are tried at once: the first good one counts.
-        first = search.starts[rows]
-        each = np.minimum(config.starts - first, max(1, STARTS_AT_ONCE // len(rows)))
-        member = np.repeat(rows, each)
-        place = np.arange(len(member)) - np.repeat(np.cumsum(each) - each, each)
-        found = search.attempt(member, search.perturb(member, np.repeat(first, each) + place), PHASES)
-        for k in range(int(each.max())):
-            at = np.flatnonzero(place == k)
-            at = at[search.best.score[member[at]] > GOOD_QUALITY]
-            search.take(member[at], take(found, at))
-            search.starts[member[at]] += 1
+    rows, further = search.unsatisfied(rows), config.starts - 1
+    if further:
+        for block in np.split(rows, range(at_once := max(1, MEMBERS_AT_ONCE // further), len(rows), at_once)):
+            search.race(block, further)
     return search.result()
 
 
@@ -162,6 +160,8 @@ class _Search:
         self.scene, self.prepared, self.config = scene, prepared, config
         self.progress, self.on_iteration = progress, on_iteration
         self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
+        self.free = GraspProblem(replace(scene, q=self.q), Goal.nothing(N, L), config, prepared)
+        """Problem in which no link should touch."""
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
         self.cpu, self.wall = np.zeros((2, N))
         self.ticks = 0
@@ -204,22 +204,34 @@ class _Search:
         place[kept] = len(place) + np.flatnonzero(better | never)
         self.best = take(join(self.best, found), place)
 
+    def race(self, rows: np.ndarray, further: int) -> None:
+        """Begin from a number of further starts, follow the `FINALISTS` of each grasp and keep the first good one."""
+        member, number = np.repeat(rows, further), np.tile(np.arange(1, further + 1), len(rows))
+        start = self.free.project(member, self.perturb(member, number))
+        begun, _ = self._run_phase(RACE, self._scene(member), member, start)
+        loss = np.nan_to_num(begun.loss[:, 1], nan=np.inf).reshape(-1, further)
+        order = np.argsort(loss, axis=1, kind="stable")[:, :FINALISTS]
+        place = order + further * np.arange(len(rows))[:, None]
+        finalists = self.attempt(member[place.reshape(-1)], take(begun.point, place.reshape(-1)), PHASES)
+        for rank in range(order.shape[1]):
+            open_rows = np.flatnonzero(self.best.score[rows] > GOOD_QUALITY)
+            self.take(rows[open_rows], take(finalists, rank + order.shape[1] * open_rows))
+        self.starts[rows] += further
+
     def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> _Attempt:
         """Return the grasps `rows` from some starts, through some phases."""
         scene, prepared = self._scene(rows), self.prepared
-        everyone = np.arange(len(rows))
-        free = GraspProblem(scene, Goal.nothing(len(rows), len(scene.links)), self.config, prepared)
-        point = free.project(everyone, start)
+        point = self.free.project(rows, start)
         for phase in phases:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
-        known = free.evaluate(everyone, point, None)
+        known = self.free.evaluate(rows, point, None)
         T = known.T_link
         witness = query(
             prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
         )
         score = quality(scene.hand, scene.object, prepared.chain, known.frames, witness).score
-        score += free.other_depth(known) / DEEP
+        score += self.free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
