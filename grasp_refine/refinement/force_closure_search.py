@@ -34,8 +34,11 @@ GOOD_QUALITY = 0.05
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
 
-FINALISTS = 2
-"""Number of further starts of a grasp that are followed to the end: those whose forces soon balance best."""
+FINALISTS = 3
+"""Largest number of further starts of a grasp that are followed to the end: those whose forces soon balance best."""
+
+PROMISING_LOSS = 2e-5
+"""Loss after the first iterations above which one start in ten, or fewer, ends in a good grasp."""
 
 MEMBERS_AT_ONCE = 1024
 """Largest number of further starts that are begun together, which bounds the memory."""
@@ -211,11 +214,14 @@ class _Search:
         begun, _ = self._run_phase(RACE, self._scene(member), member, start)
         loss = np.nan_to_num(begun.loss[:, 1], nan=np.inf).reshape(-1, further)
         order = np.argsort(loss, axis=1, kind="stable")[:, :FINALISTS]
-        place = order + further * np.arange(len(rows))[:, None]
-        finalists = self.attempt(member[place.reshape(-1)], take(begun.point, place.reshape(-1)), PHASES)
-        for rank in range(order.shape[1]):
-            open_rows = np.flatnonzero(self.best.score[rows] > GOOD_QUALITY)
-            self.take(rows[open_rows], take(finalists, rank + order.shape[1] * open_rows))
+        promising = np.take_along_axis(loss, order, axis=1) <= PROMISING_LOSS
+        promising[:, 0] = True
+        row, rank = np.nonzero(promising)
+        chosen = further * row + order[row, rank]
+        finalists = self.attempt(member[chosen], take(begun.point, chosen), PHASES)
+        for number in range(order.shape[1]):
+            at = np.flatnonzero((rank == number) & (self.best.score[rows[row]] > GOOD_QUALITY))
+            self.take(rows[row[at]], take(finalists, at))
         self.starts[rows] += further
 
     def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> _Attempt:
