@@ -1,10 +1,8 @@
 """Queries in the loop of a solver: certainly separated pairs are skipped until their motion could bring contact."""
 
-from dataclasses import fields
-
 import numpy as np
 
-from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
+from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body
 
@@ -27,22 +25,13 @@ def query_near(
         cutoff: Largest distances (M, P) in metres of interest.
         previous: The last answers.
     """
-    M, P = bound.shape
-    item = np.flatnonzero(np.isinf(cutoff) | ~(bound > 0))
-    if not len(item):
+    apart = np.isfinite(cutoff) & (bound > 0)
+    if apart.all():
         return nothing_near(bound)
-    found = query_items(
-        pairs,
-        item % P,
-        T_a.reshape(-1, 4, 4)[item],
-        T_b.reshape(-1, 4, 4)[item],
-        cutoff=cutoff.reshape(-1)[item],
-        previous=None if previous is None else previous.reshape(-1).rows(item),
-    )
-    every = nothing_near(bound).reshape(-1)
-    for field in fields(Witness):
-        getattr(every, field.name)[item] = getattr(found, field.name)
-    return every.reshape(M, P)
+    # No distance is below NaN: those pairs are passed over.
+    found = query(pairs, T_a, T_b, cutoff=np.where(apart, np.nan, cutoff), previous=previous)
+    found.distance[apart] = bound[apart]
+    return found
 
 
 def nothing_near(bound: np.ndarray) -> Witness:

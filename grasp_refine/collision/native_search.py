@@ -28,6 +28,9 @@ _SOURCES = Path(__file__).with_name("native")
 _ITEMS_PER_THREAD = 512
 """Fewest items for another thread: about 2 ms of work; a thread also waits some milliseconds for more work."""
 
+_STEPS_PER_THREAD = 128
+"""Fewest steps of a solver for another thread."""
+
 _PROGRAMS_PER_THREAD = 128
 """Fewest programs of contact forces for another thread, likewise."""
 
@@ -93,7 +96,7 @@ class NativeSearch:
             pair: The body pair of each item (M,); None: all P pairs, repeated.
             T_a: Poses (M, 4, 4) of the first bodies in the world.
             T_b: Poses of the second bodies.
-            limit: Signed distance in metres that an answer has to be below.
+            limit: Signed distance in metres that an answer has to be below; NaN: the item is passed over.
             previous: The winners, points on a, points on b and statuses of the last answer.
             threads: Number of threads; by default `OMP_NUM_THREADS`, or one a core, fewer for few items.
         """
@@ -102,9 +105,8 @@ class NativeSearch:
         found = (
             *points, np.empty(shape), np.empty(shape, np.int8), np.empty(shape, np.int64), np.empty(shape, np.int64)
         )  # fmt: skip
-        self._compiled.query(
-            pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads or threads_for(limit.size)
-        )
+        threads = threads or threads_for(limit.size - int(np.isnan(limit).sum()))
+        self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads)
         return found
 
     def bare_loop(
@@ -140,6 +142,25 @@ def solve_forces(
     """Fill in `local` and `solved` as `forces.programs.solve_programs`, no pressure being above `share` of all."""
     threads = threads or threads_for(solved.size, _PROGRAMS_PER_THREAD)
     _native.solve_forces(G, there, outer, friction, share, ridge, local, solved, threads)
+
+
+def bounded_steps(
+    J: np.ndarray,
+    r: np.ndarray,
+    damping: np.ndarray,
+    metric: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    unilateral: np.ndarray | None,
+    passes: int,
+    threads: int | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and predicted falls as `bounded_step`, in the order of its arguments."""
+    dx, predicted = np.empty(lower.shape), np.empty(len(J))
+    arrays = (np.ascontiguousarray(part, dtype=np.float64) for part in (J, r, damping, metric, lower, upper))
+    threads = threads or threads_for(len(J), _STEPS_PER_THREAD)
+    _native.bounded_steps(*arrays, unilateral, passes, dx, predicted, threads)
+    return dx, predicted
 
 
 def _shape_of(piece: Piece, unit: float) -> "_native.Shape":

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -41,8 +42,15 @@ def _map_arrays(function: Callable[..., Any], first: Any, *others: Any) -> Any:
         return first
     if isinstance(first, Mapping):
         return {key: _map_arrays(function, *(part[key] for part in (first, *others))) for key in first}
-    if not is_dataclass(first):
+    if isinstance(first, np.ndarray):
         return function(first, *others)
     kind: Any = type(first)
-    names = [field.name for field in fields(first)]
+    if (names := _field_names(kind)) is None:
+        return function(first, *others)
     return kind(*(_map_arrays(function, *(getattr(part, name) for part in (first, *others))) for name in names))
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...] | None:
+    """Names of the fields of a dataclass; None: it is none."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None

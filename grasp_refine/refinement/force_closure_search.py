@@ -34,14 +34,8 @@ GOOD_QUALITY = 0.05
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
 
-FINALISTS = 3
-"""Largest number of further starts of a grasp that are followed to the end: those whose forces soon balance best."""
-
-PROMISING_LOSS = 2e-5
-"""Loss after the first iterations above which one start in ten, or fewer, ends in a good grasp."""
-
-MEMBERS_AT_ONCE = 1024
-"""Largest number of further starts that are begun together, which bounds the memory."""
+STARTS_AT_ONCE = 16
+"""Target number of members of a batch: of few grasps, several starts are tried at once."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +75,6 @@ SETTLE = Phase("contacts settle", 15)
 CLOSE = Phase("gaps close", 40, balance=False)
 PHASES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
-RACE = replace(SLIDE, iterations=10)
-"""Contacts of all further starts slide a little: the loss then tells most of those that will not balance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +102,7 @@ def most_iterations(config: Config) -> int:
     """Return the largest number of iterations of a grasp, over all its starts."""
     most = config.solver.iterations
     each = sum(min(phase.iterations, most) for phase in PHASES)
-    further = config.starts - 1
-    return min(CLOSE.iterations, most) + (1 + min(further, FINALISTS)) * each + further * min(RACE.iterations, most)
+    return min(CLOSE.iterations, most) + config.starts * each
 
 
 def search(
@@ -140,10 +131,18 @@ def search(
     rows = search.unsatisfied(rows)
     search.take(rows, search.attempt(rows, search.given(rows), PHASES))
     search.starts[status == Status.RUNNING] = 1
-    rows, further = search.unsatisfied(rows), config.starts - 1
-    if further:
-        for block in np.split(rows, range(at_once := max(1, MEMBERS_AT_ONCE // further), len(rows), at_once)):
-            search.race(block, further)
+    while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
+        # The result of a grasp does not depend on how many starts are tried at once: the first good one counts.
+        first = search.starts[rows]
+        each = np.minimum(config.starts - first, max(1, STARTS_AT_ONCE // len(rows)))
+        member = np.repeat(rows, each)
+        place = np.arange(len(member)) - np.repeat(np.cumsum(each) - each, each)
+        found = search.attempt(member, search.perturb(member, np.repeat(first, each) + place), PHASES)
+        for k in range(int(each.max())):
+            at = np.flatnonzero(place == k)
+            at = at[search.best.score[member[at]] > GOOD_QUALITY]
+            search.take(member[at], take(found, at))
+            search.starts[member[at]] += 1
     return search.result()
 
 
@@ -206,23 +205,6 @@ class _Search:
         place = np.arange(len(self.starts))
         place[kept] = len(place) + np.flatnonzero(better | never)
         self.best = take(join(self.best, found), place)
-
-    def race(self, rows: np.ndarray, further: int) -> None:
-        """Begin from a number of further starts, follow the `FINALISTS` of each grasp and keep the first good one."""
-        member, number = np.repeat(rows, further), np.tile(np.arange(1, further + 1), len(rows))
-        start = self.free.project(member, self.perturb(member, number))
-        begun, _ = self._run_phase(RACE, self._scene(member), member, start)
-        loss = np.nan_to_num(begun.loss[:, 1], nan=np.inf).reshape(-1, further)
-        order = np.argsort(loss, axis=1, kind="stable")[:, :FINALISTS]
-        promising = np.take_along_axis(loss, order, axis=1) <= PROMISING_LOSS
-        promising[:, 0] = True
-        row, rank = np.nonzero(promising)
-        chosen = further * row + order[row, rank]
-        finalists = self.attempt(member[chosen], take(begun.point, chosen), PHASES)
-        for number in range(order.shape[1]):
-            at = np.flatnonzero((rank == number) & (self.best.score[rows[row]] > GOOD_QUALITY))
-            self.take(rows[row[at]], take(finalists, at))
-        self.starts[rows] += further
 
     def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> _Attempt:
         """Return the grasps `rows` from some starts, through some phases."""

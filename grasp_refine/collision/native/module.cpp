@@ -13,6 +13,7 @@
 #include "search.h"
 
 namespace grasp_refine {
+void bind_bounded_step(nb::module_& m);
 void bind_curvature(nb::module_& m);
 void bind_forces(nb::module_& m);
 }  // namespace grasp_refine
@@ -173,6 +174,7 @@ NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, const std::vector<
 }
 
 namespace grasp_refine {
+void bind_bounded_step(nb::module_& m);
 void bind_curvature(nb::module_& m);
 }
 
@@ -242,6 +244,7 @@ NB_MODULE(_native, m) {
            "new_winner"_a.noconvert(), "new_num_queries"_a.noconvert(), "threads"_a)
       .def("trace", &trace);
 
+  bind_bounded_step(m);
   bind_curvature(m);
   bind_forces(m);
 }

@@ -4,6 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.core.se3 import matvec
 
 
@@ -21,7 +22,7 @@ def bounded_step(
 
     Unilateral rows count only where they are positive. Which of them will be after the step is found by
     solving again with those that the last solution made so (semismooth Newton), so that a step neither runs into what
-    is near nor is held back by what it leaves.
+    is near nor is held back by what it leaves. `collision/native/bounded_step.h` does the same, compiled.
 
     Args:
         J: Jacobians (batch, m, n).
@@ -33,6 +34,24 @@ def bounded_step(
         unilateral: Rows (batch, m) that count only where they are positive; None: none.
         passes: Largest number of passes that choose the active rows and bounds.
     """
+    if chosen("auto") == "native":
+        from grasp_refine.collision.native_search import bounded_steps
+
+        return bounded_steps(J, r, damping, metric, lower, upper, unilateral, passes)
+    return _bounded_step(J, r, damping, metric, lower, upper, unilateral, passes)
+
+
+def _bounded_step(
+    J: np.ndarray,
+    r: np.ndarray,
+    damping: np.ndarray,
+    metric: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    unilateral: np.ndarray | None,
+    passes: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and falls as `bounded_step`, without the compiled module."""
     if unilateral is None:
         dx = _solve_within_bounds(J, r, damping, metric, lower, upper)
         after = r + matvec(J, dx)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from grasp_refine.collision.engine import engines
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -245,3 +246,36 @@ def test_a_lambda_that_would_not_move_is_refused(shrink: float, grow: float) -> 
 def test_settings_that_cannot_work_are_refused(settings: dict[str, object], named: tuple[str, ...]) -> None:
     with refused(GraspRefineError, *named):
         LevenbergMarquardt(**settings)
+
+
+@pytest.mark.skipif("native" not in engines(), reason="the compiled module is not available")
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_compiled_steps_are_those_of_the_plain_form(one_sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within bounds that hold most unknowns, some without any room, and with rows that count where they are positive."""
+    J, r, damping, metric = problems(400, 14, 7, 11)
+    rng = np.random.default_rng(12)
+    lower, upper = -rng.exponential(0.1, (400, 7)), rng.exponential(0.1, (400, 7))
+    lower[::3, 2] = upper[::3, 2] = 0.0
+    unilateral = rng.random((400, 14)) < 0.5 if one_sided else None
+    found = []
+    for engine in ("native", "python"):
+        monkeypatch.setenv("GRASP_REFINE_ENGINE", engine)
+        found.append(bounded_step(J, r, damping, metric, lower, upper, unilateral))
+    assert ((found[0][0] == lower) | (found[0][0] == upper)).sum() > 400
+    for compiled, plain in zip(*found, strict=True):
+        np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.skipif("native" not in engines(), reason="the compiled module is not available")
+def test_compiled_steps_do_not_depend_on_the_batch_or_the_threads() -> None:
+    from grasp_refine.collision.native_search import bounded_steps
+
+    J, r, damping, metric = problems(300, 12, 6, 13)
+    lower, upper = np.full((300, 6), -0.1), np.full((300, 6), 0.1)
+    unilateral = np.random.default_rng(14).random((300, 12)) < 0.3
+    together = bounded_steps(J, r, damping, metric, lower, upper, unilateral, 4, threads=2)
+    for rows in (slice(17, 18), slice(100, 150)):
+        parts = (part[rows] for part in (J, r, damping, metric, lower, upper, unilateral))
+        alone = bounded_steps(*parts, 4, threads=1)
+        for one, all_of_them in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(one, all_of_them[rows])
