@@ -214,6 +214,11 @@ NB_MODULE(_native, m) {
             0.5 * (shape.core.vertices.colwise().minCoeff() + shape.core.vertices.colwise().maxCoeff()).transpose();
       });
 
+  m.def("support", [](In<double> vertices, In<double> directions, Out<double> out) {
+    check(vertices.size() % 3 == 0 && directions.size() == 3 * out.size());
+    support(vertices.data(), vertices.size() / 3, directions.data(), out.size(), out.data());
+  });
+
   nb::class_<NarrowPhase>(m, "NarrowPhase")
       .def("__init__", [](NarrowPhase* self, const Shapes& a, const Shapes& b, const std::vector<double>& unit,
                           double gjk, double epa, double retry, double slack) {

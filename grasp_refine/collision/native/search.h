@@ -64,6 +64,22 @@ struct Side {
   }
 };
 
+// Support function max u . x of vertices (count, 3) in directions u, coordinate by coordinate (3, size).
+inline void support(const double* vertex, size_t count, const double* direction, size_t size, double* out) {
+  constexpr size_t kBlock = 128;  // Directions whose maxima stay in the processor's cache.
+  for (size_t start = 0; start < size; start += kBlock) {
+    const size_t width = std::min(kBlock, size - start);
+    const double *x = direction + start, *y = x + size, *z = y + size;
+    double* best = out + start;
+    std::fill(best, best + width, -kInfinity);
+    for (const double* v = vertex; v != vertex + 3 * count; v += 3)
+      for (size_t k = 0; k < width; ++k) {
+        const double reach = v[0] * x[k] + v[1] * y[k] + v[2] * z[k];
+        best[k] = reach > best[k] ? reach : best[k];
+      }
+  }
+}
+
 // The last answer for an item.
 struct Warm {
   int64_t winner = -1;  // -1: none.

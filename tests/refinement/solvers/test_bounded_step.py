@@ -251,7 +251,7 @@ def test_settings_that_cannot_work_are_refused(settings: dict[str, object], name
 @pytest.mark.skipif("native" not in engines(), reason="the compiled module is not available")
 @pytest.mark.parametrize("one_sided", [False, True])
 def test_compiled_steps_are_those_of_the_plain_form(one_sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within bounds that hold most unknowns, some without any room, and with rows that count where they are positive."""
+    """Within bounds that hold most unknowns, some without any room, and with one-sided rows."""
     J, r, damping, metric = problems(400, 14, 7, 11)
     rng = np.random.default_rng(12)
     lower, upper = -rng.exponential(0.1, (400, 7)), rng.exponential(0.1, (400, 7))
