@@ -140,8 +140,6 @@ struct Pyramid {
         next.face = kInterior;
         return (side * r[0] - outward(a)) * unit;
       case kEdge: {
-        // Without friction the tangential forces are never free.
-        if (!(side > 0)) return 0.0;
         const Place other = across(kSide, a);
         const double h = outward(a) - side * r[0], k = outward(other) - side * r[0];
         const double first = h - cosine * k, second = k - cosine * h, scale = unit / (1.0 - cosine * cosine);
@@ -161,7 +159,7 @@ struct Pyramid {
         const double h = outward(a), k = outward(other);
         const double first = 2.0 * (h - kCosine * k), second = 2.0 * (k - kCosine * h);
         const double top = r[0] + side * (first + second);
-        if (!(side > 0) || (top < first && top < second)) {
+        if (top < first && top < second) {
           next.face = kEdge;
           return -top;
         }
@@ -275,9 +273,7 @@ class ForceProgram {
       if (best == C) break;
       push(best, push_of, row.data());
       x[3 * best] = push_of[0], left -= push_of[0];
-      // Without friction the pyramid is a line.
-      const bool inside = push_of[0] < pyramid->cap;
-      place[best].face = pyramid->side > 0 ? (inside ? kInterior : kLid) : (inside ? kEdge : kCorner);
+      place[best].face = push_of[0] < pyramid->cap ? kInterior : kLid;
     }
     for (size_t c = 0; c < C; ++c) place_changed(c);
   }
@@ -426,7 +422,7 @@ class ForceProgram {
     return true;
   }
 
-  // Remove most of the rounding of the solution, and return it; false: it is not finite.
+  // Remove most of the rounding of the solution, and return it; false: the load is not finite.
   bool finish(const double* load, double* force) {
     row[0] = -1.0;
     for (size_t r = 1; r < D; ++r) row[r] = load[r - 1] - ridge * z[r];
@@ -437,7 +433,7 @@ class ForceProgram {
     for (size_t c = 0; c < C; ++c) {
       for (size_t k = 3 * c; k < 3 * c + 3; ++k) target[k] = x[k] + v[k];
       pyramid->project(place[c], &target[3 * c], &x[3 * c]);
-      for (size_t k = 3 * c; k < 3 * c + 3; ++k) force[k] = x[k], finite = finite && std::isfinite(x[k]);
+      for (size_t k = 3 * c; k < 3 * c + 3; ++k) force[k] = x[k], finite = finite && std::isfinite(target[k]);
     }
     return finite;
   }
