@@ -132,6 +132,7 @@ def solve_forces(
     G: np.ndarray,
     there: np.ndarray,
     outer: np.ndarray,
+    start: np.ndarray | None,
     friction: float,
     share: float,
     ridge: float,
@@ -141,7 +142,7 @@ def solve_forces(
 ) -> None:
     """Fill in `local` and `solved` as `forces.programs.solve_programs`, no pressure being above `share` of all."""
     threads = threads or threads_for(solved.size, _PROGRAMS_PER_THREAD)
-    _native.solve_forces(G, there, outer, friction, share, ridge, local, solved, threads)
+    _native.solve_forces(G, there, outer, start, friction, share, ridge, local, solved, threads)
 
 
 def bounded_steps(

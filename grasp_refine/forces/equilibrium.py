@@ -99,18 +99,24 @@ class Equilibrium:
         return Equilibrium(chain, center, _infeasible_torques(hand, chain) / COUPLING_LEVER_M, LOADS, friction)
 
     @stage("forces")
-    def forces(self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames) -> Balance:
+    def forces(
+        self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames, last: Balance | None = None
+    ) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 
         Args:
             touching: Mask (M, L) of the links that push.
             witness: Witness points of all links and the object, world frame.
             frames: Poses of the links.
+            last: Those of the same grasps nearby, to start from.
         """
         there = (touching & witness.valid)[..., None]
         point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
         forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
-        found = contact_forces_under(self.loads, point, normal, self.center, friction=self.friction, forms=forms)
+        start = None if last is None else last.local
+        found = contact_forces_under(
+            self.loads, point, normal, self.center, friction=self.friction, forms=forms, start=start
+        )
         return Balance(found.unbalanced, found.force, found.local, found.solved)
 
     def rows(

@@ -27,6 +27,7 @@ def solve_programs(
     outer: Float[np.ndarray, "N P R"],
     friction: float,
     ridge: float,
+    start: Float[np.ndarray, "N P K 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "N P K 3"], Bool[np.ndarray, "N P"]]:
     """Best forces (pressure and two tangents) of N grasps under P loads each, and True where they were found.
 
@@ -39,19 +40,22 @@ def solve_programs(
         outer: Loads.
         friction: Coefficient of friction.
         ridge: Weight of the squared forces.
+        start: Forces found for similar grasps, with the same friction: they change the way to the solution, not where
+            it is. Where they are none, such as for other contacts, they are ignored.
     """
-    solve = _solve_compiled if chosen("auto") == "native" else _solve_by_daqp
-    return solve(G, there, outer, friction, ridge)
+    if chosen("auto") == "native":
+        return _solve_compiled(G, there, outer, friction, ridge, start)
+    return _solve_by_daqp(G, there, outer, friction, ridge)
 
 
 def _solve_compiled(
-    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float
+    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float, start: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     from grasp_refine.collision.native_search import solve_forces
 
     (N, P), K = outer.shape[:2], G.shape[1]
     local, solved = np.empty((N, P, K, 3)), np.empty((N, P), dtype=bool)
-    solve_forces(G, there, outer, friction, MAX_PRESSURE_SHARE, ridge, local, solved)
+    solve_forces(G, there, outer, start, friction, MAX_PRESSURE_SHARE, ridge, local, solved)
     return local, solved
 
 

@@ -100,6 +100,7 @@ def contact_forces_under(
     friction: float = PLANNING_FRICTION,
     ridge: float = RIDGE,
     forms: Float[np.ndarray, "N E K 3"] | None = None,
+    start: Float[np.ndarray, "N P K 3"] | None = None,
 ) -> ContactForces:
     """`contact_forces` under each of P loads, all fields (N, P, ...); it costs less than one after another.
 
@@ -111,13 +112,14 @@ def contact_forces_under(
         friction: As for `contact_forces`.
         ridge: As for `contact_forces`.
         forms: As for `contact_forces`.
+        start: `local` forces to start from (see `programs.solve_programs`).
     """
     N, K = point.shape[:2]
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     G, basis = grasp_map(point, normal, center, forms)
     outer = np.zeros((N, loads.shape[-2], G.shape[2]))
     outer[..., :6] = loads
-    local, solved = solve_programs(G, there, outer, friction, ridge)
+    local, solved = solve_programs(G, there, outer, friction, ridge, start)
     force = sum(local[..., [axis]] * basis[:, None, ..., axis] for axis in range(3))
     flat = np.moveaxis(G, 2, 3).reshape(N, 3 * K, G.shape[2])
     unbalanced = outer + local.reshape(N, outer.shape[1], 3 * K) @ flat

@@ -68,7 +68,8 @@ class GraspProblem:
         witness = self._against_object(member, T, previous)
         none, loss, rejected = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count, dtype=bool)
         no_pairs = nothing_near(np.zeros((count, 0)))
-        state = State(loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs)
+        forces = None if previous is None else previous.forces
+        state = State(loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces)
         # Points that will be rejected anyway need neither forces nor queries of the pairs of links.
         for weight, term in sorted(self.terms, key=lambda weighted: weighted[1].cost):
             state = term.complete(state, rejected, partial(self._against_itself, T, previous))

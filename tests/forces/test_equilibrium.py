@@ -320,6 +320,18 @@ def test_the_row_of_one_grasp_does_not_depend_on_the_others(coupled: Hand, bodie
         np.testing.assert_allclose(np.einsum("rk,r->k", j[0], r[0]), gradient, atol=1e-9)
 
 
+def test_the_loss_and_its_rows_do_not_depend_on_the_last_evaluation(hand: Hand, bodies: dict[str, Object]) -> None:
+    """The search for the forces starts from the last ones."""
+    scene, rng = around(hand, bodies["sphere"], 8, 13), np.random.default_rng(13)
+    problem = problem_of(scene)
+    moved = stepped(at(scene), 1e-3 * rng.normal(size=(8, 6 + scene.q.shape[1])))
+    last = replace(problem.evaluate(every(scene), moved, None), loss=np.full(8, np.inf))
+    alone, after = (problem.evaluate(every(scene), at(scene), previous) for previous in (None, last))
+    np.testing.assert_allclose(after.loss, alone.loss, rtol=1e-9)
+    gradients = [2.0 * np.einsum("mrk,mr->mk", J, r) for r, J in (rows(problem, at(scene), s) for s in (alone, after))]
+    np.testing.assert_allclose(gradients[1], gradients[0], atol=1e-6 * np.abs(gradients[0]).max())
+
+
 # what is no grasp
 
 

@@ -123,7 +123,7 @@ def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.Mo
     np.testing.assert_array_equal(solved, np.repeat(there.any(axis=1)[:, None], 4, axis=1))
     for threads in (1, 3):
         local, found = np.empty_like(together), np.empty_like(solved)
-        solve_forces(G, there, outer, PLANNING_FRICTION, MAX_PRESSURE_SHARE, RIDGE, local, found, threads)
+        solve_forces(G, there, outer, None, PLANNING_FRICTION, MAX_PRESSURE_SHARE, RIDGE, local, found, threads)
         np.testing.assert_array_equal(local, together)
     for n in range(0, 300, 50):
         rows = slice(n, n + 1)
@@ -132,6 +132,30 @@ def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.Mo
     for p in range(4):
         local, _ = solve_programs(G, there, outer[:, p : p + 1], PLANNING_FRICTION, RIDGE)
         np.testing.assert_allclose(local[:, 0], together[:, p], atol=1e-7)
+
+
+@compiled
+@pytest.mark.parametrize("place", [random, opposite, box])
+def test_the_forces_do_not_depend_on_where_they_start(monkeypatch: pytest.MonkeyPatch, place: object) -> None:
+    """From those of a grasp nearby, also one with other contacts, under other loads, or none."""
+    monkeypatch.setenv(VARIABLE, "native")
+    rng = np.random.default_rng(5)
+    point, normal = place(rng, 40, 6)
+    there = np.ones((40, 6), dtype=bool)
+    there[1::4, 3], there[2::4, 1:], there[3::4, 2:] = False, False, False
+    outer = np.repeat(LOADS[None], 40, axis=0)
+    G, _ = grasp_map(point, normal, np.zeros(3))
+    expected, _ = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
+    nearby, _ = grasp_map(point + 1e-3 * rng.normal(size=point.shape), normal, np.zeros(3))
+    with_all, _ = solve_programs(nearby, np.ones_like(there), outer, PLANNING_FRICTION, RIDGE)
+    with_them, _ = solve_programs(nearby, there, outer, PLANNING_FRICTION, RIDGE)
+    unknown = with_them.copy()
+    unknown[::2, 1::2] = np.nan
+    for start in (expected, with_them, with_all, with_them[:, ::-1].copy(), unknown, 0.0 * with_all):
+        local, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE, start)
+        assert solved.all() and broken_constraints(local, there, PLANNING_FRICTION).max() < 1e-12
+        np.testing.assert_allclose(value(G, outer, local, RIDGE), value(G, outer, expected, RIDGE), rtol=0, atol=1e-10)
+        np.testing.assert_allclose(local, expected, atol=1e-6)
 
 
 @compiled

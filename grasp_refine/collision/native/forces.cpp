@@ -1,7 +1,10 @@
 // Contact forces of a batch of grasps.
 #include "forces.h"
 
+#include <nanobind/stl/optional.h>
+
 #include <numeric>
+#include <optional>
 #include <stdexcept>
 
 #include "batch.h"
@@ -16,6 +19,7 @@ struct Grasps {
   const double* G;    // (N, K, R, 3)
   const bool* there;  // (N, K)
   const double* load; // (N, P, R)
+  const double* begin; // (N, P, K, 3), or null
   double friction, share, ridge;
   double* force;      // (N, P, K, 3)
   bool* solved;       // (N, P)
@@ -39,9 +43,17 @@ struct Grasps {
     if (!count) return;
     const Pyramid pyramid(friction, std::max(share, 1.0 / double(count)));
     found.resize(3 * count);
+    program.prepare(map.data(), count, rows, pyramid, ridge);
     for (size_t p = 0; p < loads; ++p) {
       const double* w = load + (n * loads + p) * rows;
-      if (p == 0 || !solved[n * loads + p - 1]) program.prepare(map.data(), count, rows, w, pyramid, ridge);
+      bool started = false;
+      if (begin) {
+        const double* from = begin + (n * loads + p) * contacts * 3;
+        for (size_t c = 0; c < count; ++c) std::copy_n(from + 3 * contact[c], 3, &found[3 * c]);
+        started = program.start_from(found.data());
+      }
+      // Else they start where those of the last load are.
+      if (!started && (p == 0 || !solved[n * loads + p - 1])) program.start(w);
       if (!program.solve(w, found.data())) continue;
       solved[n * loads + p] = true;
       double* to = force + (n * loads + p) * contacts * 3;
@@ -51,12 +63,14 @@ struct Grasps {
 };
 
 // `contact_programs` of programs.py.
-void solve_forces(In<double> G, In<bool> there, In<double> load, double friction, double share, double ridge,
-                  Out<double> force, Out<bool> solved, int threads) {
+void solve_forces(In<double> G, In<bool> there, In<double> load, std::optional<In<double>> start, double friction,
+                  double share, double ridge, Out<double> force, Out<bool> solved, int threads) {
   const size_t N = G.shape(0), K = G.shape(1), R = G.shape(2), P = load.shape(1);
-  if (there.size() != N * K || load.size() != N * P * R || force.size() != N * P * K * 3 || solved.size() != N * P)
+  if (there.size() != N * K || load.size() != N * P * R || force.size() != N * P * K * 3 || solved.size() != N * P ||
+      (start && start->size() != force.size()))
     throw std::invalid_argument("forces, loads and contacts are of other shapes");
-  const Grasps grasps{K, R, P, G.data(), there.data(), load.data(), friction, share, ridge, force.data(), solved.data()};
+  const Grasps grasps{K, R, P, G.data(), there.data(), load.data(), start ? start->data() : nullptr,
+                      friction, share, ridge, force.data(), solved.data()};
 
   nb::gil_scoped_release without_the_gil;
   std::vector<size_t> order(N);
@@ -68,7 +82,7 @@ void solve_forces(In<double> G, In<bool> there, In<double> load, double friction
 
 void bind_forces(nb::module_& m) {
   using namespace nb::literals;
-  m.def("solve_forces", &solve_forces, "G"_a, "there"_a, "load"_a, "friction"_a, "share"_a, "ridge"_a,
+  m.def("solve_forces", &solve_forces, "G"_a, "there"_a, "load"_a, "start"_a.none(), "friction"_a, "share"_a, "ridge"_a,
         "force"_a.noconvert(), "solved"_a.noconvert(), "threads"_a);
 }
 

@@ -27,6 +27,9 @@ enum Face { kApex, kEdge, kSide, kInterior, kCorner, kRim, kLid };
 // and left for ever nevertheless, it grows after more steps than usual.
 constexpr double kTolerance = 1e-12, kGrowth = 2.0;
 
+// Distance, per unit of total pressure, within which a force is in a face.
+constexpr double kOnFace = 1e-12;
+
 // Where a force is: in a face of its pyramid, next to the side with this unit normal n across the axis; b is
 // perpendicular to n, towards the edge where one is meant.
 struct Place {
@@ -57,6 +60,17 @@ struct Pyramid {
     place.b[0] = s0 * (swapped ? kCos : -kSin), place.b[1] = s1 * (swapped ? -kSin : kCos);
     if (place.b[0] * t0 + place.b[1] * t1 < 0) place.b[0] = -place.b[0], place.b[1] = -place.b[1];
     return place;
+  }
+
+  // The place of a force.
+  Place place_of(const double* x) const {
+    Place a = nearest(kApex, x[1], x[2]);
+    if (x[0] < kOnFace) return a;
+    const bool top = x[0] > cap - kOnFace;
+    const bool out = a.n[0] * x[1] + a.n[1] * x[2] > side * x[0] - kOnFace;
+    const bool end = a.b[0] * x[1] + a.b[1] * x[2] > half * x[0] - kOnFace;
+    a.face = !out ? (top ? kLid : kInterior) : end ? (top ? kCorner : kEdge) : (top ? kRim : kSide);
+    return a;
   }
 
   // The same edge, seen from its other side.
@@ -185,13 +199,11 @@ struct Pyramid {
 // The programs of one grasp. Memory is kept for the next one.
 class ForceProgram {
  public:
-  // Set the grasp map (C, R, 3), and forces to start from: the pushes that balance the load best, one after another.
-  void prepare(const double* grasp_map, size_t contacts, size_t rows, const double* load, const Pyramid& shape,
-               double weight) {
+  // Set the grasp map (C, R, 3).
+  void prepare(const double* grasp_map, size_t contacts, size_t rows, const Pyramid& shape, double weight) {
     C = contacts, D = rows + 1, L = D * (D + 1) / 2, pyramid = &shape, ridge = weight;
-    x.assign(3 * C, 0.0), v.resize(3 * C), target.resize(3 * C);
+    x.resize(3 * C), v.resize(3 * C), target.resize(3 * C), place.resize(C);
     z.resize(D), row.resize(D), S.resize(L);
-    place.assign(C, Pyramid::nearest(kApex, 0.0, 0.0));
     G.resize(3 * C * D), square.assign(C * L, 0.0), share.resize(C * (L + D));
     for (size_t c = 0; c < C; ++c)
       for (size_t k = 0; k < 3; ++k) {
@@ -200,7 +212,46 @@ class ForceProgram {
         for (size_t j = 0; j < D; ++j) G[j * 3 * C + 3 * c + k] = row[j];
         add(1.0, row.data(), &square[c * L]);
       }
-    start(load);
+  }
+
+  // Start from the pushes that balance a load (R,) best, one after another.
+  void start(const double* load) {
+    double left = 1.0;
+    std::fill(x.begin(), x.end(), 0.0);
+    std::fill(place.begin(), place.end(), Pyramid::nearest(kApex, 0.0, 0.0));
+    row[0] = 0.0;
+    std::copy(load, load + D - 1, &row[1]);
+    while (left > 1e-12) {
+      size_t best = C;
+      double least = std::numeric_limits<double>::infinity();
+      const double push_of[3] = {std::min(left, pyramid->cap), 0.0, 0.0};
+      for (size_t c = 0; c < C; ++c) {
+        if (place[c].face != kApex) continue;
+        z = row;
+        push(c, push_of, z.data());
+        double sum = 0.0;
+        for (size_t j = 1; j < D; ++j) sum += z[j] * z[j];
+        if (best == C || sum < least) best = c, least = sum;
+      }
+      if (best == C) break;
+      push(best, push_of, row.data());
+      x[3 * best] = push_of[0], left -= push_of[0];
+      place[best].face = push_of[0] < pyramid->cap ? kInterior : kLid;
+    }
+    for (size_t c = 0; c < C; ++c) place_changed(c);
+  }
+
+  // Start from forces (C, 3) of another solution, with the same pyramids; false: they are none, and nothing is changed.
+  bool start_from(const double* forces) {
+    double sum = 0.0;
+    for (size_t c = 0; c < C; ++c) sum += forces[3 * c];
+    if (!(std::abs(sum - 1.0) < kOnFace)) return false;
+    for (size_t c = 0; c < C; ++c) {
+      place[c] = pyramid->place_of(forces + 3 * c);
+      pyramid->project(place[c], forces + 3 * c, &x[3 * c]);
+      place_changed(c);
+    }
+    return true;
   }
 
   // Find the best forces under a load (R,), into (C, 3); false: not found.
@@ -252,30 +303,6 @@ class ForceProgram {
       g += n;
       for (size_t i = 0; i < n; ++i) to[i] -= scale * g[i];
     }
-  }
-
-  void start(const double* load) {
-    double left = 1.0;
-    row[0] = 0.0;
-    std::copy(load, load + D - 1, &row[1]);
-    while (left > 1e-12) {
-      size_t best = C;
-      double least = std::numeric_limits<double>::infinity();
-      const double push_of[3] = {std::min(left, pyramid->cap), 0.0, 0.0};
-      for (size_t c = 0; c < C; ++c) {
-        if (place[c].face != kApex) continue;
-        z = row;
-        push(c, push_of, z.data());
-        double sum = 0.0;
-        for (size_t j = 1; j < D; ++j) sum += z[j] * z[j];
-        if (best == C || sum < least) best = c, least = sum;
-      }
-      if (best == C) break;
-      push(best, push_of, row.data());
-      x[3 * best] = push_of[0], left -= push_of[0];
-      place[best].face = push_of[0] < pyramid->cap ? kInterior : kLid;
-    }
-    for (size_t c = 0; c < C; ++c) place_changed(c);
   }
 
   // Compute the share of a contact in the linear system.

@@ -50,7 +50,7 @@ class State:
     self_witness: Witness
     """Witness points (M, S) of pairs of links; no pairs where no term has asked for them."""
     forces: Balance | None = None
-    """Optimal contact forces, where a term needs them."""
+    """Optimal contact forces, where a term needs them; before it has found them, those of a state nearby."""
     T_object: Array | None = None
     """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
 

@@ -39,9 +39,9 @@ class Wrench(Term):
         return bool(setup.goal.touching.any()) and not setup.goal.aimed.any()
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
-        """Return the state with the best contact forces; without contacts where it is rejected."""
+        """Return the state with the best contact forces, searched from those it has; none where it is rejected."""
         pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
-        return replace(state, forces=self.equilibrium.forces(pushing, state.witness, state.frames))
+        return replace(state, forces=self.equilibrium.forces(pushing, state.witness, state.frames, state.forces))
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the roots (M,) of the mean squares over the loads, forces being counted a little."""
