@@ -1,7 +1,8 @@
 """Choice of the engine for collision queries: the compiled one where available, else the one in Python.
 
-Both give the same answers up to rounding. The compiled one is built by `pip install` where there is a C++ compiler, and
-for one version of coal's library: with another it is not used, because the layout of coal's classes may differ.
+Contact forces follow it: they are compiled too, or found by DAQP. Both give the same answers up to rounding. The
+compiled one is built by `pip install` where there is a C++ compiler, and for one version of coal's library: with
+another it is not used, because the layout of coal's classes may differ.
 """
 
 import os

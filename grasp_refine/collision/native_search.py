@@ -1,4 +1,4 @@
-"""The compiled engine: the narrow phase and the whole search in C++ (see `native/`).
+"""The compiled engine: the narrow phase and the whole search in C++, and contact forces (see `native/`).
 
 Its answers are the same for any number of threads. It releases the GIL.
 """

@@ -1,4 +1,4 @@
-// Contact forces of a batch of grasps.
+// Contact forces of a batch of grasps, on several threads.
 #include "forces.h"
 
 #include <nanobind/stl/optional.h>
@@ -16,13 +16,13 @@ namespace {
 // The grasps of a batch, each under P loads.
 struct Grasps {
   size_t contacts, rows, loads;
-  const double* G;    // (N, K, R, 3)
-  const bool* there;  // (N, K)
-  const double* load; // (N, P, R)
-  const double* begin; // (N, P, K, 3), or null
+  const double* G;      // (N, K, R, 3)
+  const bool* there;    // (N, K)
+  const double* load;   // (N, P, R)
+  const double* start;  // (N, P, K, 3), or null.
   double friction, share, ridge;
-  double* force;      // (N, P, K, 3)
-  bool* solved;       // (N, P)
+  double* force;        // (N, P, K, 3)
+  bool* solved;         // (N, P)
 
   // The forces of grasp n; what is no contact has none.
   void solve(size_t n) const {
@@ -47,8 +47,8 @@ struct Grasps {
     for (size_t p = 0; p < loads; ++p) {
       const double* w = load + (n * loads + p) * rows;
       bool started = false;
-      if (begin) {
-        const double* from = begin + (n * loads + p) * contacts * 3;
+      if (start) {
+        const double* from = start + (n * loads + p) * contacts * 3;
         for (size_t c = 0; c < count; ++c) std::copy_n(from + 3 * contact[c], 3, &found[3 * c]);
         started = program.start_from(found.data());
       }
@@ -62,7 +62,7 @@ struct Grasps {
   }
 };
 
-// `contact_programs` of programs.py.
+// `solve_programs` of programs.py.
 void solve_forces(In<double> G, In<bool> there, In<double> load, std::optional<In<double>> start, double friction,
                   double share, double ridge, Out<double> force, Out<bool> solved, int threads) {
   const size_t N = G.shape(0), K = G.shape(1), R = G.shape(2), P = load.shape(1);
