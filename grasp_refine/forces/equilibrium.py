@@ -170,22 +170,19 @@ class Equilibrium:
         share = 1.0 / np.sqrt(P)
         return share * residual.reshape(M, -1), share * stiff.reshape(M, residual.shape[1] * residual.shape[2], -1)
 
-    def torque_forms(
-        self, p: Float[np.ndarray, "M C 3"], frames: Frames, columns: np.ndarray | None = None
-    ) -> Float[np.ndarray, "M E C 3"] | None:
+    def torque_forms(self, p: Float[np.ndarray, "M L 3"], frames: Frames) -> Float[np.ndarray, "M E L 3"] | None:
         """Torques that no actuator can make, as linear forms of forces at points of links; None: actuators make all.
 
         Args:
-            p: Points (M, C, 3), world frame.
+            p: Points of all links (M, L, 3), world frame.
             frames: Poses of the links.
-            columns: The links (C,); None: all.
         """
         if not len(self.forms):
             return None
-        return _at(self._twist_forms(frames, np.arange(p.shape[1]) if columns is None else columns), p)
+        return _at(self._twist_forms(frames, np.arange(p.shape[1])), p)
 
     def _twist_forms(self, frames: Frames, columns: np.ndarray) -> Float[np.ndarray, "M E C 6"]:
-        """The same torques as twists of the links: those with which the forces' wrenches are multiplied."""
+        """Twists of the links (C,) whose products with wrenches on these are the torques that no actuator can make."""
         axes = frames.axes[..., 6:].mT
         weight = self.forms[:, None] * self.chain.joint_mask(columns)[:, 6:]
         E, C, m = weight.shape
