@@ -162,6 +162,11 @@ class Pairs:
         return np.cumsum([0, *counts[:-1]])
 
     @cached_property
+    def derived(self) -> dict[str, Any]:
+        """Structures that other modules built from the pairs, by name, so that each is built once."""
+        return {}
+
+    @cached_property
     @stage("loading")
     def search(self) -> "NativeSearch | PythonSearch":
         """Search of the engine among the piece pairs."""

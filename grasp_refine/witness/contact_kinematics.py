@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grasp_refine.collision.engine import chosen
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.se3 import Array, array_namespace, cross, matvec, tangents
 from grasp_refine.witness.curvature import RIDGE_RATIO, raise_eigenvalues, with_eigenvalues
 from grasp_refine.witness.neighborhood import Adaptive, Fixed, Neighbors
+from grasp_refine.witness.pair_curvature import pair_curvatures
 from grasp_refine.witness.relative import seen_from_a
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
@@ -37,6 +39,8 @@ class ContactKinematics:
 
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
     """Choice of the surface samples near a witness point."""
+    sampled: bool = False
+    """Fit to a few of the candidates in the neighbourhood, drawn as by the paper's methods; else to all around."""
     smallest_curvature: float = 5.0
     """Floor of the eigenvalues of K_a + K_b, divided by the mean of the two bodies' diagonals."""
     seed: int = 0
@@ -53,6 +57,10 @@ class ContactKinematics:
         w = scene.witness
         E = tangents(w.normal)
         K_a, K_b = self.curvatures(scene, E)
+        if chosen(scene.pairs.engine) == "native":
+            from grasp_refine.witness import native_kinematics
+
+            return native_kinematics.pull_back(w, E, (K_a, K_b), (force_a, force_b, force_n))
         d = effective_distance(K_a, K_b, w.distance)[..., None, None]
         # The equations of the class transposed; `slide` is the covector on u.
         in_plane = matvec(E.mT, force_a) + matvec(np.eye(2) + d * K_a, matvec(E.mT, force_b))
@@ -67,6 +75,14 @@ class ContactKinematics:
 
     def curvatures(self, scene: WitnessScene, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fitted K_a and K_b (batch, pair, 2, 2) in 1/m, in the tangent basis E (batch, pair, 3, 2)."""
+        if not self._draws_samples:
+            T_a, T_b, tangents_of_items = (
+                array.reshape(-1, *array.shape[2:]) for array in (scene.T_world_a, scene.T_world_b, E)
+            )
+            fitted = pair_curvatures(scene.pairs, self.smallest_curvature).fit_within(
+                _pair_of_items(scene), T_a, T_b, scene.witness.reshape(-1), tangents_of_items, self._radius(scene)
+            )
+            return fitted[0].reshape(*E.shape[:2], 2, 2), fitted[1].reshape(*E.shape[:2], 2, 2)
         sides, near = scene.neighbors(self.neighborhood, self.seed)
         basis = np.concatenate([E, E], axis=1).swapaxes(0, 1)
         K = _fit(near, sides.rotation.mT @ basis).swapaxes(0, 1)
@@ -74,6 +90,25 @@ class ContactKinematics:
         diagonal = scene.surfaces.diagonal
         floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
         return raise_eigenvalues(K[:, :count], K[:, count:], floor)
+
+    @property
+    def _draws_samples(self) -> bool:
+        return self.sampled or isinstance(self.neighborhood, Neighbor)
+
+    def _radius(self, scene: WitnessScene) -> np.ndarray:
+        """Radii (2, batch x pair) in metres of the neighbourhoods on the bodies a, then b."""
+        assert not isinstance(self.neighborhood, Neighbor)
+        w = scene.witness
+        count, pairs = w.distance.shape
+        points = np.concatenate([w.point_a, w.point_b], axis=1).swapaxes(0, 1)
+        radius = self.neighborhood.radius(scene.surfaces, points, scene.targets_world())
+        return np.broadcast_to(radius, (2 * pairs, count)).reshape(2, pairs, count).swapaxes(1, 2).reshape(2, -1)
+
+
+def _pair_of_items(scene: WitnessScene) -> np.ndarray:
+    """Body pair (batch x pair,) of each witness point of a scene."""
+    count, pairs = scene.witness.distance.shape
+    return np.tile(np.arange(pairs), count)
 
 
 def contact_slip_jacobian(
@@ -94,6 +129,10 @@ def contact_slip_jacobian(
         K_a: Curvatures (..., 2, 2) of body a in that basis.
         K_b: Curvatures (..., 2, 2) of body b.
     """
+    if isinstance(normal, np.ndarray) and chosen("auto") == "native":
+        from grasp_refine.witness import native_kinematics
+
+        return native_kinematics.slip_jacobians(point_b, normal, distance, E, K_a, K_b)
     xp = array_namespace(normal)
     rows = xp.matrix_transpose(E)
     moved = xp.concat([rows, cross(point_b[..., None, :] + xp.zeros_like(rows), rows)], axis=-1)

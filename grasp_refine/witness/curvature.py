@@ -2,7 +2,7 @@
 
 Like the fit of `contact_kinematics` to a few samples, for the solvers that need it in every iteration: weights and
 moments of the candidates of a body come from three matrix products. A wide neighbourhood is fitted to a random half of
-them, a quarter and so on, as long as enough are left in it. The compiled engine (see `native_curvature`) does it in
+them, a quarter and so on, as long as enough are left in it. The compiled engine (see `native_kinematics`) does it in
 double precision, and visits only the candidates nearby.
 """
 
@@ -20,7 +20,7 @@ RIDGE_RATIO = 1e-3
 _BLOCK_POINTS = 128
 """Witness points that are fitted together, so that their weights stay in the processor's cache."""
 
-_ENOUGH_CANDIDATES = 64
+_ENOUGH_CANDIDATES = 32
 """Number of candidates within the radius, on a flat surface, of which a half is too few for a fit."""
 
 _MIN_CANDIDATES = 16.0

@@ -19,7 +19,7 @@ from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, smalle
 from grasp_refine.witness.size import length_factor
 
 if TYPE_CHECKING:
-    from grasp_refine.witness.native_curvature import NativePairs
+    from grasp_refine.witness.native_kinematics import NativePairs
 
 SMALLEST_CURVATURE = 1.0
 """Floor of the summed curvatures of two bodies, divided by the mean of their diagonals."""
@@ -32,6 +32,14 @@ For pairs of bodies smaller than 1 cm, or larger than 1 m, it is scaled in propo
 
 FEATURE_TOLERANCE = 1e-6
 """Largest distance of the witness from the plane of an active face, as a fraction of the piece's size."""
+
+
+def pair_curvatures(pairs: Pairs, smallest: float) -> PairCurvatures:
+    """Return the curvatures of pairs, with the floor `smallest`, prepared once."""
+    name = f"curvatures {smallest}"
+    if name not in pairs.derived:
+        pairs.derived[name] = PairCurvatures.of(pairs, smallest)
+    return pairs.derived[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +100,30 @@ class PairCurvatures:
             width: Factors (M,) of the radii.
         """
         radius = np.where(width > 0, np.maximum(2.0 * width * miss, self.smallest_radius[:, pair]), 0.0)
+        return self.fit_within(pair, T_world_a, T_world_b, witness, E, radius)
+
+    def fit_within(
+        self,
+        pair: np.ndarray,
+        T_world_a: np.ndarray,
+        T_world_b: np.ndarray,
+        witness: Witness,
+        E: np.ndarray,
+        radius: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Fit K_a and K_b (M, 2, 2) with given radii (2, M) in metres of neighbourhoods on a, then on b.
+
+        The other arguments are those of `fit`. A radius of 0 stands for the exact feature.
+        """
         fit = self._fit_in_python if self._compiled is None else self._compiled.fit
         return fit(pair, T_world_a, T_world_b, witness, E, radius)
 
     @cached_property
     def _compiled(self) -> NativePairs | None:
-        """The fit of the compiled engine, if it is the one of the pairs."""
+        """The pairs in the compiled engine, where it is the one in use."""
         if chosen(self.pairs.engine) == "python":
             return None
-        from grasp_refine.witness.native_curvature import NativeCurvatures, NativePairs
+        from grasp_refine.witness.native_kinematics import NativeCurvatures, NativePairs
 
         bodies = NativeCurvatures.of(self.bodies)
         return NativePairs(bodies, self.body, self.pairs.first_piece_pair, self.floor, self.corner)
@@ -118,7 +141,6 @@ class PairCurvatures:
         E: np.ndarray,
         radius: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Fit with the radii (2, M) on a, then on b; 0 stands for the exact feature."""
         count = len(pair)
         T = np.concatenate([T_world_a, T_world_b])
         R = T[:, :3, :3].mT

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.core.short_repr import brief
 from grasp_refine.witness.neighborhood import Neighborhood, Neighbors, Surfaces, choose, draw_offset
 from grasp_refine.witness.rings import Neighbor, choose_rings
@@ -52,11 +53,18 @@ class WitnessScene:
             axis=2,
         )
         local = world @ R  # rows times R: each vector times R^T
-        target = None
-        if self.target_a is not None or self.target_b is not None:
-            none = np.full_like(w.point_a, np.nan)
-            target = _stacked(*(none if side is None else side for side in (self.target_a, self.target_b)))
-        return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], target)
+        return Sides(R, local[:, :, 0], local[:, :, 1], local[:, :, 2], self._targets())
+
+    def targets_world(self) -> np.ndarray | None:
+        """Return the targets (S, batch, 3) of first all a, then all b, in the world frame; NaN, None: no target."""
+        targets = self._targets()
+        return None if targets is None else transform_points(_stacked(self.T_world_a, self.T_world_b), targets)
+
+    def _targets(self) -> np.ndarray | None:
+        if self.target_a is None and self.target_b is None:
+            return None
+        none = np.full_like(self.witness.point_a, np.nan)
+        return _stacked(*(none if side is None else side for side in (self.target_a, self.target_b)))
 
     def neighbors(self, rule: Neighborhood | Neighbor, seed: int) -> tuple["Sides", Neighbors]:
         """Return each pair in the frames of both its bodies, and the surface samples near its witness points."""

@@ -484,6 +484,7 @@ def test_targets_must_fit_the_grasps(grasp_file: Callable[..., Path], capfd: pyt
         ("--weights.joint-limits 3", ("--weights.joint-limits", "--solver descent", "adam")),
         ("--scales.rotation 2", ("--scales.*", "--weights.stay-near", "0")),
         ("--scales.rotation 0 --weights.stay-near 1", ("scales", "rotation", "0")),
+        ("--solver descent --adaptive.samples 4", ("--adaptive.samples", "--contact-kinematics.sampled")),
         ("--adaptive.samples 4", ("--adaptive.*", "--solver descent", "adam")),
         ("--contact-kinematics.smallest-curvature 3", ("--contact-kinematics.*", "--solver descent")),
         ("--levenberg-marquardt.damping 0", ("levenberg-marquardt", "damping", "0")),

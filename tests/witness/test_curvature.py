@@ -15,7 +15,7 @@ from grasp_refine.geometry.sampling import Candidates
 from grasp_refine.witness.curvature import Curvatures, raise_eigenvalues, smallest_radii, with_eigenvalues
 
 if TYPE_CHECKING:
-    from grasp_refine.witness.native_curvature import NativeCurvatures
+    from grasp_refine.witness.native_kinematics import NativeCurvatures
 
 pytestmark = pytest.mark.usefixtures("engine")
 native = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
@@ -33,7 +33,7 @@ def curvatures_of(bodies: Sequence[Body]) -> "Curvatures | NativeCurvatures":
     """Fit of the engine in use."""
     if chosen("auto") == "python":
         return Curvatures.of(bodies)
-    from grasp_refine.witness.native_curvature import NativeCurvatures
+    from grasp_refine.witness.native_kinematics import NativeCurvatures
 
     return NativeCurvatures.of(bodies)
 
@@ -198,9 +198,9 @@ def test_single_precision_about_the_centre_suffices() -> None:
     np.testing.assert_allclose(fit(body, x, n, radius), expected, atol=1e-3 / radius)
 
 
-@pytest.mark.parametrize(("expected", "first"), [(30, 8192), (120, 8192), (130, 4096), (1000, 1024), (1e6, 64)])
+@pytest.mark.parametrize(("expected", "first"), [(20, 8192), (60, 8192), (70, 4096), (500, 1024), (1e6, 32)])
 def test_a_wide_neighbourhood_is_fitted_to_a_sample_of_it(expected: float, first: int) -> None:
-    """Of as many candidates as a disc of the radius holds, all count, or those left after halvings, at least 64."""
+    """Of as many candidates as a disc of the radius holds, all count, or those left after halvings, at least 32."""
     body = build_body("hull", [hull(np.random.default_rng(2).normal(size=(40, 3)) * 0.02)], candidates=FINE)
     c = body.candidates
     radius = np.sqrt(expected * body.area / (FINE * np.pi))
@@ -210,13 +210,13 @@ def test_a_wide_neighbourhood_is_fitted_to_a_sample_of_it(expected: float, first
         some = Candidates(c.points[:count], c.normals[:count], FINE / first * c.areas[:count])
         return fit(Body("part", body.pieces, some), c.points[-40:], c.normals[-40:], radius)
 
-    np.testing.assert_allclose(found, of_the_first(first), atol=1e-4 / radius)
+    np.testing.assert_allclose(found, of_the_first(first), atol=1e-3 / radius)
     assert np.abs(found - of_the_first(first // 2)).max() > 0.01 / radius
 
 
 @native
 def test_both_engines_fit_the_same_at_any_width_and_number_of_candidates() -> None:
-    from grasp_refine.witness.native_curvature import NativeCurvatures
+    from grasp_refine.witness.native_kinematics import NativeCurvatures
 
     for candidates in (1, 16, 17, 100, 1024):
         body = build_body("hull", [hull(np.random.default_rng(2).normal(size=(40, 3)) * 0.02)], candidates=candidates)
@@ -233,13 +233,13 @@ def test_both_engines_fit_the_same_at_any_width_and_number_of_candidates() -> No
 
 @native
 def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from grasp_refine.witness import native_curvature
+    from grasp_refine.witness import native_kinematics
 
     bodies, rows = many_rows(300)
     fits = []
     for threads in (1, 2, 3):
-        monkeypatch.setattr(native_curvature, "_threads", lambda count, threads=threads: threads)
-        fits.append(native_curvature.NativeCurvatures.of(bodies).fit(*rows))
+        monkeypatch.setattr(native_kinematics, "_threads", lambda count, threads=threads: threads)
+        fits.append(native_kinematics.NativeCurvatures.of(bodies).fit(*rows))
     np.testing.assert_array_equal(fits[1], fits[0])
     np.testing.assert_array_equal(fits[2], fits[0])
 

@@ -26,7 +26,8 @@ from grasp_refine.witness.zeroth_order import ZerothOrder
 from shapes_for_tests import BODY_PAIRS
 from twists import FIELDS, gradients, layer_gradient, poses_at_gap, random_cotangents, random_poses
 
-NEIGHBORHOODS = {"adaptive": Adaptive(), "fixed": Fixed(), "neighbor": Neighbor()}
+RADII = {"adaptive": Adaptive(), "fixed": Fixed()}
+NEIGHBORHOODS = {**RADII, "neighbor": Neighbor()}
 METHODS: dict[str, Derivative] = {
     **{f"distance, {name}": Distance(rule) for name, rule in NEIGHBORHOODS.items()},
     **{f"distance, {name}, one-sided": Distance(rule, "one-sided") for name, rule in NEIGHBORHOODS.items()},
@@ -34,6 +35,7 @@ METHODS: dict[str, Derivative] = {
     **{f"direction, {name}": Direction(rule) for name, rule in NEIGHBORHOODS.items()},
     "direction, neighbor, one-sided": Direction(Neighbor(), "one-sided"),
     **{f"contact kinematics, {name}": ContactKinematics(rule) for name, rule in NEIGHBORHOODS.items()},
+    **{f"contact kinematics, {name}, sampled": ContactKinematics(rule, sampled=True) for name, rule in RADII.items()},
     "analytical": Analytical(),
     "analytical, one-sided": Analytical(coupling="one-sided"),
     "rigid": Rigid(),

@@ -187,7 +187,7 @@ def test_the_fit_agrees_with_that_of_contact_kinematics_within_its_noise() -> No
     pairs = pair(capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)), sphere(0.03), candidates=4096)
     T_a, T_b, w = items(pairs, 0.005)
     E, K_a, K_b = fit(pairs, T_a, T_b, w)
-    method = ContactKinematics(Adaptive(samples=None), smallest_curvature=1.0)
+    method = ContactKinematics(Adaptive(samples=None), sampled=True, smallest_curvature=1.0)
     columns = WitnessLayer(pairs, method).columns(np.array([0]))
     scene = WitnessScene(*columns, T_a[:, None], T_b[:, None], w.reshape(-1, 1), None, None, 0)
     sampled = method.curvatures(scene, E[:, None])

@@ -34,7 +34,8 @@ RULES = {
     "fixed, all": Fixed(samples=None),
 }
 METHODS: dict[str, Derivative] = {
-    **{f"contact kinematics, {name}": ContactKinematics(rule) for name, rule in RULES.items()},
+    **{f"contact kinematics, {name}": ContactKinematics(rule, sampled=True) for name, rule in RULES.items()},
+    **{f"contact kinematics, {type(rule).__name__}": ContactKinematics(rule) for rule in (Adaptive(), Fixed())},
     **{f"distance, {name}": Distance(rule) for name, rule in RULES.items()},
     "distance, adaptive, one-sided, smoothed": Distance(coupling="one-sided", smoothed_self=True),
     **{f"direction, {name}": Direction(rule) for name, rule in RULES.items()},

@@ -295,6 +295,9 @@ class Settings:
         else:
             for name in ("width", "max_move", "seconds", *FORCE_CLOSURE_FIELDS):
                 yield name, f"only with --solver levenberg-marquardt; it is {self.solver}"
+            if self.derivative == "contact-kinematics" and not self.contact_kinematics.sampled:
+                for name in ("adaptive.samples", "adaptive.minimum", "fixed.samples", "fixed.minimum"):
+                    yield name, "only with --contact-kinematics.sampled: without it, all samples around count"
         if self.geometry_only:
             for name in ("starts", "weights.wrench"):
                 yield name, "no effect with --geometry-only: leave one of them out"

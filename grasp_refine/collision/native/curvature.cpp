@@ -1,11 +1,14 @@
-// Bindings of the curvatures, for a batch of items on several threads.
+// Bindings of curvatures and contact kinematics, for a batch of items on several threads.
 #include "curvature.h"
 
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
+#include <optional>
 #include <stdexcept>
 
 #include "batch.h"
+#include "contact_kinematics.h"
 
 namespace grasp_refine {
 
@@ -36,23 +39,27 @@ struct CurvaturePairs {
 
 namespace {
 
+namespace nb = nanobind;
+
 using RowTangents = Eigen::Matrix<double, 3, 2, Eigen::RowMajor>;
+using RowMatrix26 = Eigen::Matrix<double, 2, 6, Eigen::RowMajor>;
 using RowTransform = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
 
-// `PairCurvatures.fit`; a radius of 0 means the exact feature.
+void check(bool fits) {
+  if (!fits) throw std::invalid_argument("poses, witness points or radii are of other items, or of other shapes");
+}
+
+// `PairCurvatures.fit_within`; a radius of 0 means the exact feature.
 void fit(const CurvaturePairs& pairs, In<int64_t> pair, In<double> T_a, In<double> T_b, In<double> point_a,
          In<double> point_b, In<double> normal, In<double> E, In<double> radius, In<int64_t> winner, Out<double> K_a,
          Out<double> K_b, int threads) {
   const size_t count = pair.size();
-  const bool fits = T_a.size() == 16 * count && T_b.size() == 16 * count && point_a.size() == 3 * count &&
-                    point_b.size() == 3 * count && normal.size() == 3 * count && E.size() == 6 * count &&
-                    radius.size() == 2 * count && winner.size() == count && K_a.size() == 4 * count &&
-                    K_b.size() == 4 * count;
   const auto known = [&](int64_t p) { return 0 <= p && p < static_cast<int64_t>(pairs.size()); };
-  if (!fits || !std::all_of(pair.data(), pair.data() + count, known))
-    throw std::invalid_argument("poses, witness points and radii are of other items, or of other shapes");
-
-  nanobind::gil_scoped_release without_the_gil;
+  check(T_a.size() == 16 * count && T_b.size() == 16 * count && point_a.size() == 3 * count &&
+        point_b.size() == 3 * count && normal.size() == 3 * count && E.size() == 6 * count &&
+        radius.size() == 2 * count && winner.size() == count && K_a.size() == 4 * count && K_b.size() == 4 * count &&
+        std::all_of(pair.data(), pair.data() + count, known));
+  nb::gil_scoped_release without_the_gil;
   for_each(by_key(count, pairs.size(), [&](size_t i) { return pair.data()[i]; }), threads, [&](size_t i) {
     const auto p = static_cast<size_t>(pair.data()[i]);
     const Eigen::Map<const Vector3> n(normal.data() + 3 * i);
@@ -71,6 +78,62 @@ void fit(const CurvaturePairs& pairs, In<int64_t> pair, In<double> T_a, In<doubl
     Eigen::Map<Matrix2>(K_a.data() + 4 * i) = K[0];
     Eigen::Map<Matrix2>(K_b.data() + 4 * i) = K[1];
   });
+}
+
+// Witness pairs with their curvatures: arguments of `contact_kinematics`.
+struct Contacts {
+  const double *point_b, *normal, *distance, *E, *K_a, *K_b;
+  size_t count;
+
+  Contacts(const In<double>& point_b, const In<double>& normal, const In<double>& distance, const In<double>& E,
+           const In<double>& K_a, const In<double>& K_b)
+      : point_b(point_b.data()), normal(normal.data()), distance(distance.data()), E(E.data()), K_a(K_a.data()),
+        K_b(K_b.data()), count(distance.size()) {
+    check(point_b.size() == 3 * count && normal.size() == 3 * count && E.size() == 6 * count &&
+          K_a.size() == 4 * count && K_b.size() == 4 * count);
+  }
+
+  Contact operator[](size_t i) const {
+    return {vector(normal, i), vector(point_b, i), distance[i], Eigen::Map<const RowTangents>(E + 6 * i),
+            Eigen::Map<const Matrix2>(K_a + 4 * i), Eigen::Map<const Matrix2>(K_b + 4 * i)};
+  }
+
+  static Eigen::Map<const Vector3> vector(const double* array, size_t i) {
+    return Eigen::Map<const Vector3>(array + 3 * i);
+  }
+};
+
+// Wrenches (M, 6) on both bodies from covectors on points and normals.
+void pull_back(In<double> point_a, In<double> point_b, In<double> normal, In<double> distance, In<double> E,
+               In<double> K_a, In<double> K_b, In<double> force_a, In<double> force_b,
+               std::optional<In<double>> force_n, Out<double> wrench_a, Out<double> wrench_b) {
+  const Contacts contacts(point_b, normal, distance, E, K_a, K_b);
+  const size_t count = contacts.count;
+  check(point_a.size() == 3 * count && force_a.size() == 3 * count && force_b.size() == 3 * count &&
+        (!force_n || force_n->size() == 3 * count) && wrench_a.size() == 6 * count && wrench_b.size() == 6 * count);
+  nb::gil_scoped_release without_the_gil;
+  for (size_t i = 0; i < count; ++i) {
+    const auto at = [i](const In<double>& array) { return Contacts::vector(array.data(), i); };
+    const Vector3 on_normal = force_n ? Vector3(at(*force_n)) : Vector3::Zero();
+    Vector6 a, b;
+    contacts[i].pull_back(at(point_a), at(force_a), at(force_b), on_normal, a, b);
+    Eigen::Map<Vector6>(wrench_a.data() + 6 * i) = a;
+    Eigen::Map<Vector6>(wrench_b.data() + 6 * i) = b;
+  }
+}
+
+// Jacobians U_a and U_b (M, 2, 6) of the slip of the witness points.
+void slip_jacobians(In<double> point_b, In<double> normal, In<double> distance, In<double> E, In<double> K_a,
+                    In<double> K_b, Out<double> U_a, Out<double> U_b) {
+  const Contacts contacts(point_b, normal, distance, E, K_a, K_b);
+  check(U_a.size() == 12 * contacts.count && U_b.size() == 12 * contacts.count);
+  nb::gil_scoped_release without_the_gil;
+  for (size_t i = 0; i < contacts.count; ++i) {
+    Matrix26 a, b;
+    contacts[i].slip_jacobians(a, b);
+    Eigen::Map<RowMatrix26>(U_a.data() + 12 * i) = a;
+    Eigen::Map<RowMatrix26>(U_b.data() + 12 * i) = b;
+  }
 }
 
 Features features_of(In<double> vertices, In<double> normals, In<double> offsets, double radius) {
@@ -106,9 +169,8 @@ void bind_curvature(nb::module_& m) {
                      In<double> radius, Out<double> K, int threads) {
         const size_t count = body.size();
         const auto known = [&](int64_t b) { return 0 <= b && b < static_cast<int64_t>(bodies.surfaces.size()); };
-        if (x.size() != 3 * count || normal.size() != 3 * count || E.size() != 6 * count || radius.size() != count ||
-            K.size() != 4 * count || !std::all_of(body.data(), body.data() + count, known))
-          throw std::invalid_argument("points, normals, tangents or radii are of other rows");
+        check(x.size() == 3 * count && normal.size() == 3 * count && E.size() == 6 * count && radius.size() == count &&
+              K.size() == 4 * count && std::all_of(body.data(), body.data() + count, known));
         nb::gil_scoped_release without_the_gil;
         const auto key = [&](size_t i) { return body.data()[i]; };
         for_each(by_key(count, bodies.surfaces.size(), key), threads, [&](size_t i) {
@@ -126,6 +188,9 @@ void bind_curvature(nb::module_& m) {
           },
           nb::keep_alive<1, 2>())
       .def("fit", &fit);
+  m.def("pull_back", &pull_back, "point_a"_a, "point_b"_a, "normal"_a, "distance"_a, "E"_a, "K_a"_a, "K_b"_a,
+        "force_a"_a, "force_b"_a, "force_n"_a.none(), "wrench_a"_a.noconvert(), "wrench_b"_a.noconvert());
+  m.def("slip_jacobians", &slip_jacobians);
 }
 
 }  // namespace grasp_refine

@@ -13,7 +13,7 @@
 namespace grasp_refine {
 
 // As in curvature.py, neighborhood.py and pair_curvature.py.
-constexpr double kRidgeRatio = 1e-3, kCosNormals = -0.5, kFeatureTolerance = 1e-6, kEnoughCandidates = 64;
+constexpr double kRidgeRatio = 1e-3, kCosNormals = -0.5, kFeatureTolerance = 1e-6, kEnoughCandidates = 32;
 
 constexpr double kStep = 1e300;  // Slope of a step from 0 to 1, which is a vector operation; a comparison is none.
 constexpr int kBlockSize = 16;              // Candidates of a block.

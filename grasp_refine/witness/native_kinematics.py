@@ -1,4 +1,4 @@
-"""Curvatures near witness points, compiled: `curvature` and `pair_curvature` in C++ (see `collision/native`).
+"""Contact kinematics, compiled: `curvature`, `pair_curvature` and `contact_kinematics` in C++ (see `collision/native`).
 
 The candidates of a body are sorted into blocks: those beyond the radius are skipped, and those within it whose normals
 all agree count by their sums. The results are the same for any number of threads, and each depends on its own arguments
@@ -68,16 +68,43 @@ class NativePairs:
         E: np.ndarray,
         radius: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the curvatures K_a and K_b (M, 2, 2) of `PairCurvatures.fit`, with radii (2, M) on a, then on b.
-
-        A radius of 0 stands for the exact feature.
-        """
+        """Return the curvatures K_a and K_b (M, 2, 2) of `PairCurvatures.fit_within`."""
         w, count = witness, len(pair)
         K_a, K_b = np.empty((2, count, 2, 2))
         self._compiled.fit(
             pair, T_world_a, T_world_b, w.point_a, w.point_b, w.normal, E, radius, w.winner, K_a, K_b, _threads(count)
         )
         return K_a, K_b
+
+
+def pull_back(
+    witness: Witness,
+    E: np.ndarray,
+    curvatures: tuple[np.ndarray, np.ndarray],
+    forces: tuple[np.ndarray, np.ndarray, np.ndarray | None],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wrenches (..., 6) on both bodies of `ContactKinematics.pull_back`.
+
+    Args:
+        witness: Witness points (...).
+        E: Tangents (..., 3, 2).
+        curvatures: K_a and K_b (..., 2, 2).
+        forces: Covectors (..., 3) on both points, and on the normal, or None.
+    """
+    w = witness
+    wrench_a, wrench_b = np.empty((2, *w.distance.shape, 6))
+    _native.pull_back(
+        w.point_a, w.point_b, w.normal, w.distance, E, *curvatures, *forces, wrench_a=wrench_a, wrench_b=wrench_b
+    )
+    return wrench_a, wrench_b
+
+
+def slip_jacobians(*arrays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Jacobians U_a and U_b (..., 2, 6) of `contact_slip_jacobian`, which has the same arguments."""
+    normal = arrays[1]
+    U_a, U_b = np.empty((2, *normal.shape[:-1], 2, 6))
+    _native.slip_jacobians(*arrays, U_a, U_b)
+    return U_a, U_b
 
 
 def _features(piece: Piece) -> "_native.Features":
