@@ -119,6 +119,7 @@ class PairCurvatures:
         return fit(pair, T_world_a, T_world_b, witness, E, radius)
 
     @cached_property
+    @stage("loading")
     def _compiled(self) -> NativePairs | None:
         """The pairs in the compiled engine, where it is the one in use."""
         if chosen(self.pairs.engine) == "python":
@@ -129,6 +130,7 @@ class PairCurvatures:
         return NativePairs(bodies, self.body, self.pairs.first_piece_pair, self.floor, self.corner)
 
     @cached_property
+    @stage("loading")
     def _curvatures(self) -> Curvatures:
         return Curvatures.of(self.bodies)
 

@@ -117,7 +117,8 @@ class Sample {
   // Order candidates such that blocks of consecutive ones are small.
   static void sort(const Eigen::Matrix3Xd& points, std::vector<int>& order, size_t first, size_t last) {
     const size_t blocks = (last - first + kBlockSize - 1) / kBlockSize;
-    if (blocks < 2) return;
+    // The same blocks, and the same order in each, with any standard library.
+    if (blocks < 2) return std::sort(order.begin() + first, order.begin() + last);
     Vector3 low = points.col(order[first]), high = low;
     for (size_t k = first; k < last; ++k) {
       low = low.cwiseMin(points.col(order[k]));
@@ -126,8 +127,7 @@ class Sample {
     int axis;
     (high - low).maxCoeff(&axis);
     const size_t middle = first + blocks / 2 * kBlockSize;
-    // A total order of the candidates: the same blocks with any standard library.
-    std::sort(order.begin() + first, order.begin() + last, [&](int i, int j) {
+    std::nth_element(order.begin() + first, order.begin() + middle, order.begin() + last, [&](int i, int j) {
       return points(axis, i) != points(axis, j) ? points(axis, i) < points(axis, j) : i < j;
     });
     sort(points, order, first, middle);
