@@ -8,15 +8,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from zlib import crc32
 
 import numpy as np
 
 from grasp_refine.collision.query import Pairs, Witness, query_items
-from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.array_records import choose, join
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import Linear
@@ -25,6 +25,7 @@ from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatur
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.pseudonormals import pseudonormals
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -32,21 +33,14 @@ from grasp_refine_apps.bench.align.variants import Variant
 TOLERANCE_M2 = 1e-14
 """Errors (m^2) below this, a tenth of a micrometre, end a task."""
 
-STALL_ITERATIONS = 9
-"""Iterations without progress before a restart."""
-RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0, np.inf)
-"""Factors of the neighbourhoods' radii, one after the other at each rejection; the last treats faces as planes."""
+RADIUS_FACTORS = (1.0, 0.5, 2.0, 0.25, 0.0)
+"""Factors of the neighbourhoods' radii, one after the other at each rejection; 0: no smoothing."""
 
 NEAR_ANGLES_RAD, FAR_ANGLES_RAD = (0.003, 0.5), (0.3, np.pi)
 """Ranges of restart angles in radians: from the best pose (log-uniform), and from the current pose."""
 
 MAX_ROTATION_RAD = 2.0
 """Largest rotation of a step in radians."""
-
-FACE_DISTANCE_M = 2e-5
-"""Faces this close to a witness point (metres), beside the nearest one, may support it."""
-UNDAMPED_FACTOR = 1e3
-"""Factor of residuals that damping must not affect: only the full step is useful."""
 
 
 def run_levenberg_marquardt(
@@ -86,7 +80,6 @@ def run_levenberg_marquardt(
     settings = LevenbergMarquardt(
         iterations=budget,
         restarts=budget,
-        patience=STALL_ITERATIONS,
         good=0.0,
         widths=RADIUS_FACTORS,
     )
@@ -175,18 +168,9 @@ class AlignProblem:
         return Known(residual, loss, w.num_queries, w, E, pivot, np.sqrt(np.stack([a, b], axis=1)))
 
     def linearize(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> Linear:
-        """Return residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target.
-
-        An infinite width means the supporting faces as planes (see `_flattened`).
-        """
+        """Return residuals (M, 5) and Jacobians (M, 5, 6) in the twist of body b about its target."""
         with self.watch.lap("backward"), stage("derivative"):
-            rows = np.flatnonzero(np.isinf(width))
-            J = self._jacobian(member, point, known, np.where(np.isinf(width), 1.0, width))
-            if not len(rows):
-                return Linear(known.residual, J)
-            residual = known.residual.copy()
-            residual[rows], J[rows] = self._flattened(member[rows], point.T[rows], take(known, rows))
-            return Linear(residual, J)
+            return Linear(known.residual, self._jacobian(member, point, known, width))
 
     def _jacobian(self, member: np.ndarray, point: Point, known: Known, width: np.ndarray) -> np.ndarray:
         w = known.witness
@@ -196,30 +180,6 @@ class AlignProblem:
         U_a, U_b = contact_slip_jacobian(arm, w.normal, w.distance, known.E, K_a, K_b)
         gap = np.concatenate([w.normal, cross(arm, w.normal)], axis=1)[:, None]
         return np.concatenate([gap, U_a, U_b], axis=1)
-
-    def _flattened(self, member: np.ndarray, T_b: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows (M, 5) and (M, 5, 6) that align the two supporting faces, the targets together.
-
-        [t_b - t_a - beta n, l E^T (n_a + n_b)]: flat surfaces touch at an edge or a corner until they are parallel, and
-        then anywhere at once. No derivative of witness points, however smoothed, shows how far to rotate.
-        """
-        w, T_a = known.witness, self.tasks.T_world_a[member]
-        faces = []
-        for pieces, T, x, outward in zip(
-            self.pairs.piece_pairs, (T_a, T_b), (w.point_a, w.point_b), (w.normal, -w.normal), strict=True
-        ):
-            R = T[:, :3, :3]
-            local = supporting(pieces, w.winner, matvec(R.mT, x - T[:, :3, 3]), matvec(R.mT, outward))
-            faces.append(matvec(R, local))
-        n_a, n_b = faces
-        apart = known.pivot - transform_points(T_a, self.tasks.target_a[member]) - self.margin * w.normal
-        length = self.length[self.pair[member], None]
-        rows = known.E.mT
-        J = np.zeros((len(member), 5, 6))
-        J[:, :3, :3] = np.eye(3)
-        J[:, 3:, 3:] = length[..., None] * cross(n_b[:, None] + np.zeros_like(rows), rows)
-        residual = np.concatenate([apart, length * matvec(rows, n_a + n_b)], axis=1)
-        return UNDAMPED_FACTOR * residual, UNDAMPED_FACTOR * J
 
     def _witness(
         self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
@@ -249,34 +209,68 @@ class AlignProblem:
         return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Rotate body b at random about its target, which is placed on that of body a.
+        """Rotate body b about its target, which is placed on that of body a.
 
-        Every third restart is a small rotation from the best pose, the others are large ones from the current pose.
+        Of three restarts, the first opposes the normals at the targets (`opposed`), at first turning as little as
+        possible from the best pose, later with a random roll. The second is a large random rotation from the current
+        pose, the third a small one from the best pose.
         """
-        w = np.empty((len(member), 3))
-        near = start % 3 == 0
-        for row, (m, k, close) in enumerate(zip(member.tolist(), start.tolist(), near.tolist(), strict=True)):
+        w, roll = np.zeros((len(member), 3)), np.zeros(len(member))
+        for row, (m, k) in enumerate(zip(member.tolist(), start.tolist(), strict=True)):
             rng = np.random.default_rng((self.seed, self.key[m], k))
-            axis = rng.normal(size=3)
-            angle = np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD))) if close else rng.uniform(*FAR_ANGLES_RAD)
-            w[row] = axis / np.linalg.norm(axis) * angle
-        T = choose(near, best.T, now.T)
+            if k % 3 == 1:
+                roll[row] = rng.uniform(0.0, 2.0 * np.pi) if k > 1 else 0.0
+            else:
+                axis = rng.normal(size=3)
+                angle = rng.uniform(*FAR_ANGLES_RAD) if k % 3 == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
+                w[row] = axis / np.linalg.norm(axis) * angle
+        T = choose(start % 3 == 2, now.T, best.T)
         pivot = transform_points(T, self.tasks.target_b[member])
-        goal = transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
-        return Point(_turned(T, pivot, w, goal), now.q)
+        turned = _turned(T, pivot, w, self._goal(member))
+        return Point(choose(start % 3 == 1, self.opposed(member, T, roll), turned), now.q)
+
+    def opposed(self, member: np.ndarray, T_b: np.ndarray, roll: np.ndarray) -> np.ndarray:
+        """Return poses (M, 4, 4) with opposite normals at the targets, which are the margin apart along them.
+
+        Of convex bodies with a target on a vertex these poses are solutions, whatever the roll: the two planes across
+        the normal separate the bodies. Other pieces of concave ones may be in the way.
+
+        Args:
+            member: Tasks (M,).
+            T_b: Poses of body b (M, 4, 4), which turns from there by the smallest angle, then about the normal.
+            roll: Angles (M,) about the normal, radians.
+        """
+        T_a = self.tasks.T_world_a[member]
+        n_a, n_b = (matvec(T[:, :3, :3], n[member]) for T, n in zip((T_a, T_b), self.target_normals, strict=True))
+        turned = _turned(T_b, np.zeros((len(T_b), 3)), _smallest_rotation(n_b, -n_a), np.zeros((len(T_b), 3)))
+        pivot = transform_points(turned, self.tasks.target_b[member])
+        return _turned(turned, pivot, roll[:, None] * n_a, self._goal(member) + self.margin * n_a)
+
+    @cached_property
+    def target_normals(self) -> tuple[np.ndarray, np.ndarray]:
+        """Outward normals (N, 3) of the bodies a and b at the targets of all tasks, body frames."""
+        found = []
+        for bodies, target in ((self.pairs.a, self.tasks.target_a), (self.pairs.b, self.tasks.target_b)):
+            normal = np.empty_like(target)
+            for number, body in enumerate(bodies):
+                rows = self.pair == number
+                normal[rows] = pseudonormals(body.pieces, target[rows])
+            found.append(normal)
+        return found[0], found[1]
+
+    def _goal(self, member: np.ndarray) -> np.ndarray:
+        """Return the targets of body a (M, 3), world frame."""
+        return transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
 
 
-def supporting(pieces: Sequence[Piece], winner: np.ndarray, x: np.ndarray, outward: np.ndarray) -> np.ndarray:
-    """Normals (M, 3) of the faces at points x (M, 3) of pieces `winner` (M,) that face `outward` (M, 3) most."""
-    found = outward.copy()
-    for number in np.unique(winner[winner >= 0]):
-        rows = np.flatnonzero(winner == number)
-        normals, offsets = pieces[number].planes
-        if len(normals):
-            away = np.abs(x[rows] @ normals.T - offsets - pieces[number].radius)
-            near = away <= FACE_DISTANCE_M + away.min(axis=1, keepdims=True)
-            found[rows] = normals[np.where(near, outward[rows] @ normals.T, -np.inf).argmax(axis=1)]
-    return found
+def _smallest_rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (M, 3) of the smallest rotations that turn unit vectors `old` (M, 3) to `new` (M, 3)."""
+    axis = cross(old, new)
+    sine, cosine = np.sqrt((axis**2).sum(axis=1, keepdims=True)), (old * new).sum(axis=1, keepdims=True)
+    # Half a turn may be about any axis across.
+    known = sine > 1e-12
+    axis = np.where(known, axis / np.where(known, sine, 1.0), tangents(old)[..., 0])
+    return axis * np.arctan2(sine, cosine)
 
 
 def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:
