@@ -147,20 +147,22 @@ class Adaptive:
     """Candidates drawn at random from the neighbourhood; None: all of them."""
     minimum: int = 8
     """Fewest candidates; with fewer inside, the nearest ones are taken."""
+    smallest: float = 1.0
+    """Smallest radius near a target, in candidate spacings; sqrt(N) / 2, 16 of 1024 candidates, spans the body."""
     without_target: float = 4.0
     """Radius where no target is given, in candidate spacings."""
 
     def __post_init__(self) -> None:
         """Refuse fields of another type, and numbers out of range."""
-        check_positive(self, "samples", "minimum", "without_target")
+        check_positive(self, "samples", "minimum", "smallest", "without_target")
 
     def radius(self, surfaces: Surfaces, x: np.ndarray, target: np.ndarray | None) -> np.ndarray:
-        """Radius max(|t - x|, eps), and `without_target` eps where there is no target."""
+        """Radius max(|t - x|, `smallest` eps), and `without_target` eps where there is no target."""
         eps = surfaces.spacing[:, None]
         if target is None:
             return self.without_target * eps
         away = np.sqrt(((target - x) ** 2).sum(axis=2))
-        return np.where(np.isnan(away), self.without_target * eps, np.maximum(away, eps))
+        return np.where(np.isnan(away), self.without_target * eps, np.maximum(away, self.smallest * eps))
 
 
 @dataclass(frozen=True)

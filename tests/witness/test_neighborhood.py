@@ -134,6 +134,8 @@ def test_width_follows_the_target(surfaces: Surfaces) -> None:
     eps = surfaces.spacing
     expected = np.stack([eps, eps, np.maximum(0.02, eps), 4 * eps], axis=1)
     np.testing.assert_allclose(Adaptive().radius(surfaces, x, target), expected)
+    wider = np.stack([3 * eps, 3 * eps, np.maximum(0.02, 3 * eps), 4 * eps], axis=1)
+    np.testing.assert_allclose(Adaptive(smallest=3.0).radius(surfaces, x, target), wider)
     np.testing.assert_allclose(np.broadcast_to(Adaptive().radius(surfaces, x, None), (3, 4)), expected[:, [3] * 4])
     fixed = np.broadcast_to(Fixed(0.2).radius(surfaces, x, target), (3, 4))
     np.testing.assert_allclose(fixed, 0.2 * surfaces.diagonal[:, None] * np.ones(4))

@@ -14,7 +14,9 @@ import torch
 from alignment_errors import errors_at
 from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3
 from grasp_refine.witness.finite_difference import FiniteDifference
+from grasp_refine.witness.neighborhood import Adaptive
 from grasp_refine_apps.bench.align import descent as module
+from grasp_refine_apps.bench.align import variants
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.descent import METRES_PER_RADIAN, _step, align
@@ -42,6 +44,10 @@ def accepted(pair: BodyPair, count: int = N, seed: int = 0) -> Tasks:
 def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **options: object) -> AlignmentResult:
     """A run of one pair."""
     return align([pair], [accepted(pair) if tasks is None else tasks], variant, **options)
+
+
+HALF_TURN = np.array([1.0] * 3 + [0.5] * 3)
+"""Factors of the derivatives along (v, w) in the paper's projection."""
 
 
 def twist_gradients(pair: BodyPair, tasks: Tasks, margin: float) -> tuple[np.ndarray, np.ndarray]:
@@ -110,6 +116,16 @@ def test_descent_solves_tasks_of_convex_bodies(margin: float):
 
 
 METHODS = ("distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid")
+
+
+def test_neighbourhoods_as_wide_as_the_body_solve_tasks_that_narrow_ones_do_not(monkeypatch: pytest.MonkeyPatch):
+    """On hulls of many nearly flat vertices, over which witness points seem to slide freely."""
+    pair = BodyPair("dense", "convex", normalised(convex_body(1, 400), 0.18), normalised(convex_body(2, 60), 0.015))
+    tasks = accepted(pair, 24)
+    wide = ran(Variant(budget=400), tasks, pair)
+    monkeypatch.setattr(variants, "ADAPTIVE", Adaptive())
+    narrow = ran(Variant(budget=400), tasks, pair)
+    assert (wide.last_error < 1e-8).mean() > 0.15 + (narrow.last_error < 1e-8).mean()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -207,7 +223,7 @@ def test_the_first_step_follows_the_gradient(transport: bool, monkeypatch: pytes
     # Its usual step is wide enough to reach the next features.
     monkeypatch.setattr(Variant, "derivative", lambda variant, seed: FiniteDifference(1e-6))
     align([PAIR], [tasks], Variant(transport=transport, budget=1, step_size=1e-3))
-    G_a, G_b = twist_gradients(PAIR, tasks, 1e-3)
+    G_a, G_b = (HALF_TURN * G for G in twist_gradients(PAIR, tasks, 1e-3))
     scale = np.array([METRES_PER_RADIAN] * 3 + [1.0] * 3)
     if transport:
         relative = inverse(tasks.T_world_b) @ tasks.T_world_a
@@ -236,11 +252,11 @@ def test_a_step_has_the_length_that_is_asked_for():
         length = np.linalg.norm(twist, axis=-1)
         assert length[0, 0] == pytest.approx(0.0, abs=1e-9)
         np.testing.assert_allclose(length.reshape(-1)[1:], 1.0, rtol=1e-6)
-        # Downhill: the whole derivative along (v, w) is the wrench at the origin of the body, in its axes.
+        # Downhill: the derivative along (v, w) is the wrench at the origin of the body, in its axes.
         force, moment = wrench[..., :3], wrench[..., 3:]
         moment = moment - torch.linalg.cross(T[..., :3, 3], force)
         covector = torch.cat([force, moment], dim=-1).numpy().reshape(5, 2, 2, 3)
-        covector = (covector @ T[..., :3, :3].numpy()).reshape(5, 2, 6)
+        covector = HALF_TURN * (covector @ T[..., :3, :3].numpy()).reshape(5, 2, 6)
         size = np.linalg.norm(covector, axis=-1, keepdims=True)
         np.testing.assert_allclose(twist, -covector / np.where(size > 0, size, 1.0), atol=1e-6)
 

@@ -12,7 +12,7 @@ from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
 from grasp_refine_apps.bench.align.tasks import CLASSES
-from grasp_refine_apps.bench.align.variants import TARGET_STRIDE, MethodName, Variant
+from grasp_refine_apps.bench.align.variants import ADAPTIVE, TARGET_STRIDE, MethodName, Variant
 from grasp_refine_apps.bench.derivatives import NEIGHBORHOODS
 from grasp_refine_apps.commands.bench_align import PresetName
 
@@ -35,7 +35,8 @@ def test_the_variants_of_a_preset_differ_and_can_be_built(name: str):
         assert variant.solver_patch == (Patch(EPSILON) if variant.witness == "patch" else None)
         method = variant.derivative(3)
         assert isinstance(method, Derivative) and getattr(method, "seed", 3) == 3
-        assert getattr(method, "neighborhood", None) in (None, NEIGHBORHOODS[variant.neighborhood])
+        near = ADAPTIVE if variant.neighborhood == "adaptive" else NEIGHBORHOODS[variant.neighborhood]
+        assert getattr(method, "neighborhood", None) in (None, near)
         assert getattr(method, "coupling", variant.coupling) == variant.coupling
 
 
