@@ -39,7 +39,6 @@ struct CurvaturePairs {
 
 namespace {
 
-namespace nb = nanobind;
 
 using RowTangents = Eigen::Matrix<double, 3, 2, Eigen::RowMajor>;
 using RowMatrix26 = Eigen::Matrix<double, 2, 6, Eigen::RowMajor>;
