@@ -30,8 +30,8 @@ from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed, Heartbeat
+from grasp_refine_apps.processes.torch_threads import limit_torch_threads
 from grasp_refine_apps.report.command_line import words
-from grasp_refine_apps.torch_threads import limit_torch_threads
 
 
 @dataclass(frozen=True)

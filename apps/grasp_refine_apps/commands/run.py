@@ -35,9 +35,9 @@ from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
+from grasp_refine_apps.processes.torch_threads import limit_torch_threads
 from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
-from grasp_refine_apps.torch_threads import limit_torch_threads
 
 
 @dataclass(frozen=True)
