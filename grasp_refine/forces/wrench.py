@@ -156,11 +156,10 @@ def basis_tangents(normal: Float[np.ndarray, "*K 3"]) -> Float[np.ndarray, "*K 3
 
     Those of `se3.tangents` jump where a normal crosses a coordinate plane, where normals of upright objects lie.
     """
-    x, y, z = np.moveaxis(normal @ POLE_ROTATION.T, -1, 0)
-    a = -1.0 / np.maximum(1.0 + z, MIN_POLE_OFFSET)
-    first = np.stack([1.0 + x * x * a, x * y * a, -x], axis=-1)
-    second = np.stack([x * y * a, 1.0 + y * y * a, -y], axis=-1)
-    return np.stack([first @ POLE_ROTATION, second @ POLE_ROTATION], axis=-1)
+    # In the frame of the pole, with w = n + e_z, they are the first two columns of I - w w^T / (1 + n_z).
+    n = normal @ POLE_ROTATION.T
+    w = (normal + POLE_ROTATION[2]) / np.maximum(1.0 + n[..., 2:], MIN_POLE_OFFSET)
+    return POLE_ROTATION[:2].T - w[..., None] * n[..., None, :2]
 
 
 def basis_spin(normal: Float[np.ndarray, "*K 3"], change: Float[np.ndarray, "*K 3 D"]) -> Float[np.ndarray, "*K D"]:
