@@ -26,7 +26,14 @@ def join(first: Batch, *others: Batch) -> Batch:
 
 
 def choose(mask: np.ndarray, first: Batch, second: Batch) -> Batch:
-    """The rows of the first where the mask (batch,) is true, else those of the second."""
+    """The rows of the first where the mask (batch,) is true, else those of the second.
+
+    Nothing is copied where all rows are those of one of them.
+    """
+    if mask.all():
+        return first
+    if not mask.any():
+        return second
     return _map_arrays(lambda a, b: np.where(mask.reshape(-1, *(1,) * (a.ndim - 1)), a, b), first, second)
 
 

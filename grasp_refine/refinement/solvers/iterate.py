@@ -255,7 +255,7 @@ class _Run:
         slots = Slots(
             member,
             choose(accepted, slots.trial, slots.point),
-            known if accepted.all() else choose(accepted, known, slots.known),
+            choose(accepted, known, slots.known),
             loss,
             slots.trial,
             np.where(progressed, loss, slots.mark),
@@ -304,4 +304,4 @@ class _Run:
         """Return the slots with their next trials; members that start are evaluated where they start."""
         trial, state = self.solver.step(self.problem, slots)
         starting = np.isinf(slots.loss)
-        return replace(slots, trial=choose(starting, slots.trial, trial) if starting.any() else trial, state=state)
+        return replace(slots, trial=choose(starting, slots.trial, trial), state=state)

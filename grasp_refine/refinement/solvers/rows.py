@@ -87,9 +87,12 @@ def stack(rows: Iterable[tuple[float, LinkRows | JointRows]], count: int, chain:
         chain: Kinematics of the links.
         frames: Poses of the links.
     """
-    of_links = [(1.0, LinkRows(np.zeros((count, 0)), np.zeros((count, 0, 6)), np.zeros(0, dtype=np.int64)))]
+    none = LinkRows(np.zeros((count, 0)), np.zeros((count, 0, 6)), np.zeros(0, dtype=np.int64))
+    of_links: list[tuple[float, LinkRows]] = [(1.0, none)]
     of_joints: list[tuple[float, JointRows]] = []
     for weight, part in rows:
+        if not part.residual.shape[1]:
+            continue
         if isinstance(part, LinkRows):
             of_links.append((weight, part))
         else:
@@ -101,10 +104,11 @@ def stack(rows: Iterable[tuple[float, LinkRows | JointRows]], count: int, chain:
     covector = joined([np.sqrt(weight) * part.covector for weight, part in of_links])
     link = joined([np.broadcast_to(part.link, part.residual.shape) for _, part in of_links])
     J = chain.to_joint_space(frames, covector, link)
-    if any(part.minus is not None for _, part in of_links):
-        none = (np.full(part.residual.shape, -1) if part.minus is None else part.minus for _, part in of_links)
-        minus = joined([*none])
-        J -= chain.to_joint_space(frames, np.where(minus[..., None] >= 0, covector, 0.0), np.maximum(minus, 0))
+    end = np.cumsum([part.residual.shape[1] for _, part in of_links])
+    for (_, part), stop in zip(of_links, end.tolist(), strict=True):
+        if part.minus is not None:
+            its = slice(stop - part.residual.shape[1], stop)
+            J[:, its] -= chain.to_joint_space(frames, covector[:, its], part.minus)
     parts: list[tuple[float, LinkRows | JointRows]] = [*of_links, *of_joints]
     one_sided = [np.full(part.residual.shape, isinstance(part, LinkRows) and part.unilateral) for _, part in parts]
     unilateral = joined(one_sided)
