@@ -135,7 +135,7 @@ def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.Mo
 
 
 @compiled
-@pytest.mark.parametrize("place", [random, opposite, box])
+@pytest.mark.parametrize("place", [random, parallel, opposite, box])
 def test_the_forces_do_not_depend_on_where_they_start(monkeypatch: pytest.MonkeyPatch, place: object) -> None:
     """From those of a grasp nearby, also one with other contacts, under other loads, or none."""
     monkeypatch.setenv(VARIABLE, "native")
@@ -151,7 +151,9 @@ def test_the_forces_do_not_depend_on_where_they_start(monkeypatch: pytest.Monkey
     with_them, _ = solve_programs(nearby, there, outer, PLANNING_FRICTION, RIDGE)
     unknown = with_them.copy()
     unknown[::2, 1::2] = np.nan
-    for start in (expected, with_them, with_all, with_them[:, ::-1].copy(), unknown, 0.0 * with_all):
+    one = np.zeros_like(with_all)
+    one[..., 0, 0] = 1.0  # as if the first contact had been the only one
+    for start in (expected, with_them, with_all, with_them[:, ::-1].copy(), unknown, 0.0 * with_all, one):
         local, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE, start)
         assert solved.all() and broken_constraints(local, there, PLANNING_FRICTION).max() < 1e-12
         np.testing.assert_allclose(value(G, outer, local, RIDGE), value(G, outer, expected, RIDGE), rtol=0, atol=1e-10)

@@ -244,7 +244,11 @@ class ForceProgram {
   // Start from forces (C, 3) of another solution, with the same pyramids; false: they are none, and nothing is changed.
   bool start_from(const double* forces) {
     double sum = 0.0;
-    for (size_t c = 0; c < C; ++c) sum += forces[3 * c];
+    for (size_t c = 0; c < C; ++c) {
+      // Of a single contact the cap is higher than of several.
+      if (forces[3 * c] > pyramid->cap + kOnFace) return false;
+      sum += forces[3 * c];
+    }
     if (!(std::abs(sum - 1.0) < kOnFace)) return false;
     for (size_t c = 0; c < C; ++c) {
       place[c] = pyramid->place_of(forces + 3 * c);
