@@ -41,7 +41,7 @@ def plain_terminal() -> Iterator[None]:
 
 @pytest.fixture(params=["native", "python"])
 def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What "auto" means: every test that asks, asks each engine; skips where the compiled one is not there."""
+    """Engine that "auto" stands for: one after the other; skips where the compiled one is not available."""
     if request.param == "native" and why_not_native():
         pytest.skip(f"no compiled engine: {why_not_native()}")
     monkeypatch.setenv(VARIABLE, request.param)

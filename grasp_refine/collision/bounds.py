@@ -65,7 +65,7 @@ def support_table(bodies: Sequence[Sequence[Piece]]) -> np.ndarray:
     where it is the bilinear combination of the corners of its cell. The cost of a look-up does not depend on the number
     of vertices.
     """
-    # Only the compiled search uses the table, and reads millions of products.
+    # Only the compiled search uses the table, which takes millions of products.
     from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled
 
     directions = np.ascontiguousarray(_corners().T)

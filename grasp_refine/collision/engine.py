@@ -1,7 +1,8 @@
 """Choice of the engine for collision queries: the compiled one where available, else the one in Python.
 
-Contact forces follow it: they are compiled too, or found by DAQP. Both give the same answers up to rounding. The
-compiled one is built by `pip install` where there is a C++ compiler, and for one version of coal's library: with
+Curvatures, contact forces and steps within bounds follow it, each with a form in Python. Both engines give the same
+distances up to rounding; curvatures in Python are fitted in single precision, and forces found to DAQP's tolerance. The
+compiled engine is built by `pip install` where there is a C++ compiler, and for one version of coal's library: with
 another it is not used, because the layout of coal's classes may differ.
 """
 

@@ -1,4 +1,4 @@
-"""The compiled engine: the narrow phase and the whole search in C++, and contact forces (see `native/`).
+"""The compiled engine: the narrow phase and the whole search in C++, contact forces and bounded steps (see `native/`).
 
 Its answers are the same for any number of threads. It releases the GIL.
 """
@@ -156,7 +156,7 @@ def bounded_steps(
     passes: int,
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps and predicted falls as `bounded_step`, in the order of its arguments."""
+    """Return the steps and predicted falls of `bounded_step`, which has the same arguments."""
     dx, predicted = np.empty(lower.shape), np.empty(len(J))
     arrays = (np.ascontiguousarray(part, dtype=np.float64) for part in (J, r, damping, metric, lower, upper))
     threads = threads or threads_for(len(J), _STEPS_PER_THREAD)

@@ -1,8 +1,7 @@
 """Contact kinematics, compiled: `curvature`, `pair_curvature` and `contact_kinematics` in C++ (see `collision/native`).
 
-The candidates of a body are sorted into blocks: those beyond the radius are skipped, and those within it whose normals
-all agree count by their sums. The results are the same for any number of threads, and each depends on its own arguments
-only. The GIL is released.
+The candidates of a body are sorted into blocks, and those beyond the radius are skipped. The results are the same for
+any number of threads, and each depends on its own arguments only. The GIL is released.
 """
 
 from collections.abc import Sequence

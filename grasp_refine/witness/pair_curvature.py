@@ -151,7 +151,7 @@ class PairCurvatures:
         E = R @ np.concatenate([E, E])
         rho = radius.reshape(-1)
         K = np.empty((2 * count, 2, 2))
-        fitted, exact = np.flatnonzero(rho > 0), np.flatnonzero(rho == 0)
+        fitted, exact = np.flatnonzero(rho > 0), np.flatnonzero(~(rho > 0))
         body = np.concatenate([self.body[pair], self.body[pair + len(self.pairs)]])
         K[fitted] = self._curvatures.fit(body[fitted], x[fitted], normal[fitted], E[fitted], rho[fitted])
         if len(exact):

@@ -145,7 +145,7 @@ def test_the_smallest_radius_holds_sixteen_of_1024_candidates_on_a_plane() -> No
 # rows
 
 
-def many_rows(count: int) -> "tuple[list[Body], tuple[np.ndarray, ...]]":
+def many_rows(count: int) -> tuple[list[Body], tuple[np.ndarray, ...]]:
     """Items on two bodies in random order, with radii that hold few candidates, so that rounding shows."""
     bodies = [
         build_body("rod", [capsule(0.02, (0, 0, -0.05), (0, 0, 0.05))], candidates=256),

@@ -139,6 +139,14 @@ def test_without_width_a_vertex_of_a_lies_where_a_is() -> None:
     np.testing.assert_allclose(K_b[0], 0.0, atol=1e-6)
 
 
+def test_without_a_finite_radius_the_exact_feature_counts() -> None:
+    """A radius of NaN once left curvatures in Python unset."""
+    pairs = pair(capsule(0.02, (0, 0, -0.05), (0, 0, 0.05)), box([0.05, 0.06, 0.07]))
+    given = items(pairs, 0.005)
+    for found, expected in zip(fit(pairs, *given, miss=np.nan), fit(pairs, *given, width=0.0), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("gap", [0.005, 0.0, -0.002])
 def test_without_width_round_pieces_keep_their_radius(gap: float) -> None:
     """It once was CORNER_CURVATURE_PER_M d / (r + d): flat at contact, concave in penetration."""

@@ -26,7 +26,7 @@ struct CurvaturePairs {
 
   size_t size() const { return floor.size(); }
 
-  // Curvature of a body at a witness point; `number`: the item's piece pair among those of the pair.
+  // Curvature of the first or second body of a pair at a witness point; `winner`: the closest piece pair, -1: none.
   Matrix2 curvature(size_t pair, bool second, const Spot& at, int64_t winner) const {
     const int64_t b = body[pair + second * size()];
     if (at.radius > 0) return bodies.surfaces[b].fit(at);
@@ -38,7 +38,6 @@ struct CurvaturePairs {
 };
 
 namespace {
-
 
 using RowTangents = Eigen::Matrix<double, 3, 2, Eigen::RowMajor>;
 using RowMatrix26 = Eigen::Matrix<double, 2, 6, Eigen::RowMajor>;

@@ -173,11 +173,6 @@ NarrowPhase narrow_phase_of(const Shapes& a, const Shapes& b, const std::vector<
   return made;
 }
 
-namespace grasp_refine {
-void bind_bounded_step(nb::module_& m);
-void bind_curvature(nb::module_& m);
-}
-
 NB_MODULE(_native, m) {
   // Pieces, and their shapes with them, may be alive at exit.
   nb::set_leak_warnings(false);

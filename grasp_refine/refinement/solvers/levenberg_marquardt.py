@@ -81,7 +81,9 @@ class LevenbergMarquardt(Solver):
     patience: int = 6
     """Iterations without progress after which a member restarts."""
     last_patience: int = 12
-    """Iterations without progress after which a member that cannot restart, or is good enough, ends."""
+    """Iterations without progress after which a member that cannot restart, or is good enough, ends.
+
+    In the search for force closure it is at most 8."""
     progress: float = 0.3
     """Smallest relative fall of the loss that counts as progress."""
     restarts: int = 20

@@ -46,7 +46,7 @@ def ran(variant: Variant, tasks: Tasks | None = None, pair: BodyPair = PAIR, **o
     return align([pair], [accepted(pair) if tasks is None else tasks], variant, **options)
 
 
-HALF_TURN = np.array([1.0] * 3 + [0.5] * 3)
+PROJECTION = np.array([1.0] * 3 + [0.5] * 3)
 """Factors of the derivatives along (v, w) in the paper's projection."""
 
 
@@ -223,7 +223,7 @@ def test_the_first_step_follows_the_gradient(transport: bool, monkeypatch: pytes
     # Its usual step is wide enough to reach the next features.
     monkeypatch.setattr(Variant, "derivative", lambda variant, seed: FiniteDifference(1e-6))
     align([PAIR], [tasks], Variant(transport=transport, budget=1, step_size=1e-3))
-    G_a, G_b = (HALF_TURN * G for G in twist_gradients(PAIR, tasks, 1e-3))
+    G_a, G_b = (PROJECTION * G for G in twist_gradients(PAIR, tasks, 1e-3))
     scale = np.array([METRES_PER_RADIAN] * 3 + [1.0] * 3)
     if transport:
         relative = inverse(tasks.T_world_b) @ tasks.T_world_a
@@ -256,7 +256,7 @@ def test_a_step_has_the_length_that_is_asked_for():
         force, moment = wrench[..., :3], wrench[..., 3:]
         moment = moment - torch.linalg.cross(T[..., :3, 3], force)
         covector = torch.cat([force, moment], dim=-1).numpy().reshape(5, 2, 2, 3)
-        covector = HALF_TURN * (covector @ T[..., :3, :3].numpy()).reshape(5, 2, 6)
+        covector = PROJECTION * (covector @ T[..., :3, :3].numpy()).reshape(5, 2, 6)
         size = np.linalg.norm(covector, axis=-1, keepdims=True)
         np.testing.assert_allclose(twist, -covector / np.where(size > 0, size, 1.0), atol=1e-6)
 
