@@ -30,7 +30,7 @@ def query_near(
         return nothing_near(bound)
     # No distance is below NaN: those pairs are passed over.
     found = query(pairs, T_a, T_b, cutoff=np.where(apart, np.nan, cutoff), previous=previous)
-    found.distance[apart] = bound[apart]
+    found.distance[apart], found.status[apart] = bound[apart], QueryStatus.FAR
     return found
 
 

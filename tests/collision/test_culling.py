@@ -86,11 +86,13 @@ def test_what_is_surely_apart_is_not_asked_and_the_rest_is_that_of_a_query() -> 
 @pytest.mark.usefixtures("engine")
 def test_poses_that_are_not_finite_are_asked_and_said_to_be_so() -> None:
     pairs = Pairs((BODIES["hull"],), (BODIES["round"],))
-    T = random_poses(3, 7)
-    T[1, 0, 0, 3] = np.nan
-    bound = np.array([[1.0], [np.nan], [1.0]])
-    found = query_near(pairs, bound, T, random_poses(3, 8), np.full((3, 1), 0.003), None)
-    np.testing.assert_array_equal(found.status[:, 0], [QueryStatus.FAR, QueryStatus.NOT_FINITE, QueryStatus.FAR])
+    T = random_poses(4, 7)
+    T[1:3, 0, 0, 3] = np.nan
+    # An infinite bound is that of a rejected grasp, whose poses do not matter.
+    bound = np.array([[1.0], [np.nan], [np.inf], [1.0]])
+    found = query_near(pairs, bound, T, random_poses(4, 8), np.full((4, 1), 0.003), None)
+    far = QueryStatus.FAR
+    np.testing.assert_array_equal(found.status[:, 0], [far, QueryStatus.NOT_FINITE, far, far])
 
 
 def test_nothing_near_has_no_points_and_keeps_its_bounds() -> None:
