@@ -191,7 +191,7 @@ def query(
         pairs: The P body pairs.
         T_world_a: Poses of the first bodies (batch, P, 4, 4).
         T_world_b: Poses of the second bodies (batch, P, 4, 4).
-        cutoff: Distance (metres; one number or one per pair) beyond which pairs are not queried.
+        cutoff: Distance (metres; one number or one per pair) beyond which pairs are not queried; NaN: not at all.
         previous: The answer at nearby poses of the same batch. Its closest pieces are queried first and warm-start
             GJK where they were separated, which changes the work, and the result by rounding only.
 

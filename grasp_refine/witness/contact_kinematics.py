@@ -40,7 +40,9 @@ class ContactKinematics:
     neighborhood: Adaptive | Fixed | Neighbor = field(default_factory=Adaptive)
     """Choice of the surface samples near a witness point."""
     sampled: bool = False
-    """Fit to a few of the candidates in the neighbourhood, drawn as by the paper's methods; else to all around."""
+    """Fit to a few candidates, drawn as by the paper's methods: the neighbourhood's `samples`, at least its `minimum`.
+
+    Otherwise only its radius counts, and the fit is to the candidates within it."""
     smallest_curvature: float = 5.0
     """Floor of the eigenvalues of K_a + K_b, divided by the mean of the two bodies' diagonals."""
     seed: int = 0
