@@ -72,7 +72,7 @@ class Phase:
 
 SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
 SETTLE = Phase("contacts settle", 15)
-CLOSE = Phase("gaps close", 40, balance=False)
+CLOSE = Phase("gaps close", 40, balance=False, patience=12)
 PHASES = (SLIDE, SETTLE, CLOSE)
 """Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
 
@@ -234,8 +234,6 @@ class _Search:
             config.solver,
             iterations=min(config.solver.iterations, phase.iterations),
             last_patience=min(config.solver.last_patience, phase.patience),
-            # Contacts may be anywhere: another neighbourhood brings them no nearer.
-            widths=config.solver.widths[:1],
         )
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.

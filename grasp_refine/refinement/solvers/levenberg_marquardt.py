@@ -83,7 +83,7 @@ class LevenbergMarquardt(Solver):
     last_patience: int = 12
     """Iterations without progress after which a member that cannot restart, or is good enough, ends.
 
-    In the search for force closure it is at most 8."""
+    While forces are balanced in the search for force closure it is at most 8."""
     progress: float = 0.3
     """Smallest relative fall of the loss that counts as progress."""
     restarts: int = 20
@@ -91,9 +91,7 @@ class LevenbergMarquardt(Solver):
     good: float = 1e-7
     """Best loss (m^2) below which a member does not restart; 1e-7 is a third of a millimetre."""
     widths: tuple[float, ...] = (1.0, 0.5, 2.0, 0.0)
-    """Factors of the radii of the smoothing neighbourhoods, the next one after each rejection; 0: no smoothing.
-
-    Only the first one counts in the search for force closure."""
+    """Factors of the radii of the smoothing neighbourhoods, the next one after each rejection; 0: no smoothing."""
 
     def __post_init__(self) -> None:
         """Refuse settings with which lambda would vanish, stay constant, or change the wrong way.

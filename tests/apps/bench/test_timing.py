@@ -41,9 +41,9 @@ def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pyte
 
     monkeypatch.setattr(native_search, "_available", lambda: 8)
     with pytest.raises(KeyError), one_thread():
-        assert native_search._threads(10**6) == 1
+        assert native_search.threads_for(10**6) == 1
         raise KeyError
-    assert native_search._threads(10**6) == 8
+    assert native_search.threads_for(10**6) == 8
 
 
 def test_what_is_not_told_apart_is_one_part():

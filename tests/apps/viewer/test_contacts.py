@@ -10,7 +10,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
-from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.hand_toml import Contact
@@ -173,7 +173,7 @@ def agrees_with_validation(prepared: HandObject, T: np.ndarray, q: np.ndarray) -
         deep = {link for link, distance in zip(scene.links, geometry.distance[0], strict=True) if distance < -1e-4}
         assert deep == {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
         forces = grasp_forces(prepared.hand, prepared.object, scene.links, geometry.witness)
-        pressing = np.linalg.norm(forces.force[0], axis=1) > 0
+        pressing = np.isfinite(contacts(prepared.hand, scene.links, geometry.witness)[0][0]).all(axis=1)
         np.testing.assert_allclose(found.forces.force, forces.force[0, pressing], atol=1e-6)
 
 
