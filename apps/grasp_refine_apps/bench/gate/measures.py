@@ -40,7 +40,7 @@ ROUNDS, MIN_TIMED_S = 5, 0.02
 HAND, OBJECT, EXAMPLE = "allegro", "rounded_box", "allegro/example_rounded_box.npz"
 """The hand and the grasped object, which is convex, so that no decomposition affects the time."""
 
-NUM_TASKS, BATCH_SIZE, NUM_SINGLES, NUM_FORCED = 256, 64, 8, 32
+NUM_TASKS, BATCH_SIZE, NUM_SINGLES, NUM_FORCED = 256, 64, 8, 96
 """Grasps in all, refined at once, refined one at a time, and refined with forces."""
 
 DESCENT_STEPS = 20
