@@ -105,7 +105,10 @@ class NativeSearch:
         found = (
             *points, np.empty(shape), np.empty(shape, np.int8), np.empty(shape, np.int64), np.empty(shape, np.int64)
         )  # fmt: skip
-        threads = threads or threads_for(limit.size - int(np.isnan(limit).sum()))
+        threads = threads or threads_for(limit.size)
+        if threads > 1:
+            # Those that are passed over are no work; few items need no count.
+            threads = min(threads, threads_for(limit.size - int(np.isnan(limit).sum())))
         self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads)
         return found
 
@@ -136,31 +139,24 @@ def solve_forces(
     friction: float,
     share: float,
     ridge: float,
-    local: np.ndarray,
-    solved: np.ndarray,
     threads: int | None = None,
-) -> None:
-    """Fill in `local` and `solved` as `forces.programs.solve_programs`, no pressure being above `share` of all."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the results of `forces.programs.solve_programs`, no pressure being above `share` of all."""
+    (N, P), K = outer.shape[:2], G.shape[1]
+    local, solved = np.empty((N, P, K, 3)), np.empty((N, P), dtype=bool)
     threads = threads or threads_for(solved.size, _PROGRAMS_PER_THREAD)
     _native.solve_forces(G, there, outer, start, friction, share, ridge, local, solved, threads)
+    return local, solved
 
 
 def bounded_steps(
-    J: np.ndarray,
-    r: np.ndarray,
-    damping: np.ndarray,
-    metric: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    unilateral: np.ndarray | None,
-    passes: int,
-    threads: int | None = None,
+    *arrays: np.ndarray, unilateral: np.ndarray | None, passes: int, threads: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps and predicted falls of `bounded_step`, which has the same arguments."""
-    dx, predicted = np.empty(lower.shape), np.empty(len(J))
-    arrays = (np.ascontiguousarray(part, dtype=np.float64) for part in (J, r, damping, metric, lower, upper))
-    threads = threads or threads_for(len(J), _STEPS_PER_THREAD)
-    _native.bounded_steps(*arrays, unilateral, passes, dx, predicted, threads)
+    """Return the steps and predicted falls of `bounded_step`, which has the same arguments, the arrays in its order."""
+    given = [np.ascontiguousarray(part, dtype=np.float64) for part in arrays]
+    dx, predicted = np.empty(given[-1].shape), np.empty(len(given[0]))
+    threads = threads or threads_for(len(predicted), _STEPS_PER_THREAD)
+    _native.bounded_steps(*given, unilateral, passes, dx, predicted, threads)
     return dx, predicted
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
-from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES
+from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, pyramid_faces
 from grasp_refine.forces.wrench import (
     LEVER_M,
     PLANNING_FRICTION,
@@ -226,9 +226,7 @@ class Equilibrium:
         Projectors are numbered by the faces that hold the force, as the bits of a byte, plus 256 at the cap; the last
         one is 0.
         """
-        angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
-        rim = self.friction * np.cos(np.pi / NUM_EDGES)
-        faces = np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
+        faces = pyramid_faces(self.friction)
         held = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
         squares = (held[:, None] * faces.T) @ faces
         values, vectors = np.linalg.eigh(np.concatenate([squares, squares + np.diag([1.0, 0.0, 0.0])]))

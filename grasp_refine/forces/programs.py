@@ -44,19 +44,20 @@ def solve_programs(
             it is. Where they are none, such as for other contacts, they are ignored.
     """
     if chosen("auto") == "native":
-        return _solve_compiled(G, there, outer, friction, ridge, start)
+        from grasp_refine.collision.native_search import solve_forces
+
+        return solve_forces(G, there, outer, start, friction, MAX_PRESSURE_SHARE, ridge)
     return _solve_by_daqp(G, there, outer, friction, ridge)
 
 
-def _solve_compiled(
-    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float, start: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    from grasp_refine.collision.native_search import solve_forces
+def pyramid_faces(friction: float) -> Float[np.ndarray, "8 3"]:
+    """Outward normals of the faces of a friction pyramid, each between two edges.
 
-    (N, P), K = outer.shape[:2], G.shape[1]
-    local, solved = np.empty((N, P, K, 3)), np.empty((N, P), dtype=bool)
-    solve_forces(G, there, outer, start, friction, MAX_PRESSURE_SHARE, ridge, local, solved)
-    return local, solved
+    Their products with a force in the pyramid (pressure and two tangents, as of `solve_programs`) are at most 0.
+    """
+    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
+    rim = friction * np.cos(np.pi / NUM_EDGES)
+    return np.stack([np.full(NUM_EDGES, -rim), np.cos(angle), np.sin(angle)], axis=1)
 
 
 def _solve_by_daqp(
@@ -81,11 +82,9 @@ def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.nd
     """Rows, upper and lower bounds and kinds of the constraints on pressures and tangential forces of C contacts.
 
     The first bounds are those of the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
-    come the sum of the pressures and, for each contact, the faces of its pyramid, which lie between two edges.
+    come the sum of the pressures and, for each contact, the faces of its pyramid.
     """
-    angle = (np.arange(NUM_EDGES) + 0.5) * 2.0 * np.pi / NUM_EDGES
-    face = np.stack([np.full(NUM_EDGES, -friction * np.cos(np.pi / NUM_EDGES)), np.cos(angle), np.sin(angle)], axis=1)
-    rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), face)])
+    rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), pyramid_faces(friction))])
     none, cap = 1e30, max(MAX_PRESSURE_SHARE, 1.0 / C)  # 1e30 is infinity for daqp
     faces = np.full(C * NUM_EDGES, none)
     lower = np.concatenate([np.tile([0.0, -none, -none], C), [1.0], -faces])

@@ -17,8 +17,8 @@ from grasp_refine.geometry.pieces import Piece
 
 from grasp_refine.collision import _native  # type: ignore[attr-defined]  # compiled  # isort: skip
 
-_FITS_PER_QUERY = 8
-"""Number of fits that take as long as one item of a query."""
+_FITS_PER_THREAD = 4096
+"""Fewest fits for another thread: eight take as long as one item of a query."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class NativeCurvatures:
     def fit(self, body: np.ndarray, x: np.ndarray, normal: np.ndarray, E: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Return the curvatures (R, 2, 2) of `Curvatures.fit`."""
         K = np.empty((len(x), 2, 2))
-        self.compiled.fit(body, x, normal, E, radius, K, _threads(len(x)))
+        self.compiled.fit(body, x, normal, E, radius, K, threads_for(len(x), _FITS_PER_THREAD))
         return K
 
 
@@ -70,8 +70,9 @@ class NativePairs:
         """Return the curvatures K_a and K_b (M, 2, 2) of `PairCurvatures.fit_within`."""
         w, count = witness, len(pair)
         K_a, K_b = np.empty((2, count, 2, 2))
+        threads = threads_for(count, _FITS_PER_THREAD)
         self._compiled.fit(
-            pair, T_world_a, T_world_b, w.point_a, w.point_b, w.normal, E, radius, w.winner, K_a, K_b, _threads(count)
+            pair, T_world_a, T_world_b, w.point_a, w.point_b, w.normal, E, radius, w.winner, K_a, K_b, threads
         )
         return K_a, K_b
 
@@ -113,7 +114,3 @@ def _features(piece: Piece) -> "_native.Features":
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (piece.vertices, *planes))
         piece.derived["features"] = _native.Features(*arrays, piece.radius)
     return piece.derived["features"]
-
-
-def _threads(count: int) -> int:
-    return threads_for(count // _FITS_PER_QUERY)

@@ -115,8 +115,23 @@ class PairCurvatures:
 
         The other arguments are those of `fit`. A radius of 0 stands for the exact feature.
         """
-        fit = self._fit_in_python if self._compiled is None else self._compiled.fit
-        return fit(pair, T_world_a, T_world_b, witness, E, radius)
+        if self._compiled is not None:
+            return self._compiled.fit(pair, T_world_a, T_world_b, witness, E, radius)
+        count = len(pair)
+        T = np.concatenate([T_world_a, T_world_b])
+        R = T[:, :3, :3].mT
+        x = matvec(R, np.concatenate([witness.point_a, witness.point_b]) - T[:, :3, 3])
+        normal = matvec(R, np.concatenate([witness.normal, -witness.normal]))
+        E = R @ np.concatenate([E, E])
+        rho = radius.reshape(-1)
+        K = np.empty((2 * count, 2, 2))
+        fitted, exact = np.flatnonzero(rho > 0), np.flatnonzero(~(rho > 0))
+        body = np.concatenate([self.body[pair], self.body[pair + len(self.pairs)]])
+        K[fitted] = self._curvatures.fit(body[fitted], x[fitted], normal[fitted], E[fitted], rho[fitted])
+        if len(exact):
+            corner = np.tile(self.corner[pair], 2)
+            K[exact] = self._of_features(exact, x, normal, E, witness, corner)
+        return raise_eigenvalues(K[:count], K[count:], self.floor[pair])
 
     @cached_property
     @stage("loading")
@@ -133,31 +148,6 @@ class PairCurvatures:
     @stage("loading")
     def _curvatures(self) -> Curvatures:
         return Curvatures.of(self.bodies)
-
-    def _fit_in_python(
-        self,
-        pair: np.ndarray,
-        T_world_a: np.ndarray,
-        T_world_b: np.ndarray,
-        witness: Witness,
-        E: np.ndarray,
-        radius: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        count = len(pair)
-        T = np.concatenate([T_world_a, T_world_b])
-        R = T[:, :3, :3].mT
-        x = matvec(R, np.concatenate([witness.point_a, witness.point_b]) - T[:, :3, 3])
-        normal = matvec(R, np.concatenate([witness.normal, -witness.normal]))
-        E = R @ np.concatenate([E, E])
-        rho = radius.reshape(-1)
-        K = np.empty((2 * count, 2, 2))
-        fitted, exact = np.flatnonzero(rho > 0), np.flatnonzero(~(rho > 0))
-        body = np.concatenate([self.body[pair], self.body[pair + len(self.pairs)]])
-        K[fitted] = self._curvatures.fit(body[fitted], x[fitted], normal[fitted], E[fitted], rho[fitted])
-        if len(exact):
-            corner = np.tile(self.corner[pair], 2)
-            K[exact] = self._of_features(exact, x, normal, E, witness, corner)
-        return raise_eigenvalues(K[:count], K[count:], self.floor[pair])
 
     def _of_features(
         self,

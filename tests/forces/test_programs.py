@@ -122,8 +122,7 @@ def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.Mo
     together, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
     np.testing.assert_array_equal(solved, np.repeat(there.any(axis=1)[:, None], 4, axis=1))
     for threads in (1, 3):
-        local, found = np.empty_like(together), np.empty_like(solved)
-        solve_forces(G, there, outer, None, PLANNING_FRICTION, MAX_PRESSURE_SHARE, RIDGE, local, found, threads)
+        local, _ = solve_forces(G, there, outer, None, PLANNING_FRICTION, MAX_PRESSURE_SHARE, RIDGE, threads)
         np.testing.assert_array_equal(local, together)
     for n in range(0, 300, 50):
         rows = slice(n, n + 1)

@@ -238,7 +238,7 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies, rows = many_rows(300)
     fits = []
     for threads in (1, 2, 3):
-        monkeypatch.setattr(native_kinematics, "_threads", lambda count, threads=threads: threads)
+        monkeypatch.setattr(native_kinematics, "threads_for", lambda count, fewest, threads=threads: threads)
         fits.append(native_kinematics.NativeCurvatures.of(bodies).fit(*rows))
     np.testing.assert_array_equal(fits[1], fits[0])
     np.testing.assert_array_equal(fits[2], fits[0])

@@ -37,21 +37,7 @@ def bounded_step(
     if chosen("auto") == "native":
         from grasp_refine.collision.native_search import bounded_steps
 
-        return bounded_steps(J, r, damping, metric, lower, upper, unilateral, passes)
-    return _bounded_step(J, r, damping, metric, lower, upper, unilateral, passes)
-
-
-def _bounded_step(
-    J: np.ndarray,
-    r: np.ndarray,
-    damping: np.ndarray,
-    metric: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    unilateral: np.ndarray | None,
-    passes: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps and falls as `bounded_step`, without the compiled module."""
+        return bounded_steps(J, r, damping, metric, lower, upper, unilateral=unilateral, passes=passes)
     if unilateral is None:
         dx = _solve_within_bounds(J, r, damping, metric, lower, upper)
         after = r + matvec(J, dx)

@@ -273,9 +273,10 @@ def test_compiled_steps_do_not_depend_on_the_batch_or_the_threads() -> None:
     J, r, damping, metric = problems(300, 12, 6, 13)
     lower, upper = np.full((300, 6), -0.1), np.full((300, 6), 0.1)
     unilateral = np.random.default_rng(14).random((300, 12)) < 0.3
-    together = bounded_steps(J, r, damping, metric, lower, upper, unilateral, 4, threads=2)
+    arrays = J, r, damping, metric, lower, upper
+    together = bounded_steps(*arrays, unilateral=unilateral, passes=4, threads=2)
     for rows in (slice(17, 18), slice(100, 150)):
-        parts = (part[rows] for part in (J, r, damping, metric, lower, upper, unilateral))
-        alone = bounded_steps(*parts, 4, threads=1)
+        parts = (part[rows] for part in arrays)
+        alone = bounded_steps(*parts, unilateral=unilateral[rows], passes=4, threads=1)
         for one, all_of_them in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one, all_of_them[rows])
