@@ -8,6 +8,7 @@ from typing import Literal
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -41,6 +42,8 @@ class Protocol:
     """Directions of the pushes, keys of `AXES`, each from the same state; empty: the object is lifted off a table."""
     lift: float = 0.1
     """Height of the lift in metres; only without pushes."""
+    contact: ContactModel = DEXGRASPBENCH_CONTACT
+    """Friction of contacts in MuJoCo."""
     timestep: float = 0.004
     """Simulation step in seconds."""
     moves: int = 10

@@ -68,7 +68,7 @@ def simulate(
     Args:
         world: Hand, object and protocol.
         motion: Motion that closes the hand.
-        conditions: Object poses and friction of the grasps; by default those of grasps and protocol.
+        conditions: What differs between the grasps; by default that of grasps and protocol.
         threads: CPU threads; by default as many as there are. The result does not depend on it.
         first_failure: A grasp that failed in one direction is not simulated further in the others, for which the
             same reason is then given.
@@ -85,6 +85,8 @@ def simulate(
     check_shape("motion.T_world_root", motion.T_world_root, len(motion), len(STAGES), 4, 4)
     if not len(motion):
         raise GraspRefineError("there is no grasp to simulate: the motion has 0 grasps")
+    if conditions is not None and conditions.wrench is not None and world.protocol.tabletop:
+        raise GraspRefineError(f"protocol {world.protocol.name} lifts the object: conditions cannot push it")
     conditions = Conditions.nominal(world, len(motion)) if conditions is None else conditions
     parts = []
     for start in range(0, len(motion), CHUNK_GRASPS):
@@ -113,17 +115,17 @@ def close(
     Args:
         world: Hand, object and protocol.
         motion: Motion that closes the hand.
-        conditions: Poses of the object, and friction.
+        conditions: What differs between the grasps.
         threads: CPU threads; by default as many as there are.
         progress: Called with the finished share of the whole trial.
         on_step: Called at the start, if any grasp can start, and after every simulation step.
     """
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
-    finite &= np.isfinite(conditions.T_world_object).all(axis=(1, 2)) & np.isfinite(conditions.friction)
+    finite &= conditions.finite
     start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
     course = _Course.of(world, motion, finite)
-    rows = Rows(world, np.where(finite, conditions.friction, protocol.friction), finite, _threads(threads), on_step)
+    rows = Rows(world, conditions, finite, _threads(threads), on_step)
     batch = rows.batch
     batch.qpos[:, world.root_at : world.root_at + 7] = course.root(0, 0.0)
     batch.qpos[:, world.joints_at] = course.joints[:, 0]
@@ -188,17 +190,19 @@ def push(
         on_step: Called after every simulation step.
     """
     protocol, count = world.protocol, len(closed.reason)
-    names = directions or protocol.directions or LIFT
+    names = directions or _directions(world, closed.conditions)
     shape = (count, len(names))
     grasp = np.repeat(np.arange(count), len(names))
     start = closed.conditions.T_world_object[grasp]
     reason = closed.reason[grasp]
     undecided = reason == Reason.HELD
-    rows = Rows(world, closed.conditions.friction[grasp], undecided, _threads(threads), on_step)
+    rows = Rows(world, closed.conditions.select(grasp), undecided, _threads(threads), on_step)
     rows.batch.state[:] = closed.state[grasp]
     held_at = rows.batch.mocap_pos.copy()
-    if not protocol.tabletop:
-        forces = protocol.mass * protocol.acceleration * np.array([AXES[name] for name in names])
+    if closed.conditions.wrench is not None:
+        rows.batch.xfrc_applied[:, world.object_body] = closed.conditions.wrench.reshape(-1, 6)
+    elif not protocol.tabletop:
+        forces = world.mass * protocol.acceleration * np.array([AXES[name] for name in names])
         rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
     time, displacement, angle, peak, steepest = (np.full(len(grasp), np.nan) for _ in range(5))
     contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
@@ -246,6 +250,13 @@ def push(
         closing_rad=closed.closing_rad,
         penetration_m=closed.penetration_m,
     )
+
+
+def _directions(world: World, conditions: Conditions) -> tuple[str, ...]:
+    """Return the names of the pushes, or of the lift."""
+    if conditions.wrench is None:
+        return world.protocol.directions or LIFT
+    return tuple(f"wrench {number + 1}" for number in range(conditions.wrench.shape[1]))
 
 
 def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from mujoco.batch import Batch, SimulationError
 from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
+from grasp_refine.validation.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 
@@ -37,12 +38,25 @@ StepCallback = Callable[[Batch], None]
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions that differ between N simulations: pose of the object, and friction."""
+    """Conditions that differ between N simulations of one world; None: those of the world and its protocol."""
 
     T_world_object: Float[np.ndarray, "N 4 4"]
     """Poses (N, 4, 4) of the object at the start, in the frame of the grasps."""
     friction: Float[np.ndarray, " N"]
     """Sliding friction (N,); torsional friction is in proportion, as in the protocol."""
+    mass: Float[np.ndarray, " N"] | None = None
+    """Mass of the object (N,), kg; its inertia is in proportion."""
+    wrench: Float[np.ndarray, "N D 6"] | None = None
+    """Force in N and torque in N m (N, D, 6) at the object's centre of mass, in the frame of the grasps, instead of the
+    D pushes of the protocol."""
+    gain: Float[np.ndarray, " N"] | None = None
+    """Factor (N,) of the stiffness of all servos."""
+    force_limit: Float[np.ndarray, " N"] | None = None
+    """Factor (N,) of the force limits of all servos."""
+    contact_time: Float[np.ndarray, " N"] | None = None
+    """Factor (N,) of the time constant of contacts with the hand: above 1 they are softer."""
+    default_contact: Bool[np.ndarray, " N"] | None = None
+    """True (N,) where the friction is MuJoCo's default (`MUJOCO_CONTACT`) instead of the protocol's."""
 
     __repr__ = brief
 
@@ -50,6 +64,13 @@ class Conditions:
     def nominal(cls, world: World, count: int) -> Conditions:
         """Return the object pose of the grasps, with the friction of the protocol."""
         return cls(np.tile(np.eye(4), (count, 1, 1)), np.full(count, world.protocol.friction))
+
+    @property
+    def finite(self) -> Bool[np.ndarray, " N"]:
+        """True (N,) where all numbers are finite."""
+        values = [getattr(self, field.name) for field in fields(self)]
+        arrays = [value.reshape(len(value), -1) for value in values if value is not None]
+        return np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
 
     def select(self, rows: np.ndarray) -> Conditions:
         """Return the conditions of the simulations `rows`."""
@@ -76,7 +97,7 @@ class Rows:
     def __init__(
         self,
         world: World,
-        friction: Float[np.ndarray, " N"],
+        conditions: Conditions,
         running: Bool[np.ndarray, " N"],
         threads: int,
         on_step: StepCallback | None = None,
@@ -88,10 +109,39 @@ class Rows:
         self.unstable = np.zeros(len(running), dtype=bool)
         self._on_step = on_step
         self._data = mujoco.MjData(world.model)
-        if (friction != world.protocol.friction).any():
+        if running.any():
+            # Conditions of simulations that never run may not be finite.
+            self._set(conditions.select(np.where(running, np.arange(len(running)), running.argmax())))
+
+    def _set(self, conditions: Conditions) -> None:
+        """Give the simulations their own parameters, where these are not the model's."""
+        world, protocol = self.world, self.world.protocol
+        if (conditions.friction != protocol.friction).any():
             coefficients = self.batch.expand("geom_friction")
-            coefficients[:, :, 0] = friction[:, None]
-            coefficients[:, :, 1] = friction[:, None] * world.protocol.torsion / world.protocol.friction
+            coefficients[:, :, 0] = conditions.friction[:, None]
+            coefficients[:, :, 1] = conditions.friction[:, None] * protocol.torsion / protocol.friction
+        if conditions.mass is not None:
+            share = conditions.mass / world.mass
+            self.batch.expand("body_mass")[:, world.object_body] *= share
+            self.batch.expand("body_inertia")[:, world.object_body] *= share[:, None]
+            self.batch.set_const()
+        if conditions.gain is not None:
+            gain = conditions.gain[:, None]
+            self.batch.expand("actuator_gainprm")[:, :, 0] *= gain
+            self.batch.expand("actuator_biasprm")[:, :, 1:3] *= gain[..., None]
+        if conditions.force_limit is not None:
+            self.batch.expand("actuator_forcerange")[:] *= conditions.force_limit[:, None, None]
+            # A limit at a joint or a tendon is the servo's too.
+            self.batch.expand("jnt_actfrcrange")[:] *= conditions.force_limit[:, None, None]
+            self.batch.expand("tendon_actfrcrange")[:] *= conditions.force_limit[:, None, None]
+        if conditions.contact_time is not None:
+            hand = np.array(world.link_of_geom) >= 0
+            self.batch.expand("geom_solref")[:, hand, 0] *= conditions.contact_time[:, None]
+        if conditions.default_contact is not None:
+            at = conditions.default_contact
+            self.batch.expand("opt.cone")[at] = MUJOCO_CONTACT.mujoco_cone
+            self.batch.expand("opt.impratio")[at] = MUJOCO_CONTACT.impratio
+            self.batch.expand("opt.noslip_iterations")[at] = MUJOCO_CONTACT.noslip_iterations
 
     def step(self, count: int) -> None:
         """Advance running simulations by `count` steps; those that diverge stop."""

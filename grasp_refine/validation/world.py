@@ -60,6 +60,8 @@ class World:
     """Indices (m,) in qpos of the values of the hand's joints, in the order of `HandModel.joints`."""
     object_body: int
     """Number of the object's body."""
+    mass: float
+    """Mass of the object, kg."""
     control: Float[np.ndarray, "u m"]
     """Matrix (u, m) that takes joint values (m,) to the set points of the u actuators at which they rest."""
     links: tuple[str, ...]
@@ -125,9 +127,9 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     option, disable = spec.option, mujoco.mjtDisableBit
     option.timestep = protocol.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.noslip_iterations = 2
-    option.impratio = 10.0
+    option.cone = protocol.contact.mujoco_cone
+    option.noslip_iterations = protocol.contact.noslip_iterations
+    option.impratio = protocol.contact.impratio
     option.gravity = [0.0, 0.0, -protocol.acceleration if protocol.tabletop else 0.0]
     # A simulation that diverges must not be reset to its start, where it would look like one that holds. And one
     # contact for a pair of convex pieces, as in the MuJoCo that the protocol was published with: 4 has up to four.
@@ -208,6 +210,7 @@ def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: 
         object_at=int(model.joint(OBJECT).qposadr[0]),
         joints_at=np.array([joint.qposadr[0] for joint in joints], dtype=int),
         object_body=object_body,
+        mass=protocol.mass,
         control=moments(model)[:, [joint.dofadr[0] for joint in joints]],
         links=links,
         link_of_geom=np.array(link_of_geom, dtype=int),

@@ -15,6 +15,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.result_files import fingerprint
+from grasp_refine.validation.contact_model import CONES, ContactModel
 from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
@@ -270,6 +271,10 @@ def _protocol(given: _Json) -> Protocol:
             found[field.name] = value.text()
         elif field.name == "directions":
             found[field.name] = tuple(direction.choice(AXES) for direction in value.list())
+        elif field.name == "contact":
+            cone, *numbers = (value[each.name] for each in fields(ContactModel))
+            impratio, noslip = (number.number() for number in numbers)
+            found[field.name] = ContactModel(cone.choice(CONES), impratio, int(noslip))  # type: ignore[arg-type]
         else:
             number = value.number()
             if not number > 0:

@@ -1,0 +1,38 @@
+"""Friction of contacts in MuJoCo: cone, impedance ratio and iterations against slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import mujoco
+
+Cone = Literal["elliptic", "pyramidal"]
+"""Friction cones of MuJoCo: elliptic, or the pyramid inscribed in it."""
+
+CONES: tuple[Cone, ...] = get_args(Cone)
+"""All cones."""
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """How MuJoCo approximates dry friction; the more softly, the faster loaded contacts creep."""
+
+    cone: Cone = "elliptic"
+    """Friction cone."""
+    impratio: float = 10.0
+    """Ratio of the impedance along tangents to that along the normal: the higher, the less contacts creep."""
+    noslip_iterations: int = 2
+    """Iterations of the solver that removes slip after the main one."""
+
+    @property
+    def mujoco_cone(self) -> mujoco.mjtCone:
+        """The cone as MuJoCo names it."""
+        return mujoco.mjtCone.mjCONE_ELLIPTIC if self.cone == "elliptic" else mujoco.mjtCone.mjCONE_PYRAMIDAL
+
+
+DEXGRASPBENCH_CONTACT = ContactModel()
+"""Contacts of DexGraspBench."""
+
+MUJOCO_CONTACT = ContactModel("pyramidal", impratio=1.0, noslip_iterations=0)
+"""Contacts of a model that says nothing about them."""
