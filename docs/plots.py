@@ -29,7 +29,7 @@ def hold(rows: list[dict[str, Any]], axes: Any) -> None:
     """Draw the share of grasps that hold, by method, at both frictions."""
     rows = [row for row in rows if row["object"] == "all"]
     for offset, key, label, color in (
-        (-0.2, "success_force_closure", "friction 0.6", BLUE),
+        (-0.2, "success_dexgraspbench", "friction 0.6", BLUE),
         (0.2, "success_strict", "friction 0.3", ORANGE),
     ):
         bars = axes.bar([i + offset for i in range(len(rows))], [100 * row[key] for row in rows], 0.38, color=color)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.protocol import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
@@ -85,4 +85,4 @@ def stopped_at(count: int) -> Control:
 def made_trial(reason: Reason) -> TrialResult:
     """The result of a grasp that was pushed in one direction."""
     result = DirectionResult("+x", reason, 0.1, 0.01, 0.1, 0.01, 0.1, ())
-    return TrialResult(FORCE_CLOSURE, (result,), {}, 0.0, 0.0, 0.0)
+    return TrialResult(DEXGRASPBENCH, (result,), {}, 0.0, 0.0, 0.0)

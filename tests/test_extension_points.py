@@ -1,4 +1,4 @@
-"""Hands, weights, derivative methods, solvers, settings of the simulation and formats: each is complete everywhere."""
+"""Hands, weights, derivative methods, solvers, protocols and formats: each is complete everywhere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from grasp_refine.hands.source import needs_urdf
 from grasp_refine.refinement import solvers
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.validation.protocol import SETTINGS, SettingName
+from grasp_refine.validation.protocol import PROTOCOLS, ProtocolName
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants
@@ -144,9 +144,9 @@ def test_solvers_are_measured():
     assert set(grasp_variants.SOLVERS) == set(get_args(grasp_variants.SolverName))
 
 
-def test_settings_of_the_simulation_are_choices():
-    assert tuple(SETTINGS) == get_args(SettingName)
-    assert all(name == protocol.name for name, protocol in SETTINGS.items())
+def test_protocols_are_choices():
+    assert tuple(PROTOCOLS) == get_args(ProtocolName)
+    assert all(name == protocol.name for name, protocol in PROTOCOLS.items())
 
 
 def test_formats_are_listed():

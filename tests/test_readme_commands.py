@@ -164,7 +164,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
 
 # what commands print
 
-PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "held in simulation (force-closure): ")
+PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "held in simulation (dexgraspbench): ")
 """What tells apart the blocks of text; a test compares each."""
 
 

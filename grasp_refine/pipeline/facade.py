@@ -26,7 +26,7 @@ from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.protocol import SETTINGS, Protocol
+from grasp_refine.validation.protocol import PROTOCOLS, Protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
@@ -100,7 +100,7 @@ def refine(
 
 
 def simulate(
-    refined: RefinedGrasps, protocol: str | Protocol = "force-closure", *, listener: Listener | None = None
+    refined: RefinedGrasps, protocol: str | Protocol = "dexgraspbench", *, listener: Listener | None = None
 ) -> SimulatedGrasps:
     """Simulate refined grasps in MuJoCo, before and after their refinement.
 
@@ -200,7 +200,7 @@ class Evaluation:
             GraspRefineError: they were not simulated.
         """
         if self.protocol is None:
-            raise GraspRefineError("the grasps were not simulated: evaluate(..., protocol='force-closure')")
+            raise GraspRefineError("the grasps were not simulated: evaluate(..., protocol='dexgraspbench')")
         return self.validated.success
 
     def table(self, *, verbose: bool = False) -> RenderableType:
@@ -231,9 +231,9 @@ def _problem(hand: Hand | Problem, obj: Object | None, grasps: GraspSet | None, 
 def _protocol(protocol: str | Protocol) -> Protocol:
     if isinstance(protocol, Protocol):
         return protocol
-    if protocol not in SETTINGS:
-        raise GraspRefineError(f"no protocol '{protocol}': there are {', '.join(SETTINGS)}")
-    return SETTINGS[protocol]
+    if protocol not in PROTOCOLS:
+        raise GraspRefineError(f"no protocol '{protocol}': there are {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[protocol]
 
 
 def _with_grasps(group: Group, grasps: GraspSet) -> Group:

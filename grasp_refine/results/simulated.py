@@ -100,7 +100,7 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
         for d, direction in enumerate(trials.directions)
     ]
     return {
-        "setting": protocol.name,
+        "protocol": protocol.name,
         "success": trials.success[i],
         **directions[worst],
         "directions": directions,

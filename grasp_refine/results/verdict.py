@@ -78,10 +78,10 @@ def estimate_line(good: int, before: int | None, count: int) -> Text:
     return Text.assemble(f"quality {BAR} (an estimate): ", (numbers, color), hint)
 
 
-def held_line(setting: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
+def held_line(protocol: str, held: tuple[int, int], gained: int, lost: int, count: int) -> Text:
     """Return a line on the number of `count` grasps that held in simulation, before and after, gained and lost."""
     color = "green" if held[1] >= held[0] else "red"
-    how = f" ({setting})" if setting else ""
+    how = f" ({protocol})" if protocol else ""
     text = f"held in simulation{how}: {whole(held[0])} → {whole(held[1])} of {whole(count)}"
     return Text.assemble((text, color), f"; gained {whole(gained)}, lost {whole(lost)}")
 

@@ -1,4 +1,4 @@
-"""Protocols of grasp tests in simulation: the parameters of the DexGraspBench protocol, as named settings."""
+"""Protocols of grasp tests in simulation: the parameters of the DexGraspBench protocol, and named variants."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Protocol:
     The defaults are those of DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark).
     """
 
-    name: str = "force-closure"
+    name: str = "dexgraspbench"
     """Name in results."""
     friction: float = 0.6
     """Sliding friction of all contacts."""
@@ -84,11 +84,11 @@ class Protocol:
         return replace(self, friction=friction, torsion=self.torsion * friction / self.friction)
 
 
-FORCE_CLOSURE = Protocol()
+DEXGRASPBENCH = Protocol()
 STRICT = Protocol("strict", friction=0.3, torsion=0.002)
 TABLETOP = Protocol("tabletop", directions=(), acceleration=9.81)
-SETTINGS = {protocol.name: protocol for protocol in (FORCE_CLOSURE, STRICT, TABLETOP)}
+PROTOCOLS = {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP)}
 """Named protocols: name -> protocol."""
 
-SettingName = Literal["force-closure", "strict", "tabletop"]
+ProtocolName = Literal["dexgraspbench", "strict", "tabletop"]
 """Names of the protocols, for the command line."""

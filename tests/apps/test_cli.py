@@ -225,7 +225,7 @@ def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureF
     # What simulation says may be added, and is not lost.
     assert main([*quick, "--validate"]) == 0
     capfd.readouterr()
-    for other in ((), ("--validate", "--setting", "strict")):
+    for other in ((), ("--validate", "--protocol", "strict")):
         assert_names(refused(capfd, *quick, *other), result, "--overwrite")
     assert main([*QUICK, "--index", "0", "--geometry-only", "--overwrite"]) == 0
     assert "simulation_after" not in np.load(result).files

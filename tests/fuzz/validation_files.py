@@ -16,7 +16,11 @@ from grasp_refine_apps.viewer.validation_file import read_validation
 
 DIRECTION = {"direction": "+x", "reason": Reason.HELD.label, "contacts": ["tip"], "time_s": 1.0}
 DIRECTION |= {"displacement_m": 0.01, "angle_rad": 0.1, "peak_m": 0.02, "peak_rad": 0.2}
-SIMULATION = {"setting": "force-closure", "directions": [DIRECTION], "closing": {"displacement_m": 0.1, "angle_rad": 1}}
+SIMULATION = {
+    "protocol": "dexgraspbench",
+    "directions": [DIRECTION],
+    "closing": {"displacement_m": 0.1, "angle_rad": 1},
+}
 DOCUMENT = {
     "schema": 1,
     "command": "validate",

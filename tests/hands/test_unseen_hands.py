@@ -23,7 +23,7 @@ from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.protocol import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World, build_world
@@ -170,7 +170,7 @@ def test_grasps_are_found_refined_and_hold(hand: Hand, spec: str) -> None:
     assert np.median(measured.contact_distance_m) < gap and measured.penetration_m.max() < 2e-5
     assert measured.self_penetration_m.max() < 1e-5
     motion = closing_motion(replace(scene, T_world_root=found.T_world_root, q=found.q), prepared)
-    world = build_world(urdf_model(hand), scene.object, FORCE_CLOSURE)
+    world = build_world(urdf_model(hand), scene.object, DEXGRASPBENCH)
     assert simulate(world, motion, threads=1).success.sum() >= count - 1
     assert slack(hand, world, motion) < 3e-3
 

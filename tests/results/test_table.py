@@ -193,7 +193,7 @@ def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_af
         ["yes", "→", "yes"], ["no", "→", "yes"], ["yes", "→", "no"], ["no", "→", "no"]
     ]  # fmt: skip
     verdict = lines[lines.index("", 3) + 1 :]
-    assert_names(verdict[0], "(force-closure)", "2 → 2 of 4", "gained 1", "lost 1")
+    assert_names(verdict[0], "(dexgraspbench)", "2 → 2 of 4", "gained 1", "lost 1")
     assert verdict[2].startswith("before") and counts(verdict[2]) == [0, 4, 2, 4]
     assert verdict[3].startswith("after") and counts(verdict[3]) == [3, 4, 1]
     assert_names(verdict[4], "1 ", "(3)", "--starts")

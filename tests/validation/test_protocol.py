@@ -1,4 +1,4 @@
-"""What the named settings do to an object: where it is pushed, what it weighs, what slips and what turns."""
+"""What the named protocols do to an object: where it is pushed, what it weighs, what slips and what turns."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +17,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE, SETTINGS, TABLETOP, Protocol
+from grasp_refine.validation.protocol import DEXGRASPBENCH, PROTOCOLS, TABLETOP, Protocol
 from grasp_refine.validation.robustness import Noise, holds_at
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.stepping import Conditions
@@ -44,7 +44,7 @@ def fallen(acceleration: float, steps: int | np.ndarray, timestep: float) -> flo
     return acceleration * timestep**2 * steps * (steps + 1) / 2
 
 
-@pytest.mark.parametrize("protocol", [*SETTINGS.values(), replace(FORCE_CLOSURE, mass=0.3, acceleration=4.0)])
+@pytest.mark.parametrize("protocol", [*PROTOCOLS.values(), replace(DEXGRASPBENCH, mass=0.3, acceleration=4.0)])
 def test_a_free_object_is_pushed_along_the_named_direction(protocol: Protocol) -> None:
     """A push along -z that acted along +z once failed no test."""
     if protocol.name == "tabletop":
@@ -73,7 +73,7 @@ def test_a_free_object_is_pushed_along_the_named_direction(protocol: Protocol) -
 
 def test_a_heavier_object_needs_so_much_more_force() -> None:
     """The object pushes with its own mass: three times of it slip off a force that held one."""
-    heavy = replace(FORCE_CLOSURE, mass=3 * FORCE_CLOSURE.mass)
+    heavy = replace(DEXGRASPBENCH, mass=3 * DEXGRASPBENCH.mass)
     limit = heavy.mass * heavy.acceleration / (2 * heavy.friction)
     world = build_world(gripper(), ball(), heavy)
     across = ["xyz".index(name[1]) > 0 for name in heavy.directions]
@@ -82,7 +82,7 @@ def test_a_heavier_object_needs_so_much_more_force() -> None:
 
 
 def test_options_are_in_the_units_that_they_say() -> None:
-    asked = Simulation(setting="tabletop", mass=0.25, seconds=0.6).protocol()
+    asked = Simulation(protocol="tabletop", mass=0.25, seconds=0.6).chosen_protocol()
     assert (asked.mass, asked.checks * asked.steps_per_check * asked.timestep) == (0.25, pytest.approx(0.6))
     assert asked == replace(TABLETOP, mass=0.25, checks=asked.checks)
     noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
@@ -193,13 +193,13 @@ def turns(world: World, motion: Motion) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", HANDS)
-@pytest.mark.parametrize("setting", ["force-closure", "strict"])
+@pytest.mark.parametrize("protocol", ["dexgraspbench", "strict"])
 @pytest.mark.parametrize("friction", [None, 0.2, 1.2])
 def test_torsional_friction_decides_in_proportion_to_the_coefficient(
-    tmp_path: Path, kind: str, setting: str, friction: float | None
+    tmp_path: Path, kind: str, protocol: str, friction: float | None
 ) -> None:
     """The force that keeps the object from turning is the one that the published coefficients say, for each option."""
-    published = {"force-closure": (0.6, 0.02), "strict": (0.3, 0.002)}[setting]
+    published = {"dexgraspbench": (0.6, 0.02), "strict": (0.3, 0.002)}[protocol]
     at = published[0] if friction is None else friction
     torsion = published[1] * at / published[0]
     thing, arm = lever()
@@ -209,10 +209,10 @@ def test_torsional_friction_decides_in_proportion_to_the_coefficient(
     motion = pressing(hand, 1.3 * limit, 0.8 * limit)
     expected = [[Reason.HELD] * 2, [Reason.TURNED] * 2]
     # Half of the time is enough to turn away.
-    asked = Simulation(setting=setting, friction=friction, seconds=1.0).protocol()
+    asked = Simulation(protocol=protocol, friction=friction, seconds=1.0).chosen_protocol()
     np.testing.assert_array_equal(turns(build_world(hand, thing, asked), motion), expected)
     if friction is not None:
         # `--frictions`: the same world, other rows.
-        only_turned = replace(Simulation(setting=setting, seconds=1.0).protocol(), directions=("+z", "-z"))
+        only_turned = replace(Simulation(protocol=protocol, seconds=1.0).chosen_protocol(), directions=("+z", "-z"))
         world = build_world(hand, thing, only_turned)
         np.testing.assert_array_equal(holds_at(world, motion, (friction,)), [[True], [False]])

@@ -9,7 +9,7 @@ from scipy.stats import kstest
 
 from grasp_refine.core.se3 import distances, exp_so3
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
+from grasp_refine.validation.protocol import DEXGRASPBENCH, STRICT, TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import Noise, _draw, holds_at, holds_without_squeeze, noise_score
@@ -19,13 +19,13 @@ from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
-PUSH = FORCE_CLOSURE.mass * FORCE_CLOSURE.acceleration
+PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
 ACROSS = ("+y", "-y", "+z", "-z")
 
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), FORCE_CLOSURE)
+    return build_world(gripper(), ball(), DEXGRASPBENCH)
 
 
 def holds(world: World, force: float, friction: float) -> Trials:
@@ -63,7 +63,7 @@ def test_links_that_touch_are_told_by_stage(world: World) -> None:
 
 def test_what_is_within_a_gap_does_not_touch() -> None:
     """MuJoCo lists contacts of bodies that are apart where a model of somebody else has gaps."""
-    wide = build_world(gripper(), ball(), FORCE_CLOSURE)
+    wide = build_world(gripper(), ball(), DEXGRASPBENCH)
     wide.model.geom_gap[:] = 0.02
     early = simulate(wide, around(4.0, grasp=2 * RADIUS + 0.006))
     assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
@@ -72,7 +72,7 @@ def test_what_is_within_a_gap_does_not_touch() -> None:
 def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
     trials = holds(world, 4.0, 0.6)
     peak_m, peak_rad = np.zeros(trials.reason.shape), np.zeros(trials.reason.shape)
-    peak_m[:, 1], peak_rad[:, 4] = 0.8 * FORCE_CLOSURE.farthest, 0.4 * FORCE_CLOSURE.steepest
+    peak_m[:, 1], peak_rad[:, 4] = 0.8 * DEXGRASPBENCH.farthest, 0.4 * DEXGRASPBENCH.steepest
     assert (replace(trials, peak_m=peak_m, peak_rad=peak_rad).worst == 1).all()
 
 
@@ -90,7 +90,7 @@ def test_a_simulation_that_diverges_is_unstable_never_a_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    wild = build_world(gripper(kp=1e13), ball(), FORCE_CLOSURE)
+    wild = build_world(gripper(kp=1e13), ball(), DEXGRASPBENCH)
     trials = simulate(wild, around(2.0))
     assert (trials.reason == Reason.UNSTABLE).all()
     assert not trials.success.any()
@@ -100,14 +100,14 @@ def test_a_simulation_that_diverges_is_unstable_never_a_success(
 def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
     """MuJoCo's autoreset lays the object back to where it lay, which looks like an object that was held."""
     # It leaves the numbers that MuJoCo takes within some steps of the push.
-    world = build_world(gripper(), ball(), replace(FORCE_CLOSURE, acceleration=1e13))
+    world = build_world(gripper(), ball(), replace(DEXGRASPBENCH, acceleration=1e13))
     trials = simulate(world, around(4.0))
     assert (trials.closing_m < 1e-3).all(), "until the push all is well"
     assert (trials.reason == Reason.UNSTABLE).all()
     assert not (trials.displacement_m < 1.0).any()
     closed, times = close(world, around(4.0), Conditions.nominal(world, 1)), []
     push(world, closed, on_step=lambda batch: times.append(batch.time.copy()))
-    assert (np.diff(times, axis=0) >= 0).all() and len(times) < FORCE_CLOSURE.steps_per_check
+    assert (np.diff(times, axis=0) >= 0).all() and len(times) < DEXGRASPBENCH.steps_per_check
 
 
 def test_without_memory_for_all_contacts_nothing_is_said_of_a_grasp(world: World) -> None:
@@ -277,7 +277,7 @@ def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(
     T[:, 1:, 0, 3] += 0.1
     trials = simulate(world, Motion(T, q))
     assert (trials.reason == Reason.THROWN).all() and not trials.success.any()
-    assert trials.closing_m[0] > FORCE_CLOSURE.farthest
+    assert trials.closing_m[0] > DEXGRASPBENCH.farthest
     assert np.isnan(trials.time_s).all() and np.isnan(trials.displacement_m).all()
 
 
@@ -302,10 +302,10 @@ def test_a_failure_says_at_which_check(world: World) -> None:
     T, q = (np.concatenate([getattr(motion, name) for motion in motions]) for name in ("T_world_root", "q"))
     trials = simulate(world, Motion(T, q))
     lost = trials.reason == Reason.MOVED
-    check = FORCE_CLOSURE.steps_per_check * FORCE_CLOSURE.timestep
+    check = DEXGRASPBENCH.steps_per_check * DEXGRASPBENCH.timestep
     assert (trials.time_s[lost] > 1.5 * check).any(), "none slips slowly"
     np.testing.assert_allclose(trials.time_s[lost] / check, np.round(trials.time_s[lost] / check))
-    assert (trials.displacement_m[lost] >= FORCE_CLOSURE.farthest).all()
+    assert (trials.displacement_m[lost] >= DEXGRASPBENCH.farthest).all()
     assert (trials.peak_m[lost] == trials.displacement_m[lost]).all()
     held = trials.reason == Reason.HELD
     assert np.isnan(trials.time_s[held]).all() and (trials.peak_m[held] >= trials.displacement_m[held]).all()
@@ -313,9 +313,9 @@ def test_a_failure_says_at_which_check(world: World) -> None:
 
 def test_the_object_has_its_mass_whatever_its_pieces() -> None:
     for thing in (ball(), two_balls()):
-        world = build_world(gripper(), thing, replace(FORCE_CLOSURE, mass=0.25))
+        world = build_world(gripper(), thing, replace(DEXGRASPBENCH, mass=0.25))
         assert world.model.body_mass[world.object_body] == pytest.approx(0.25)
-    inertia = build_world(gripper(), ball(), FORCE_CLOSURE).model.body_inertia[1]
+    inertia = build_world(gripper(), ball(), DEXGRASPBENCH).model.body_inertia[1]
     np.testing.assert_allclose(inertia, 0.4 * 0.1 * RADIUS**2, rtol=1e-6)
 
 

@@ -10,7 +10,7 @@ import pytest
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.messages import one_line, unlogged
-from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
+from grasp_refine.validation.protocol import DEXGRASPBENCH, TABLETOP
 from grasp_refine.validation.servos import moments
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import TABLE, build_world
@@ -29,7 +29,7 @@ def with_bits(left: tuple[int, int], right: tuple[int, int]) -> HandModel:
 @pytest.mark.parametrize("bits", [(1, 1), (0, 1), (4, 0), (2, 8), (-(2**31), 0)])
 def test_object_and_table_touch_whatever_can_touch_anything(bits: tuple[int, int]) -> None:
     """A hand with bits other than the first once closed through the object, and nothing said so."""
-    held = simulate(build_world(with_bits(bits, bits), ball(), FORCE_CLOSURE), around(4.0))
+    held = simulate(build_world(with_bits(bits, bits), ball(), DEXGRASPBENCH), around(4.0))
     assert held.success.all() and held.contacts_squeeze.all()
     model = build_world(with_bits(bits, bits), ball(), TABLETOP).model
     data = mujoco.MjData(model)
@@ -42,20 +42,20 @@ def test_object_and_table_touch_whatever_can_touch_anything(bits: tuple[int, int
 
 
 def test_what_is_only_seen_touches_nothing() -> None:
-    world = build_world(with_bits((1, 1), (0, 0)), ball(), FORCE_CLOSURE)
+    world = build_world(with_bits((1, 1), (0, 0)), ball(), DEXGRASPBENCH)
     assert world.links == ("left plate",)
     assert not simulate(world, around(4.0)).success.any()
 
 
 def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
     with refused(GraspRefineError, "sphere:0.03", "conaffinity 0"):
-        build_world(with_bits((0, 0), (0, 0)), ball(), FORCE_CLOSURE)
+        build_world(with_bits((0, 0), (0, 0)), ball(), DEXGRASPBENCH)
 
 
 @pytest.mark.parametrize(("radius", "mass"), [(0.03, 1e-16), (1e-9, 0.1)])
 def test_an_object_that_is_too_light_or_too_small_names_the_options(radius: float, mass: float) -> None:
     with refused(GraspRefineError, "mass and inertia of moving bodies", "--mass", "--scale") as caught:
-        build_world(gripper(), ball(radius), replace(FORCE_CLOSURE, mass=mass))
+        build_world(gripper(), ball(radius), replace(DEXGRASPBENCH, mass=mass))
     assert "Error:" not in str(caught.value)
 
 
@@ -63,7 +63,7 @@ def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
     hand = gripper()
     hand.spec.geoms[0].mass = 0.0
     with refused(GraspRefineError, "mass and inertia", "'hand/left'") as caught:
-        build_world(hand, ball(), FORCE_CLOSURE)
+        build_world(hand, ball(), DEXGRASPBENCH)
     assert "--mass" not in str(caught.value)
 
 
@@ -78,7 +78,7 @@ def test_warnings_of_mujoco_go_to_no_file(tmp_path: Path, monkeypatch: pytest.Mo
         gripper(), spec=mujoco.MjSpec.from_string(XML.format(kp=1).replace("<world", "<size nuserdata='3'/><world"))
     )
     with pytest.warns(UserWarning, match="Attach conflict"):
-        build_world(hand, ball(), FORCE_CLOSURE)
+        build_world(hand, ball(), DEXGRASPBENCH)
     assert not list(tmp_path.iterdir())
 
 
@@ -93,14 +93,14 @@ def test_what_was_done_with_warnings_is_done_again_afterwards() -> None:
             assert mujoco.get_mju_user_warning() != heard.append
             raise KeyError
         assert mujoco.get_mju_user_warning() == heard.append
-        simulate(build_world(gripper(kp=1e13), ball(), FORCE_CLOSURE), around(2.0), threads=2)
+        simulate(build_world(gripper(kp=1e13), ball(), DEXGRASPBENCH), around(2.0), threads=2)
         assert mujoco.get_mju_user_warning() == heard.append and not heard
     finally:
         mujoco.set_mju_user_warning(before)
 
 
 def test_moments_are_those_of_a_whole_step() -> None:
-    model = build_world(gripper(), ball(), FORCE_CLOSURE).model
+    model = build_world(gripper(), ball(), DEXGRASPBENCH).model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     dense = np.zeros((model.nu, model.nv))

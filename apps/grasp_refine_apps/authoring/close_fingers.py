@@ -7,7 +7,7 @@ only *almost* right, with some tips a centimetre away and some links inside the 
 or a demonstration looks like, and what refinement is for.
 
 Disturbances are drawn in a seeded order; those with a gap and a depth in the given ranges are accepted. The first and
-the third grasp of a file are the first accepted one that loses the object in simulation (force-closure, closed and
+the third grasp of a file are the first accepted one that loses the object in simulation (dexgraspbench, closed and
 squeezed as `validate` does for files without pregrasps and squeezes); the second and the fourth are the first accepted
 one, held or not. So half of the examples do not hold before refinement; of all accepted disturbances of the Allegro
 hand, one in seven does not. No simulation of refined grasps takes part in the choice. Sampled grasps whose refinement
@@ -35,7 +35,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.protocol import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
@@ -228,7 +228,7 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
     around = HandObjectDistances(hand, obj)
     given = hand.name == "allegro"
     bases = close_on_approaches(hand, around, EXAMPLES[obj.name]) if given else sample_touching(hand, obj, around, seed)
-    world = build_world(model_of(hand), obj, FORCE_CLOSURE)
+    world = build_world(model_of(hand), obj, DEXGRASPBENCH)
     # The object's name is part of the seed, so that the examples of an object do not depend on the other objects.
     rng = np.random.default_rng([seed, *obj.name.encode()])
     kept: list[tuple[np.ndarray, np.ndarray]] = []

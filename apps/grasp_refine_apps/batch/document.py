@@ -47,7 +47,7 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
     """
     values = {name: array.tolist() for name, array in load_npz(shard.path).entries.items()}
     provenance = json.loads(values["provenance"])
-    setting = (provenance.get("config", {}).get("protocol") or {}).get("name")
+    protocol = (provenance.get("config", {}).get("protocol") or {}).get("name")
     for i, status in enumerate(values["status"]):
         yield {
             "index": provenance["index"][i],
@@ -57,13 +57,13 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
             "status": status,
             "advice": provenance["advice"][i],
             **measure_entries(values, i),
-            "simulation": {side: _simulated(values, side, i, setting) for side in SIDES},
+            "simulation": {side: _simulated(values, side, i, protocol) for side in SIDES},
         }
 
 
-def _simulated(values: Mapping[str, Any], when: str, i: int, setting: str | None) -> dict[str, Any] | None:
+def _simulated(values: Mapping[str, Any], when: str, i: int, protocol: str | None) -> dict[str, Any] | None:
     """Simulation result of one grasp; None: it was not simulated."""
     if f"simulation_{when}" not in values:
         return None
     names = {key: f"simulation_{when}" if key == "success" else f"simulation_{key}_{when}" for key in SIMULATED}
-    return {"setting": setting, **{key: values[name][i] for key, name in names.items()}}
+    return {"protocol": protocol, **{key: values[name][i] for key, name in names.items()}}

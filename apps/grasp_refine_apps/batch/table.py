@@ -86,9 +86,9 @@ def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[T
     its = statistics.all
     if not its.simulated:
         return [estimate_line(its.good_after, its.good_before, its.count)]
-    setting = ((document.get("config") or {}).get("protocol") or {}).get("name") or ""
+    protocol = ((document.get("config") or {}).get("protocol") or {}).get("name") or ""
     return [
-        held_line(setting, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
+        held_line(protocol, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
         *(
             Text.assemble("  ", (f"{whole(count)} {name}", "red"))
             for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0]))

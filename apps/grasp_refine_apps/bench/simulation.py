@@ -24,7 +24,7 @@ from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE
+from grasp_refine.validation.protocol import AXES, DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
@@ -66,7 +66,7 @@ def plain(world: World, motion: Motion) -> bool:
 def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
     """Measure CPU seconds per grasp of both ways, and the number of equal verdicts."""
     start = time.process_time()
-    world = build_world(model_of(hand), scene.object, FORCE_CLOSURE)
+    world = build_world(model_of(hand), scene.object, DEXGRASPBENCH)
     built = time.process_time()
     ours = simulate(world, motion, threads=1)
     done = time.process_time()

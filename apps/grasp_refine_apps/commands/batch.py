@@ -179,7 +179,7 @@ class Batch:
             )
         part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        return config, self.validation.protocol(), part
+        return config, self.validation.chosen_protocol(), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """Plan the shards of all jobs; jobs that cannot be done are reported.

@@ -10,7 +10,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocol import SettingName
+from grasp_refine.validation.protocol import ProtocolName
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
@@ -27,8 +27,8 @@ class Options:
     """An experiment: smoke (every method on two grasps, in seconds)."""
     starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
-    settings: tuple[SettingName, ...] = ("force-closure", "strict")
-    """Protocols of the simulation: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
+    protocols: tuple[ProtocolName, ...] = ("dexgraspbench", "strict")
+    """Protocols of the simulation: dexgraspbench (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
     table)."""
     count: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Maximum number of grasps on each object at each scale, the first ones."""

@@ -10,7 +10,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.problem import StageSource
-from grasp_refine.validation.protocol import SETTINGS, Protocol, SettingName
+from grasp_refine.validation.protocol import PROTOCOLS, Protocol, ProtocolName
 from grasp_refine.validation.robustness import Noise
 from grasp_refine.validation.validate import Checks
 
@@ -28,10 +28,10 @@ class Simulation:
 
     simulate: bool = True
     """Simulate the grasps, in addition to measuring their geometry."""
-    setting: SettingName = "force-closure"
-    """force-closure: pushed in six directions, friction 0.6; strict: the same with friction 0.3; tabletop: lifted off
+    protocol: ProtocolName = "dexgraspbench"
+    """dexgraspbench: pushed in six directions, friction 0.6; strict: the same with friction 0.3; tabletop: lifted off
     a table by 10 cm."""
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction; torsional friction is scaled in proportion."""
     mass: float = Protocol.mass
     """Mass of the object, kg."""
@@ -42,7 +42,7 @@ class Simulation:
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 
-    def protocol(self) -> Protocol:
+    def chosen_protocol(self) -> Protocol:
         """Return the protocol that the options define.
 
         Raises:
@@ -56,7 +56,7 @@ class Simulation:
             raise GraspRefineError(
                 f"--seconds must be a multiple of {CHECK_INTERVAL_S:g}, at most {MAX_PUSH_S:g}, got {self.seconds:g}"
             )
-        return replace(SETTINGS[self.setting].with_friction(self.friction), mass=self.mass, checks=checks)
+        return replace(PROTOCOLS[self.protocol].with_friction(self.friction), mass=self.mass, checks=checks)
 
 
 @dataclass(frozen=True)
@@ -93,19 +93,19 @@ class ValidationOptions:
 
     validate: bool = False
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
-    setting: SettingName = "force-closure"
-    """Protocol: force-closure (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the setting)")] = None
+    protocol: ProtocolName = "dexgraspbench"
+    """Protocol: dexgraspbench (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction."""
 
-    def protocol(self) -> Protocol | None:
+    def chosen_protocol(self) -> Protocol | None:
         """Return the protocol of the simulation; None: grasps are not simulated.
 
         Raises:
             GraspRefineError: an option that is invalid, or has no effect.
         """
         if not self.validate and self != ValidationOptions():
-            raise GraspRefineError("--setting and --friction are for --validate, which simulates the grasps")
+            raise GraspRefineError("--protocol and --friction are for --validate, which simulates the grasps")
         if self.friction is not None and not 0 < self.friction < inf:
             raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
-        return SETTINGS[self.setting].with_friction(self.friction) if self.validate else None
+        return PROTOCOLS[self.protocol].with_friction(self.friction) if self.validate else None

@@ -78,7 +78,7 @@ class Validate:
         """
         wall, cpu, started = time.perf_counter(), cpu_seconds(), time.process_time()
         check_numbers(self.simulation)
-        protocol = self.simulation.protocol() if self.simulation.simulate else None
+        protocol = self.simulation.chosen_protocol() if self.simulation.simulate else None
         files = self.output.compare or self.files
         self._check(protocol, files)
         with Reporter(screen(stderr=True)) as reporter:

@@ -193,7 +193,7 @@ def caption(size: tuple[int, int], replay: Replay, frame: int, contacts: int) ->
     page = Image.new("RGB", size, "#ffffff")
     draw, (width, height) = ImageDraw.Draw(page), size
     margin, line = round(0.02 * width), height / 2.3
-    title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.setting}"
+    title = f"{replay.name}, {replay.hand}, {replay.direction}, {replay.protocol}"
     state = state_of(replay, frame, contacts)
     color = GOOD if replay.reason == "held" else BAD
     verdict = font(0.62 * line, replay.reason, 0.25 * width)

@@ -178,10 +178,10 @@ class Controller(Editor):
 
     # validation
 
-    def run_trial(self, setting: str = "force-closure", friction: float | None = None) -> None:
+    def run_trial(self, name: str = "dexgraspbench", friction: float | None = None) -> None:
         """Simulate the shown grasp in MuJoCo."""
         with self._lock:
-            protocol = self._checked(lambda: protocol_of(setting, friction))
+            protocol = self._checked(lambda: protocol_of(name, friction))
             if protocol is None:
                 return
             number, grasp = self._state.number, self._posed_grasp(self._state.standing)

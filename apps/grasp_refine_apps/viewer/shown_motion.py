@@ -39,7 +39,7 @@ class ShownMotion:
     """Name of the object."""
     direction: str
     """Direction in which the object was pushed, such as "+x", or "lift"."""
-    setting: str
+    protocol: str
     """Name of the protocol."""
     reason: str
     """End of the trial: "held", or why it failed, as `Reason.label`."""
@@ -135,7 +135,7 @@ def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoc
         hand=replay.hand,
         object=replay.object,
         direction=replay.direction,
-        setting=replay.setting,
+        protocol=replay.protocol,
         reason=replay.reason,
         time=replay.time[frames],
         stage=replay.stage[frames],

@@ -16,7 +16,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import Motion, closing_motion, motion_of
-from grasp_refine.validation.protocol import SETTINGS, Protocol
+from grasp_refine.validation.protocol import PROTOCOLS, Protocol
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.stepping import Conditions, StepCallback
@@ -40,17 +40,17 @@ PREPARING = "preparing the simulation"
 """Description of the first step of a trial."""
 
 
-def protocol_of(setting: str, friction: float | None = None) -> Protocol:
+def protocol_of(name: str, friction: float | None = None) -> Protocol:
     """Return the protocol of a name, with another coefficient of sliding friction if one is given.
 
     Raises:
         GraspRefineError: there is none of that name, or the friction is out of range.
     """
-    if setting not in SETTINGS:
-        raise GraspRefineError(f"setting '{setting}': there are {', '.join(SETTINGS)}")
+    if name not in PROTOCOLS:
+        raise GraspRefineError(f"no protocol '{name}': there are {', '.join(PROTOCOLS)}")
     if friction is not None and not 0 < friction <= MAX_FRICTION:
         raise GraspRefineError(f"friction must be above 0 and at most {MAX_FRICTION:g}, got {friction:g}")
-    return SETTINGS[setting].with_friction(friction)
+    return PROTOCOLS[name].with_friction(friction)
 
 
 MakeWorld = Callable[[Scene, Protocol], World]

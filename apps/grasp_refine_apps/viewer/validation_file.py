@@ -16,7 +16,7 @@ from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.validation.contact_model import CONES, ContactModel
-from grasp_refine.validation.protocol import AXES, SETTINGS, Protocol
+from grasp_refine.validation.protocol import AXES, PROTOCOLS, Protocol
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.collection import Collection
@@ -242,7 +242,7 @@ def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, s
     if directions.value == []:
         raise directions.error("a list that is not empty")
     return TrialResult(
-        protocol=protocol or SETTINGS[simulation["setting"].choice(SETTINGS)],
+        protocol=protocol or PROTOCOLS[simulation["protocol"].choice(PROTOCOLS)],
         results=tuple(map(_direction, directions.list())),
         closing=closing,
         closing_m=closed["displacement_m"].number(),

@@ -75,7 +75,7 @@ def record(
         hand=hand,
         object=world.object,
         direction=direction,
-        setting=protocol.name,
+        protocol=protocol.name,
         reason=Reason(trials.reason[0, 0]).label,
         force=force,
         qpos_names=qpos_names(world.model),

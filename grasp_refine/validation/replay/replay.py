@@ -56,7 +56,7 @@ class Replay:
     """Name of the object."""
     direction: str
     """Direction of the push, such as "+x", or "lift"."""
-    setting: str
+    protocol: str
     """Name of the `Protocol`."""
     reason: str
     """Result of the trial: "held", or the reason of the failure."""
@@ -167,7 +167,7 @@ def check_replay(model: mujoco.MjModel, replay: Replay) -> None:
         )
 
 
-_TEXT = ("name", "hand", "object", "direction", "setting", "reason")
+_TEXT = ("name", "hand", "object", "direction", "protocol", "reason")
 
 
 def save_replay(path: str | Path, replay: Replay) -> None:

@@ -17,7 +17,7 @@ from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
 from grasp_refine.validation.geometry import measure
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.protocol import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world
@@ -116,7 +116,7 @@ def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
         embedded(name),
     )
     scene = Scene(ours, obj, transform_from_pose(grasps.hand_pose), match_joints(grasps, ours)[0])
-    held = simulate(build_world(model_of(ours), obj, FORCE_CLOSURE), closing_motion(scene)).success
+    held = simulate(build_world(model_of(ours), obj, DEXGRASPBENCH), closing_motion(scene)).success
     assert not held[[0, 2]].any()
 
 

@@ -253,11 +253,11 @@ def test_simulation_and_where_the_time_goes_are_part_of_the_results(
     tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
     out, summary = tmp_path / "out", tmp_path / "summary.json"
-    options = ("--validate", "--setting", "strict", "--profile", "--json", summary, *QUICK)
+    options = ("--validate", "--protocol", "strict", "--profile", "--json", summary, *QUICK)
     assert batch(sources / "example_rounded_box.npz", "--out", out, *options) == 0
     document = json.loads(summary.read_text())
     after = [grasp["simulation"]["after"] for grasp in document["grasps"]]
-    assert [one["setting"] for one in after] == ["strict"] * 4
+    assert [one["protocol"] for one in after] == ["strict"] * 4
     assert document["totals"]["success_after"] == sum(one["success"] for one in after)
     assert [row["held_after"] for row in index(out)] == [str(one["success"]).lower() for one in after]
     profile = document["profile"]
@@ -292,7 +292,7 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
         (("x.npz", "--tries", "0"), ("--tries", "1", "0")),
         (("x.npz", "--patience", "1"), ("--patience", "5 s", "1")),
         (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), ("--dask",)),
-        (("x.npz", "--setting", "strict"), ("--setting", "--friction", "--validate")),
+        (("x.npz", "--protocol", "strict"), ("--protocol", "--friction", "--validate")),
         (("x.npz", "--validate", "--friction", "0"), ("--friction", "0")),
     ],
 )

@@ -39,7 +39,7 @@ def numbers(row: dict[str, Any]) -> dict[str, float]:
 def test_smoke_tells_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
     for module in ("matplotlib", "jinja2"):
         pytest.importorskip(module, reason="the report needs it")
-    options = ["bench", "hold", "--preset", "smoke", "--settings", "force-closure", "--object", "rounded_box"]
+    options = ["bench", "hold", "--preset", "smoke", "--protocols", "dexgraspbench", "--object", "rounded_box"]
     assert main([*options, "--json", "hold.json", "--html", "hold.html"]) == 0
     out, error = capfd.readouterr()
     assert "pregrasp" in error and "squeeze" in error
@@ -47,14 +47,14 @@ def test_smoke_tells_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFix
     found = json.loads(Path("hold.json").read_text())
     assert (found["schema"], found["command"], found["preset"]) == (1, "bench hold", "smoke")
     assert found["invocation"] == (
-        "refine-grasp bench hold --object rounded_box --preset smoke --settings force-closure"
+        "refine-grasp bench hold --object rounded_box --preset smoke --protocols dexgraspbench"
     )
     assert [(row["method"], row["starts"], row["object"]) for row in found["rows"]] == [
         ("as-came", None, "all"), ("geometry-only", 1, "all"), ("forces", 1, "all"), ("forces", 2, "all")
     ]  # fmt: skip
     for row in found["rows"]:
-        assert row["grasps"] == 2 and 0 <= row["success_force_closure"] <= 1 and "success_strict" not in row
-        assert sum(row["reasons_force_closure"].values()) == round(2 * (1 - row["success_force_closure"]))
+        assert row["grasps"] == 2 and 0 <= row["success_dexgraspbench"] <= 1 and "success_strict" not in row
+        assert sum(row["reasons_dexgraspbench"].values()) == round(2 * (1 - row["success_dexgraspbench"]))
     assert all(row["cpu_ms_mean"] > 0 and row["contact_gap_median_m"] < 1e-3 for row in found["rows"][1:])
     text = Path("hold.html").read_text(encoding="utf-8")
     assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
@@ -73,7 +73,7 @@ def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
     assert len({row["label"] for row in found[0]}) == 4 and "3" in forces["label"]
     assert came["stages_cpu_ms"] is None and own["stages_cpu_ms"] > 0
     # Nothing presses, as they came; ours do.
-    assert came["success_force_closure"] == came["success_strict"] == 0.0 and own["success_force_closure"] == 1.0
+    assert came["success_dexgraspbench"] == came["success_strict"] == 0.0 and own["success_dexgraspbench"] == 1.0
     assert came["contact_gap_median_m"] == own["contact_gap_median_m"] == pytest.approx(0.0025)
     assert all(row["lost_strict"] is None and row["contact_gap_median_m"] < 1e-4 for row in (geometry, forces))
 
@@ -87,7 +87,7 @@ def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
         ("--count 0", ("--count", "1", "0")),
         ("--width 0", ("--width", "1", "0")),
         ("--threads 0", ("--threads", "1", "0")),
-        ("--settings upside-down", ("--settings", "upside-down")),
+        ("--protocols upside-down", ("--protocols", "upside-down")),
         ("--targets nearest", ("--targets",)),
         ("--object teapot", ("'allegro'", "'teapot'")),
         ("--json same --html same", ("same",)),

@@ -12,7 +12,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.load import Loader, load_problem
 from grasp_refine.pipeline.problem import Draft, Group
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.protocol import FORCE_CLOSURE, TABLETOP
+from grasp_refine.validation.protocol import DEXGRASPBENCH, TABLETOP
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
@@ -27,7 +27,7 @@ FILES = (Path("grasps.npz"),)
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), replace(FORCE_CLOSURE, checks=1))
+    return build_world(gripper(), ball(), replace(DEXGRASPBENCH, checks=1))
 
 
 @pytest.fixture(scope="module")
@@ -125,12 +125,12 @@ def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path:
 
 
 def test_a_place_that_cannot_be_written_is_found_out_before_the_work(drafts: list[Draft], tmp_path: Path) -> None:
-    Recording(tmp_path / "new" / "folder").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+    Recording(tmp_path / "new" / "folder").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
     assert not names(tmp_path)
     (tmp_path / "file").write_text("")
     for folder in (Path("/proc/x"), tmp_path / "file", tmp_path / ("x" * 300)):
         with refused(GraspRefineError, folder):
-            Recording(folder).check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+            Recording(folder).check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".xml", ".gif"])
@@ -140,9 +140,9 @@ def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix
     for direction in ("-y", None):
         recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
         with refused(GraspRefineError, there, "--overwrite"):
-            recording.check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
-        replace(recording, film=False).check(FORCE_CLOSURE, FILES, drafts, overwrite=True)
-    Recording(tmp_path, direction="+y").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+            recording.check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
+        replace(recording, film=False).check(DEXGRASPBENCH, FILES, drafts, overwrite=True)
+    Recording(tmp_path, direction="+y").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
 
 
 def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> None:
@@ -150,7 +150,7 @@ def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> 
     with refused(GraspRefineError, "--direction +x", "lift"):
         Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, drafts, overwrite=False)
     with refused(GraspRefineError, "--direction lift", "+x, -x, +y, -y, +z, -z"):
-        Recording(Path("replays"), direction="lift").check(FORCE_CLOSURE, FILES, drafts, overwrite=False)
+        Recording(Path("replays"), direction="lift").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:

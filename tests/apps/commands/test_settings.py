@@ -5,7 +5,7 @@ from math import inf, radians
 import pytest
 
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocol import FORCE_CLOSURE, SETTINGS
+from grasp_refine.validation.protocol import DEXGRASPBENCH, PROTOCOLS
 from grasp_refine_apps.commands.options import parse
 from grasp_refine_apps.commands.run import Run
 from grasp_refine_apps.commands.settings import Settings
@@ -14,9 +14,9 @@ from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
 
 def test_without_options_the_settings_are_those_of_the_library():
     assert Settings().config() == Config()
-    assert Simulation().protocol() == FORCE_CLOSURE
-    assert ValidationOptions().protocol() is None
-    assert ValidationOptions(validate=True, setting="strict").protocol() == SETTINGS["strict"]
+    assert Simulation().chosen_protocol() == DEXGRASPBENCH
+    assert ValidationOptions().chosen_protocol() is None
+    assert ValidationOptions(validate=True, protocol="strict").chosen_protocol() == PROTOCOLS["strict"]
 
 
 def test_what_a_method_does_not_choose_itself_reaches_it():
@@ -32,8 +32,8 @@ def test_what_a_method_does_not_choose_itself_reaches_it():
 
 
 def test_durations_and_angles_have_the_units_of_the_library():
-    assert Simulation(seconds=0.4).protocol().checks == 2
-    assert Simulation(mass=0.5, friction=0.2).protocol().mass == 0.5
+    assert Simulation(seconds=0.4).chosen_protocol().checks == 2
+    assert Simulation(mass=0.5, friction=0.2).chosen_protocol().mass == 0.5
     noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
     assert (noise.count, noise.offset, noise.turn) == pytest.approx((3, 0.01, radians(90.0)))
 

@@ -72,7 +72,7 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
     for grasp in document["grasps"]:
         assert grasp["simulation"]["before"] is None
         after = grasp["simulation"]["after"]
-        assert after["setting"] == "force-closure"
+        assert after["protocol"] == "dexgraspbench"
         assert [entry["direction"] for entry in after["directions"]] == list(AXES)
         assert after["success"] == all(entry["reason"] == "held" for entry in after["directions"])
         (worst,) = [entry for entry in after["directions"] if entry["direction"] == after["direction"]]
@@ -151,7 +151,7 @@ def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFix
     capfd.readouterr()
     assert main(["validate", "--compare", "before.npz", "refined/allegro_rounded_box.npz"]) == 0
     out = capfd.readouterr().out
-    assert out.index("held in simulation (force-closure): 2 → 2 of 2") < out.index("allegro: 2 grasps, before → after")
+    assert out.index("held in simulation (dexgraspbench): 2 → 2 of 2") < out.index("allegro: 2 grasps, before → after")
     (line,) = [line for line in out.splitlines() if line.startswith("penetration, mean mm")]
     assert line.split()[3:] == [line.split()[3], "0.000", "2", "0"]
     (line,) = [line for line in out.splitlines() if line.startswith("quality, mean")]
@@ -167,7 +167,7 @@ def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixtu
     assert document["totals"]["success_before"] == before["success"]
     assert document["totals"]["success_after"] == after["success"] == 1
     out = capfd.readouterr().out
-    assert "held in simulation (force-closure): 0 → 1 of 1; gained 1, lost 0" in out
+    assert "held in simulation (dexgraspbench): 0 → 1 of 1; gained 1, lost 0" in out
     # The file holds the pregrasp and the squeeze that were simulated.
     again = validate("grasp-refine-results/allegro_rounded_box.npz", "--closing", "file")
     found = again["grasps"][0]["simulation"]["after"]
@@ -224,7 +224,7 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "--compare", "FILE"),
         (("validate", "--compare", EXAMPLE, "other.npz"), "--compare", "objects"),
         (("validate", "--compare", EXAMPLE, "fewer.npz"), "--compare", "4", "2"),
-        (("run", "--setting", "strict"), "--setting", "--friction", "--validate"),
+        (("run", "--protocol", "strict"), "--protocol", "--friction", "--validate"),
         (("run", "--validate", "--friction", "-1"), "--friction", "-1"),
     ):
         assert_names(refused(capfd, *arguments), *named)

@@ -24,7 +24,7 @@ from grasp_refine_apps.report.command_line import invocation
         (BenchGrasp, "--object sphere:0.03 --solvers adam descent --shift 0.0"),
         (BenchGrasp, "--hand 'my hand.urdf' --batches 1 2"),
         (BenchHold, ""),
-        (BenchHold, "--index 0 3 --grasps mine.npz --starts 1 24 --settings strict"),
+        (BenchHold, "--index 0 3 --grasps mine.npz --starts 1 24 --protocols strict"),
         (Batch, "mine.npz --levenberg-marquardt.damping 3.0 --weights.contact 2.0"),
     ],
 )

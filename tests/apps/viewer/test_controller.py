@@ -274,7 +274,7 @@ def test_an_earlier_iteration_that_is_tested_can_be_undone(viewer: Controller) -
     refined = viewer.state.pose
     viewer.scrub(1)
     tested = viewer.state.standing
-    viewer.run_trial("force-closure", 0.15)
+    viewer.run_trial("dexgraspbench", 0.15)
     settled(viewer)
     assert same(viewer.state.pose, tested) and not same(tested, refined) and viewer.state.trial is not None
     viewer.undo()
@@ -284,7 +284,7 @@ def test_an_earlier_iteration_that_is_tested_can_be_undone(viewer: Controller) -
 def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked_at(viewer: Controller) -> None:
     viewer.show(SLIPPING)
     first = viewer.state.pose
-    viewer.run_trial("force-closure", 0.15)
+    viewer.run_trial("dexgraspbench", 0.15)
     settled(viewer)
     trial = viewer.state.trial
     assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
@@ -314,7 +314,7 @@ def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked
     viewer.undo()
     viewer.undo()
     assert viewer.state.targets == ()
-    viewer.run_trial("force-closure", -1.0)
+    viewer.run_trial("dexgraspbench", -1.0)
     assert viewer.state.notice.bad
     assert_names(viewer.state.notice.text, "friction", "0", "-1")
 

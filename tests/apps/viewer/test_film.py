@@ -96,7 +96,7 @@ def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
         hand="allegro",
         object="mug",
         direction="+x",
-        setting="force-closure",
+        protocol="dexgraspbench",
         reason="moved",
         time=np.arange(count) * 0.1,
         stage=np.full(count, 2),

@@ -16,7 +16,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE
+from grasp_refine.validation.protocol import DEXGRASPBENCH
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
@@ -44,7 +44,7 @@ def moving(hand: Hand) -> Motion:
 
 def recorded(hand: Hand) -> tuple[HandModel, World, Replay]:
     model = model_of(hand)
-    world = build_world(model, load_object("sphere:0.03", candidates=16), FORCE_CLOSURE)
+    world = build_world(model, load_object("sphere:0.03", candidates=16), DEXGRASPBENCH)
     replay = record(world, moving(hand), "+x", name="a ball", hand=hand.name)
     assert replay is not None
     return model, world, replay
@@ -126,8 +126,8 @@ def motion(hand: Hand, known: tuple[HandModel, World, Replay]) -> ShownMotion:
 
 def test_a_free_object_flies_as_the_push_says(motion: ShownMotion) -> None:
     pushed = motion.stage == Stage.PUSH
-    t, dt = motion.since_stage[pushed], FORCE_CLOSURE.timestep
-    expected = FORCE_CLOSURE.acceleration * t * (t + dt) / 2
+    t, dt = motion.since_stage[pushed], DEXGRASPBENCH.timestep
+    expected = DEXGRASPBENCH.acceleration * t * (t + dt) / 2
     np.testing.assert_allclose(motion.displacement_m[pushed], expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(motion.T_object[pushed, 0, 3], expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(motion.T_object[0], np.eye(4))
@@ -137,7 +137,7 @@ def test_a_free_object_flies_as_the_push_says(motion: ShownMotion) -> None:
     assert MAX_DISPLACEMENT_M < motion.displacement_m[-1] < MAX_DISPLACEMENT_M + 0.06
     assert motion.displacement_m[-2] < MAX_DISPLACEMENT_M
     first = int(motion.lost.argmax())
-    assert motion.displacement_m[first - 1] < FORCE_CLOSURE.farthest <= motion.displacement_m[first]
+    assert motion.displacement_m[first - 1] < DEXGRASPBENCH.farthest <= motion.displacement_m[first]
     assert motion.lost[first:].all() and not motion.held
 
 
@@ -190,7 +190,7 @@ def test_a_replay_with_more_frames_is_thinned(hand: Hand, known: tuple[HandModel
 def test_contacts_are_those_of_mujoco(hand: Hand) -> None:
     """The ball is pushed against the hand, which stands in its way."""
     model = model_of(hand)
-    world = build_world(model, load_object("sphere:0.03", candidates=16), FORCE_CLOSURE)
+    world = build_world(model, load_object("sphere:0.03", candidates=16), DEXGRASPBENCH)
     T = np.tile(np.eye(4), (1, 3, 1, 1))
     T[..., :3, 3] = [0.1, 0.0, 0.0]
     replay = record(world, Motion(T, np.tile(hand.rest, (1, 3, 1))), "+x", name="a ball", hand=hand.name)

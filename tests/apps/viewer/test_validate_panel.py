@@ -110,13 +110,13 @@ def test_a_grasp_that_fails_is_tested_and_its_failure_is_watched(shown: Shown) -
 
 def test_a_setting_brings_its_friction(shown: Shown) -> None:
     untested = shown.widget("result").content
-    shown.page.change(shown.widget("setting"), "strict")
+    shown.page.change(shown.widget("protocol"), "strict")
     until(lambda: shown.widget("friction").value == 0.3)
     shown.tested()
     assert shown.widget("result").content != untested
     trial = shown.controller.state.trial
     assert trial is not None and trial.protocol.name == "strict"
-    # That of the setting, with its torsion, which is not in proportion to that of others.
+    # That of the protocol, with its torsion, which is not in proportion to that of others.
     assert (trial.protocol.friction, trial.protocol.torsion) == (0.3, 0.002)
     # An edited grasp is no longer the one that was tested.
     T = shown.controller.state.pose.T_object_root.copy()
@@ -126,7 +126,7 @@ def test_a_setting_brings_its_friction(shown: Shown) -> None:
 
 
 def test_a_lift_has_one_direction(shown: Shown) -> None:
-    shown.page.change(shown.widget("setting"), "tabletop")
+    shown.page.change(shown.widget("protocol"), "tabletop")
     until(lambda: shown.widget("friction").value == 0.6)
     shown.press("test")
     until(lambda: shown.controller.state.trial is not None and shown.widget("watch").options == ("lift",))

@@ -8,7 +8,7 @@ from math import nan, radians
 
 import pytest
 
-from grasp_refine.validation.protocol import AXES, FORCE_CLOSURE, TABLETOP, Protocol
+from grasp_refine.validation.protocol import AXES, DEXGRASPBENCH, TABLETOP, Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from refusals import assert_names
@@ -27,7 +27,7 @@ def result(
     return DirectionResult(direction, reason, at, mm / 1e3, angle, mm / 1e3, angle, ("tip", "thumb", "palm", "ring"))
 
 
-def trial(*reasons: DirectionResult, protocol: Protocol = FORCE_CLOSURE, **known: float) -> TrialResult:
+def trial(*reasons: DirectionResult, protocol: Protocol = DEXGRASPBENCH, **known: float) -> TrialResult:
     """Those directions as said, the others held."""
     said = {one.direction: one for one in reasons}
     names = protocol.directions or ("lift",)
@@ -93,7 +93,7 @@ def test_what_ends_before_the_push_is_told_once() -> None:
 
 
 def test_how_it_was_tested_is_told() -> None:
-    assert_names(trial().conditions, "force-closure", "friction 0.6", "100 g", "1 N", "2 s")
+    assert_names(trial().conditions, "dexgraspbench", "friction 0.6", "100 g", "1 N", "2 s")
     assert_names(trial(protocol=TABLETOP).conditions, "tabletop", "friction 0.6", "100 g", "10 cm", "2 s")
     for closing in ({"pregrasp": "own", "squeeze": "file"}, {"pregrasp": "file", "squeeze": "own"}):
         mixed = replace(trial(), closing=closing)

@@ -23,7 +23,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import FORCE_CLOSURE, STRICT, TABLETOP
+from grasp_refine.validation.protocol import DEXGRASPBENCH, STRICT, TABLETOP
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources
@@ -83,7 +83,7 @@ def lifted(scene: Scene, by: float) -> Pose:
 
 
 def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, scene: Scene, grasp: PosedGrasp) -> None:
-    protocol = protocol_of("force-closure", 0.15)
+    protocol = protocol_of("dexgraspbench", 0.15)
     told: list[tuple[float | None, str]] = []
     control = Control(lambda share, what: told.append((share, what)))
     trial = run_trial(make_world, replace(grasp, file_grasp=group.grasps), protocol, control)
@@ -112,10 +112,10 @@ def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, sc
 
 
 def test_the_watched_motion_ends_as_the_trial_says(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
-    trial = run_trial(make_world, grasp, protocol_of("force-closure", 0.15), ignored())
+    trial = run_trial(make_world, grasp, protocol_of("dexgraspbench", 0.15), ignored())
     lost = next(result for result in trial.results if not result.held)
     motion = record_direction(make_world, grasp, trial, lost.direction, ignored())
-    assert (motion.direction, motion.reason, motion.setting) == (lost.direction, "turned", "force-closure")
+    assert (motion.direction, motion.reason, motion.protocol) == (lost.direction, "turned", "dexgraspbench")
     # What was found at a check is what is shown in the frame of that time.
     frame = int(np.searchsorted(motion.time - motion.time[0], 0.8 + lost.time_s + 1e-9)) - 1
     assert motion.since_stage[frame] == pytest.approx(lost.time_s)
@@ -163,7 +163,7 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(make_world: MakeWorld, sha
     )
     (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
     bottle_grasp = PosedGrasp(group.scene, file_pose(group.scene), group.grasps)
-    trial = run_trial(make_world, bottle_grasp, FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, bottle_grasp, DEXGRASPBENCH, ignored())
     assert trial.held and trial.closing == {"pregrasp": "file", "squeeze": "file"}
     motion = record_direction(make_world, bottle_grasp, trial, "-y", ignored())
     assert motion.held and len(motion) == 141 and motion.time[-1] - motion.time[0] == pytest.approx(2.8)
@@ -172,25 +172,25 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(make_world: MakeWorld, sha
 
 
 def test_what_was_compiled_is_kept(make_world: MakeWorld, scene: Scene) -> None:
-    world = make_world(scene, FORCE_CLOSURE)
-    assert make_world(replace(scene, q=scene.q + 1.0), protocol_of("force-closure")) is world
+    world = make_world(scene, DEXGRASPBENCH)
+    assert make_world(replace(scene, q=scene.q + 1.0), protocol_of("dexgraspbench")) is world
     assert make_world(scene, STRICT) is not world
     assert make_world(scene, STRICT).hand is world.hand
     # Only what is lifted stands on a table.
     low, high = (replace(scene, table=Plane(offset=offset)) for offset in (-0.05, -0.02))
     assert make_world(low, TABLETOP) is not make_world(high, TABLETOP)
-    assert make_world(low, FORCE_CLOSURE) is make_world(high, FORCE_CLOSURE) is world
+    assert make_world(low, DEXGRASPBENCH) is make_world(high, DEXGRASPBENCH) is world
 
 
 Doing = Callable[[MakeWorld, PosedGrasp, Control], object]
 
 
 def simulating(make_world: MakeWorld, grasp: PosedGrasp, control: Control) -> object:
-    return run_trial(make_world, grasp, protocol_of("force-closure", 0.15), control)
+    return run_trial(make_world, grasp, protocol_of("dexgraspbench", 0.15), control)
 
 
 def recording(make_world: MakeWorld, grasp: PosedGrasp, control: Control) -> object:
-    trial = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, grasp, DEXGRASPBENCH, ignored())
     return record_direction(make_world, grasp, trial, "+x", control)
 
 
@@ -223,11 +223,11 @@ def cpu_seconds_to_stop(make_world: MakeWorld, grasp: PosedGrasp, doing: Doing, 
 def test_stop_takes_effect_at_once(
     make_world: MakeWorld, scene: Scene, grasp: PosedGrasp, doing: Doing, at: float
 ) -> None:
-    before = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
+    before = run_trial(make_world, grasp, DEXGRASPBENCH, ignored())
     # A few milliseconds each; a whole trial takes seconds.
     assert min(cpu_seconds_to_stop(make_world, grasp, doing, at) for _ in range(3)) < 0.2
     # Nothing of it is left: the next trial is that from before.
-    after = run_trial(make_world, grasp, FORCE_CLOSURE, ignored())
+    after = run_trial(make_world, grasp, DEXGRASPBENCH, ignored())
     assert [result.reason for result in after.results] == [result.reason for result in before.results]
     moved = [[result.displacement_m for result in trial.results] for trial in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
@@ -245,7 +245,7 @@ def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
     inside = Pose(pose.T_object_root.copy(), pose.q)
     towards = np.array([0.0, 0.0, 0.05]) - pose.T_object_root[:3, 3]  # the middle of the mug
     inside.T_object_root[:3, 3] += 0.08 * towards / np.linalg.norm(towards)
-    trial = run_trial(make_world, posed(grasp, inside), FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, posed(grasp, inside), DEXGRASPBENCH, ignored())
     assert trial.before_push == Reason.PENETRATES and not trial.watchable
     depth = f"{1e3 * trial.penetration_m:.1f} mm"
     assert_names(trial.verdict, depth)
@@ -254,16 +254,16 @@ def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
 
 
 def test_a_direction_that_is_none_is_refused(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
-    trial = run_trial(make_world, posed(grasp, lifted(scene, 1.0)), FORCE_CLOSURE, ignored())
+    trial = run_trial(make_world, posed(grasp, lifted(scene, 1.0)), DEXGRASPBENCH, ignored())
     with refused(GraspRefineError, "lift", "+x, -x, +y, -y, +z, -z"):
         record_direction(make_world, posed(grasp, lifted(scene, 1.0)), trial, "lift", ignored())
 
 
 def test_settings_and_friction_that_cannot_be_are_refused() -> None:
     assert protocol_of("strict") == STRICT
-    assert protocol_of("force-closure", 0.3).torsion == pytest.approx(0.01)
-    with refused(GraspRefineError, "soft", "force-closure, strict, tabletop"):
+    assert protocol_of("dexgraspbench", 0.3).torsion == pytest.approx(0.01)
+    with refused(GraspRefineError, "soft", "dexgraspbench, strict, tabletop"):
         protocol_of("soft")
     for friction in (0.0, -1.0, 11.0, float("nan")):
         with refused(GraspRefineError, "friction", "0", "10", f"{friction:g}"):
-            protocol_of("force-closure", friction)
+            protocol_of("dexgraspbench", friction)

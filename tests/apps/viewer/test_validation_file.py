@@ -122,8 +122,11 @@ Spoil = Callable[[dict[str, Any]], object]
             ("config.files", "file", "own", "pregrasp", "squeeze"),
         ),
         (
-            lambda d: (d["config"].update(protocol=None), d["grasps"][0]["simulation"]["after"].update(setting="soft")),
-            ("setting", "force-closure, strict, tabletop", '"soft"'),
+            lambda d: (
+                d["config"].update(protocol=None),
+                d["grasps"][0]["simulation"]["after"].update(protocol="soft"),
+            ),
+            ("protocol", "dexgraspbench, strict, tabletop", '"soft"'),
         ),
     ],
 )

@@ -19,7 +19,7 @@ from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocol import SETTINGS, SettingName
+from grasp_refine.validation.protocol import PROTOCOLS, ProtocolName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of
@@ -77,7 +77,7 @@ class GroupResult:
     stages_cpu_ms of finding pregrasp and squeeze, starts, moved_palm_m, moved_palm_rad and moved_joints_rad,
     contact_gap_m of the worst link that touches, and fields of `Metrics`."""
     reason: Mapping[str, np.ndarray]
-    """Setting -> a `Reason` for each (N,), of the first push that failed."""
+    """Protocol -> a `Reason` for each (N,), of the first push that failed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ class GroupTask:
     model: HandModel
     """The hand for simulation."""
     methods: tuple[Method, ...]
-    settings: tuple[SettingName, ...]
-    """Names of the simulation settings."""
+    protocols: tuple[ProtocolName, ...]
+    """Names of the protocols of the simulation."""
     width: int
     """Largest number of grasps that are refined at once."""
     seed: int
@@ -106,7 +106,7 @@ class GroupTask:
         with one_thread():
             scene = self.scene
             worlds: dict[str, World] = {
-                name: build_world(self.model, scene.object, SETTINGS[name], scene.table) for name in self.settings
+                name: build_world(self.model, scene.object, PROTOCOLS[name], scene.table) for name in self.protocols
             }
             # Caches built once for a hand and an object are not timed.
             configs = (method.config(self.seed, self.width) for method in self.methods)

@@ -14,7 +14,7 @@ from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocol import SettingName
+from grasp_refine.validation.protocol import ProtocolName
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
@@ -36,8 +36,8 @@ class HoldStudy:
     """Numbers of starts."""
     count: int | None = None
     """Largest number of grasps on each object at each scale; None: all."""
-    settings: tuple[SettingName, ...] = ("force-closure", "strict")
-    """Names of the simulation settings."""
+    protocols: tuple[ProtocolName, ...] = ("dexgraspbench", "strict")
+    """Names of the protocols of the simulation."""
     width: int = Config.width
     """Largest number of grasps that are refined at once."""
     seed: int = 0
@@ -62,7 +62,7 @@ class HoldStudy:
             notes.append("the grasps have no pregrasps and squeezes: the grasps as given get ours")
         for note in notes:
             say(f"note: {note}")
-        rest = model, methods(self.starts, stages=stages), self.settings, self.width, self.seed, self.threads
+        rest = model, methods(self.starts, stages=stages), self.protocols, self.width, self.seed, self.threads
         jobs = []
         for group in problem.groups:
             rows = np.arange(len(group.rows))[: self.count]
@@ -73,16 +73,16 @@ class HoldStudy:
 
     def rows(self, done: Sequence[Sequence[GroupResult]]) -> list[Row]:
         """Return the rows of each method: the pooled one, then, of several objects, one for each."""
-        return rows([result for results in done for result in results], self.settings)
+        return rows([result for results in done for result in results], self.protocols)
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
         """Return success against time, and tables of all grasps and by object."""
         pooled = [row for row in rows if row["object"] == "all"]
         each = [{**row, "label": f"{row['object']}, {row['label']}"} for row in rows if row["object"] != "all"]
-        verdicts = _verdicts(self.settings)
+        verdicts = _verdicts(self.protocols)
         title = f"{pooled[0]['grasps']} grasps; held, and lost of those that held before"
-        brief = Table(title, [METHOD, *_brief(self.settings)], pooled)
-        parts: list[Table | Chart] = [_chart(rows, self.settings), brief]
+        brief = Table(title, [METHOD, *_brief(self.protocols)], pooled)
+        parts: list[Table | Chart] = [_chart(rows, self.protocols), brief]
         for heading, columns in (
             ("Grasps that hold", verdicts),
             ("Costs", COSTS),
@@ -90,24 +90,24 @@ class HoldStudy:
         ):
             parts.append(Table(heading, [METHOD, *columns], pooled, only="page"))
         if each:
-            held = _brief(self.settings)[: len(self.settings)]
+            held = _brief(self.protocols)[: len(self.protocols)]
             parts.append(Table("held by object", [METHOD, *held], each, only="terminal"))
             parts.append(Table("By object", [METHOD, *verdicts, *COSTS, *GEOMETRY], each, only="page", folded=True))
         return Report("Grasps that hold", parts)
 
 
-def _key(name: str, setting: str) -> str:
-    """Key of a number of a simulation setting."""
-    return f"{name}_{setting.replace('-', '_')}"
+def _key(name: str, protocol: str) -> str:
+    """Key of a number under a protocol."""
+    return f"{name}_{protocol.replace('-', '_')}"
 
 
-def rows(results: Sequence[GroupResult], settings: Sequence[str]) -> list[Row]:
+def rows(results: Sequence[GroupResult], protocols: Sequence[str]) -> list[Row]:
     """Return flat rows.
 
     Args:
         results: Results of the methods, which are the same, in the same order, for each group of grasps; the first
             method decides which grasps held before.
-        settings: Names of the simulation settings.
+        protocols: Names of the protocols of the simulation.
     """
     names = list(dict.fromkeys(one.method for one in results))
     objects = list(dict.fromkeys(one.object for one in results))
@@ -119,11 +119,11 @@ def rows(results: Sequence[GroupResult], settings: Sequence[str]) -> list[Row]:
                 for which in (names[0], method)
             )
             about = {"method": method.name, "starts": method.starts, "label": method.label, "object": name}
-            found.append({**about, **_statistics(before, after, settings)})
+            found.append({**about, **_statistics(before, after, protocols)})
     return found
 
 
-def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str]) -> Row:
+def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], protocols: Sequence[str]) -> Row:
     values = join(*(one.values for one in after))
     quality = np.nan_to_num(values["quality"])
     # Grasps that could not be measured count as the worst.
@@ -132,7 +132,7 @@ def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], set
     )
     return {
         "grasps": len(depth),
-        **_held(before, after, settings, quality),
+        **_held(before, after, protocols, quality),
         "cpu_ms_median": _known(np.median, values["cpu_ms"]),
         "cpu_ms_mean": _known(np.mean, values["cpu_ms"]),
         "wall_ms_median": _known(np.median, values["wall_ms"]),
@@ -153,18 +153,18 @@ def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], set
 
 
 def _held(
-    before: Sequence[GroupResult], after: Sequence[GroupResult], settings: Sequence[str], quality: np.ndarray
+    before: Sequence[GroupResult], after: Sequence[GroupResult], protocols: Sequence[str], quality: np.ndarray
 ) -> Row:
-    """Outcome of the simulation by setting, and how well the quality predicts it."""
+    """Outcome of the simulation by protocol, and how well the quality predicts it."""
     found: dict[str, Row] = {name: {} for name in ("success", "lost", "auc", "reasons")}
-    for setting in settings:
-        first, reason = (np.concatenate([one.reason[setting] for one in parts]) for parts in (before, after))
+    for protocol in protocols:
+        first, reason = (np.concatenate([one.reason[protocol] for one in parts]) for parts in (before, after))
         held_before, held = first == Reason.HELD, reason == Reason.HELD
         lost = float((~held[held_before]).mean()) if held_before.any() else None
         counts = {one.label: int((reason == one).sum()) for one in Reason if one != Reason.HELD}
         reasons = {label: count for label, count in counts.items() if count}
         for name, value in zip(found, (float(held.mean()), lost, auc(quality, held), reasons), strict=True):
-            found[name][_key(name, setting)] = value
+            found[name][_key(name, protocol)] = value
     return {key: value for columns in found.values() for key, value in columns.items()}
 
 
@@ -195,16 +195,16 @@ def _known(statistic: Callable[[np.ndarray], float], values: np.ndarray) -> floa
 # report
 
 
-def _chart(rows: Sequence[Row], settings: Sequence[str]) -> Chart:
+def _chart(rows: Sequence[Row], protocols: Sequence[str]) -> Chart:
     """Chart success against CPU time of a grasp; grasps that are not refined are levels."""
     points = [
         {
             "object": row["object"],
-            "line": setting if row["cpu_ms_mean"] is not None else f"{setting}, {row['label']}",
+            "line": protocol if row["cpu_ms_mean"] is not None else f"{protocol}, {row['label']}",
             "s": None if row["cpu_ms_mean"] is None else 1e-3 * row["cpu_ms_mean"],
-            "success": row[_key("success", setting)],
+            "success": row[_key("success", protocol)],
         }
-        for setting in settings
+        for protocol in protocols
         for row in rows
     ]
     return Chart(
@@ -221,12 +221,12 @@ def _chart(rows: Sequence[Row], settings: Sequence[str]) -> Chart:
 METHOD = Column("label", "refined")
 
 
-def _brief(settings: Sequence[str]) -> list[Column]:
+def _brief(protocols: Sequence[str]) -> list[Column]:
     """Columns for a terminal."""
-    heads = {"force-closure": "force closure", "tabletop": "table\u00adtop"}
-    first = settings[0]
+    heads = {"dexgraspbench": "dex\u00adgrasp\u00adbench", "tabletop": "table\u00adtop"}
+    first = protocols[0]
     return [
-        *(Column(_key("success", name), f"held, {heads.get(name, name)}", "%", ".1f", "higher") for name in settings),
+        *(Column(_key("success", name), f"held, {heads.get(name, name)}", "%", ".1f", "higher") for name in protocols),
         Column(_key("lost", first), f"lost, {heads.get(first, first)}", "%", ".1f", "lower"),
         Column("cpu_ms_mean", "CPU mean", "ms", ".0f", "lower"),
         Column("penetration_mean_m", "pen. mean", "mm", ".3f", "lower"),
@@ -239,10 +239,10 @@ def _brief(settings: Sequence[str]) -> list[Column]:
     ]
 
 
-def _verdicts(settings: Sequence[str]) -> list[Column]:
+def _verdicts(protocols: Sequence[str]) -> list[Column]:
     return [
         column
-        for name in settings
+        for name in protocols
         for column in (
             Column(_key("success", name), name, "%", ".1f", "higher", "grasps that hold"),
             Column(_key("lost", name), "lost", "%", ".1f", "lower", "of the input grasps that held"),

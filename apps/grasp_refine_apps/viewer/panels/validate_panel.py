@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.validation.protocol import SETTINGS
+from grasp_refine.validation.protocol import PROTOCOLS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
@@ -19,12 +19,12 @@ from grasp_refine_apps.viewer.state import Job, State
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.validating import MAX_FRICTION
 
-SETTING_HINTS = {
-    "force-closure": "The hand closes and squeezes; then the object, without gravity, is pushed in six directions.",
-    "strict": "As force-closure, with half of the friction.",
+PROTOCOL_HINTS = {
+    "dexgraspbench": "The hand closes and squeezes; then the object, without gravity, is pushed in six directions.",
+    "strict": "As dexgraspbench, with half of the friction.",
     "tabletop": "The object lies on a table; the hand closes, squeezes, and lifts it by 10 cm.",
 }
-"""Meaning of the settings."""
+"""Meaning of the protocols."""
 
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""
@@ -66,15 +66,15 @@ class ValidatePanel:
         self._motion: ShownMotion | None = None
 
         gui = server.gui
-        hint = " ".join(f"{name}: {about}" for name, about in SETTING_HINTS.items())
-        self.setting = gui.add_dropdown("Setting", tuple(SETTINGS), hint=hint)
+        hint = " ".join(f"{name}: {about}" for name, about in PROTOCOL_HINTS.items())
+        self.protocol = gui.add_dropdown("Protocol", tuple(PROTOCOLS), hint=hint)
         self.friction: Any = gui.add_number(
             "Friction",
-            SETTINGS[self.setting.value].friction,
+            PROTOCOLS[self.protocol.value].friction,
             min=0.01,
             max=MAX_FRICTION,
             step=0.01,
-            hint="Coefficient of sliding friction of all contacts; the setting chosen above has its own",
+            hint="Coefficient of sliding friction of all contacts; the protocol chosen above has its own",
         )
         self.test = gui.add_button("Test in MuJoCo", hint="Simulate whether the grasp that is shown holds the object")
         self.bar: Any = gui.add_progress_bar(0.0, visible=False)
@@ -90,8 +90,8 @@ class ValidatePanel:
         self.replay.set_visible(False)
         self.end = gui.add_button("Close replay", visible=False, hint="Back to the grasp")
         self.notes = gui.add_html("")
-        on_change(self.setting, self._choose)
-        on_click(self.test, lambda: controller.run_trial(self.setting.value, self._other_friction()))
+        on_change(self.protocol, self._choose)
+        on_click(self.test, lambda: controller.run_trial(self.protocol.value, self._other_friction()))
         on_click(self.stop, controller.stop)
         self.watch.on_click(lambda event: controller.record(event.target.value))
         on_click(self.end, self._end)
@@ -107,13 +107,13 @@ class ValidatePanel:
             self._draw_trial(state.trial)
             self._draw_motion(state.motion, state.motion_frame)
 
-    def _choose(self, setting: str) -> None:
-        """Choose another setting, with its friction."""
-        self.friction.value = SETTINGS[setting].friction
+    def _choose(self, protocol: str) -> None:
+        """Choose another protocol, with its friction."""
+        self.friction.value = PROTOCOLS[protocol].friction
 
     def _other_friction(self) -> float | None:
-        """The coefficient of friction; None where it is that of the setting."""
-        own, friction = SETTINGS[self.setting.value].friction, float(self.friction.value)
+        """The coefficient of friction; None where it is that of the protocol."""
+        own, friction = PROTOCOLS[self.protocol.value].friction, float(self.friction.value)
         return None if abs(friction - own) < 1e-9 else friction
 
     def _shown(self) -> tuple[ShownMotion | None, int]:

@@ -69,7 +69,7 @@ def results(hand: Hand) -> list[GroupResult]:
     came.q[:] = 0.0
     shares: list[float] = []
     model = urdf_model(hand)
-    found = GroupTask("ball", grasps, came, model, methods((1,), stages=True), ("force-closure",), 4, 0, 1).run(
+    found = GroupTask("ball", grasps, came, model, methods((1,), stages=True), ("dexgraspbench",), 4, 0, 1).run(
         shares.append
     )
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
@@ -79,8 +79,8 @@ def results(hand: Hand) -> list[GroupResult]:
 
 def test_stages_of_the_file_are_those_that_are_simulated(results: list[GroupResult]):
     came, own = results[:2]
-    assert (came.reason["force-closure"] != Reason.HELD).all()
-    assert own.reason["force-closure"][0] == Reason.HELD
+    assert (came.reason["dexgraspbench"] != Reason.HELD).all()
+    assert own.reason["dexgraspbench"][0] == Reason.HELD
     assert np.isnan(came.values["stages_cpu_ms"]).all() and (own.values["stages_cpu_ms"] > 0).all()
 
 
@@ -92,4 +92,4 @@ def test_only_refinement_costs_and_moves(results: list[GroupResult]):
     for one in results[2:]:
         assert all((one.values[name] > 0).all() for name in ("cpu_ms", "wall_ms", "starts"))
         assert one.values["contact_gap_m"][0] < 1e-4 and one.values["moved_joints_rad"][0] > 0.001
-        assert one.reason["force-closure"][0] == Reason.HELD
+        assert one.reason["dexgraspbench"][0] == Reason.HELD

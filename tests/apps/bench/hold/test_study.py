@@ -14,7 +14,7 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.bench.hold.measure import GroupResult, Method
 from grasp_refine_apps.bench.hold.study import HoldStudy, auc, rows
 
-SETTINGS = ("force-closure", "strict")
+PROTOCOLS = ("dexgraspbench", "strict")
 NAN = np.nan
 AS_CAME, OWN_STAGES, GEOMETRY_ONLY = Method("as-came"), Method("own-stages"), Method("geometry-only", 1)
 H, M, T = Reason.HELD, Reason.MOVED, Reason.TURNED
@@ -33,7 +33,7 @@ def part(
     }  # fmt: skip
     moved = {"moved_palm_m": 0.01, "moved_palm_rad": 0.1, "moved_joints_rad": 0.2}
     values |= {name: np.full(n, NAN if method.starts is None else value) for name, value in moved.items()}
-    return GroupResult(method, name, values, {"force-closure": np.array(easy), "strict": np.array(hard)})
+    return GroupResult(method, name, values, {"dexgraspbench": np.array(easy), "strict": np.array(hard)})
 
 
 @pytest.fixture
@@ -55,21 +55,21 @@ def parts() -> list[GroupResult]:
 
 
 def test_what_holds_is_counted_pooled_and_by_object(parts: list[GroupResult]):
-    found = rows(parts, SETTINGS)
+    found = rows(parts, PROTOCOLS)
     assert [row["object"] for row in found] == ["all", "cup", "can"] * 4
     came, own, geometry, forces = (row for row in found if row["object"] == "all")
-    assert [row["success_force_closure"] for row in (came, own, geometry, forces)] == [0.6, 0.6, 0.6, 1.0]
+    assert [row["success_dexgraspbench"] for row in (came, own, geometry, forces)] == [0.6, 0.6, 0.6, 1.0]
     assert [row["success_strict"] for row in (came, geometry, forces)] == [0.0, 0.0, 0.6]
     # Of the three that held, the second one is lost.
-    assert [row["lost_force_closure"] for row in (came, geometry, forces)] == [0.0, 1 / 3, 0.0]
+    assert [row["lost_dexgraspbench"] for row in (came, geometry, forces)] == [0.0, 1 / 3, 0.0]
     assert forces["lost_strict"] is None, "none held before"
-    assert geometry["reasons_force_closure"] == {"moved": 1, "turned": 1} and forces["reasons_force_closure"] == {}
+    assert geometry["reasons_dexgraspbench"] == {"moved": 1, "turned": 1} and forces["reasons_dexgraspbench"] == {}
     can = next(row for row in found if row["object"] == "can")
-    assert (can["grasps"], can["success_force_closure"], can["lost_force_closure"]) == (1, 0.0, None)
+    assert (can["grasps"], can["success_dexgraspbench"], can["lost_dexgraspbench"]) == (1, 0.0, None)
 
 
 def test_costs_are_those_of_all_grasps(parts: list[GroupResult]):
-    came, own, geometry, forces = (row for row in rows(parts, SETTINGS) if row["object"] == "all")
+    came, own, geometry, forces = (row for row in rows(parts, PROTOCOLS) if row["object"] == "all")
     assert (came["method"], came["starts"], forces["method"], forces["starts"]) == ("as-came", None, "forces", 6)
     for name in ("cpu_ms_mean", "wall_ms_median", "moved_palm_median_m", "starts_mean"):
         assert came[name] is None and own[name] is None
@@ -81,7 +81,7 @@ def test_costs_are_those_of_all_grasps(parts: list[GroupResult]):
 
 
 def test_measures_are_pooled(parts: list[GroupResult]):
-    row = rows(parts, SETTINGS)[0]
+    row = rows(parts, PROTOCOLS)[0]
     # 0, 1, 2, 3 and 0 mm.
     assert row["penetration_mean_m"] == pytest.approx(1.2e-3) and row["penetration_q95_m"] == 3e-3
     assert row["self_penetration_max_m"] == pytest.approx(3e-4) and row["contact_gap_median_m"] == pytest.approx(1e-5)
@@ -92,7 +92,7 @@ def test_measures_are_pooled(parts: list[GroupResult]):
 def test_what_cannot_be_measured_counts_as_the_worst():
     bad = part(AS_CAME, "cup", [H, H], [H, H])
     bad.values["penetration_m"][:] = bad.values["wrench_residual"][:] = NAN
-    (row,) = rows([bad], SETTINGS)
+    (row,) = rows([bad], PROTOCOLS)
     assert row["penetration_mean_m"] == row["wrench_residual_median"] == np.inf
     assert json.loads(dumps(row))["penetration_mean_m"] is None
 
@@ -118,7 +118,7 @@ def test_tables_fit_into_a_terminal(parts: list[GroupResult]):
     ]
     console = Console(width=200)
     with console.capture() as capture:
-        for shown in HoldStudy(ProblemSpec()).report(rows(longest, SETTINGS), ()).printed():
+        for shown in HoldStudy(ProblemSpec()).report(rows(longest, PROTOCOLS), ()).printed():
             console.print(shown)
     text = capture.get()
     assert max(map(len, map(str.rstrip, text.splitlines()))) <= 80
@@ -127,6 +127,6 @@ def test_tables_fit_into_a_terminal(parts: list[GroupResult]):
 
 def test_a_chart_has_a_level_for_what_is_not_refined(parts: list[GroupResult]):
     pytest.importorskip("matplotlib")
-    chart, *_ = HoldStudy(ProblemSpec()).report(rows(parts, SETTINGS), ()).parts
+    chart, *_ = HoldStudy(ProblemSpec()).report(rows(parts, PROTOCOLS), ()).parts
     svg = chart.svg()
-    assert all(name in svg for name in (*SETTINGS, "cup", "can", "strict, input grasps"))
+    assert all(name in svg for name in (*PROTOCOLS, "cup", "can", "strict, input grasps"))
