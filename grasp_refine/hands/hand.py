@@ -23,12 +23,14 @@ from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, m
 from grasp_refine.hands.hand_toml import Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
-from grasp_refine.hands.mimics import followed, limit_by_followers
+from grasp_refine.hands.mimics import limit_by_followers, mimic_map
 from grasp_refine.hands.source import HAND_TOML, hand_files, list_hands, needs_urdf
-from grasp_refine.hands.tree import Joint, Mimic, read_tree
+from grasp_refine.hands.tree import Joint, Mimic, Tree, read_tree
 
 if TYPE_CHECKING:
     import yourdfpy
+
+    from grasp_refine.hands.mjcf_couplings import Couplings
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
 __all__ += ["list_hands", "load_hand", "needs_urdf"]
@@ -147,13 +149,7 @@ class Hand:
 
         values = matrix @ q + offset, for q in the order of `joint_names` and names in the order of `joints`.
         """
-        movable = [joint for joint in self.joints if joint.movable]
-        matrix, offset = np.zeros((len(movable), len(self.joint_names))), np.zeros(len(movable))
-        for row, joint in enumerate(movable):
-            leads = followed(joint, self.joints_by_name)
-            offset[row] = leads.offset
-            matrix[row, self.joint_names.index(leads.joint)] = leads.multiplier
-        return matrix, offset, tuple(joint.name for joint in movable)
+        return mimic_map(self.joints, self.joint_names)
 
 
 def load_hand(
@@ -176,7 +172,8 @@ def load_hand(
         base_link: The hand is what hangs from this link; by default hand.toml's base_link, else `guess_base`'s: the
             palm of a hand on an arm, otherwise the root.
         urdf: Used instead of the URDF that hand.toml names; hands that come without a URDF have theirs fetched.
-        mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset.
+        mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset. Joints that share an actuator
+            there do so in the hand, and those that follow others are mimic joints, unless hand.toml says otherwise.
         candidates: Surface points per link.
         hull_limit: Greatest distance in metres by which the hull of a mesh may stand out of it; beyond, more pieces are
             used, which the user's cache folder keeps; infinite: only hulls.
@@ -221,6 +218,12 @@ def load_hand(
                 "if one of these is the palm, give it with --base-link"
             )
     raw_links, joints = tree.below(base)
+    outside = tree.joints.keys() - {joint.name for joint in joints}
+    names_there = mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside)
+    couplings = None if toml.mjcf is None else _couplings(toml.mjcf, toml.name or name, base, tree, joints, names_there)
+    if couplings is not None:
+        joints, tied = couplings.with_mimics(joints, toml.joints_with_settings)
+        notes += [*couplings.notes, *tied]
     joints, narrowed = limit_by_followers(joints, tree.path)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
@@ -228,7 +231,10 @@ def load_hand(
     links = tuple(replace(link, solids=solids) for link in links)
     moving = {joint.name: joint for joint in joints if joint.movable and joint.mimic is None}
     independent = [moving[joint] for joint in tree.joints if joint in moving]
-    outside = tree.joints.keys() - {joint.name for joint in joints}
+    groups = coupled(toml, independent, outside)
+    if couplings is not None:
+        groups, shared = couplings.with_tendons(groups, joints)
+        notes += shared
     touching, guessed, about_contacts = contacts(
         toml,
         solids,
@@ -251,13 +257,26 @@ def load_hand(
         contacts_guessed=guessed,
         notes=tuple(notes),
         actuator=actuator(toml, independent, outside),
-        coupled=coupled(toml, independent, outside),
+        coupled=groups,
         mjcf=toml.mjcf,
-        mjcf_joints=mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside),
+        mjcf_joints=names_there,
         collision=toml.collision,
         toml=None if toml.path == toml.urdf else toml.path,
         base_why=why,
     )
+
+
+def _couplings(
+    mjcf: Path, name: str, base_link: str, tree: Tree, joints: Sequence[Joint], named: Mapping[str, str]
+) -> Couplings:
+    """The couplings that an MJCF of the hand tells."""
+    # Both load MuJoCo, which reading a URDF does without.
+    from grasp_refine.hands.alignment import Mechanism
+    from grasp_refine.hands.mjcf_couplings import mjcf_couplings
+
+    moving = {joint.name for joint in joints if joint.movable and joint.mimic is None}
+    independent = [joint for joint in tree.joints if joint in moving]
+    return mjcf_couplings(mjcf, Mechanism(name, base_link, joints, independent), named)
 
 
 def _link(raw: yourdfpy.Link, meshes: LinkMeshes, candidates: int) -> Link:

@@ -80,6 +80,13 @@ class HandToml:
     actuator: dict[str, dict[str, float]] = field(default_factory=dict)
     """Keys of `ACTUATOR` -> joint name, or "default" -> value."""
 
+    @property
+    def joints_with_settings(self) -> set[str]:
+        """Names of the joints that the file has settings for."""
+        coupled = {name for group in self.coupled for name in group.joints}
+        driven = {name for values in self.actuator.values() for name in values} - {"default"}
+        return {*self.rest_pose, *coupled, *driven}
+
 
 def read_hand_toml(path: Path) -> HandToml:
     """The contents of the hand.toml at `path`.

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.tree import Joint, Mimic
@@ -26,6 +27,23 @@ def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
         multiplier *= joint.mimic.multiplier
         joint = joints[joint.mimic.joint]
     return Mimic(joint.name, multiplier, offset)
+
+
+def mimic_map(
+    joints: Sequence[Joint], independent: Sequence[str]
+) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], tuple[str, ...]]:
+    """Matrix (m, n), offset (m,) and names (m,) that give the values of all m movable joints.
+
+    values = matrix @ q + offset, for q in the order of `independent` and names in the order of `joints`.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    movable = [joint for joint in joints if joint.movable]
+    matrix, offset = np.zeros((len(movable), len(independent))), np.zeros(len(movable))
+    for row, joint in enumerate(movable):
+        leads = followed(joint, by_name)
+        offset[row] = leads.offset
+        matrix[row, independent.index(leads.joint)] = leads.multiplier
+    return matrix, offset, tuple(joint.name for joint in movable)
 
 
 def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,20 +10,15 @@ import numpy as np
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
+from grasp_refine.hands.alignment import Mechanism, align
 from grasp_refine.hands.hand import Hand
-from grasp_refine.validation.alignment import align
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, name_all, read_mjcf
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.messages import one_line, unlogged
-from grasp_refine.validation.servos import check_servos, joints_of, moved_joints, servo_settings
+from grasp_refine.validation.servos import check_servos, moved_joints, servo_settings
 from grasp_refine.validation.urdf_model import add_actuators
-
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_FIRST = re.compile(rb"<\s*([A-Za-z]\w*)")
 
 SIZE_FIELDS = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
 """Fields of <size>, except those for user data of bodies, joints and so on (`nuser_*`)."""
-
-FILE_ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
 
 
 def mjcf_model(hand: Hand, path: Path) -> HandModel:
@@ -40,17 +34,19 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     Raises:
         HandError: the file cannot be used, or is of another hand.
     """
-    spec = _read(path)
+    spec = read_mjcf(path)
+    _reset(spec)
     notes: list[str] = []
     root = _only_the_hand(spec, path, notes)
-    _name_all(spec)
-    matched = _matched_joints(hand, spec, path)
+    name_all(spec)
+    mechanism = Mechanism(hand.name, hand.base_link, hand.joints, hand.joint_names)
+    matched = matched_joints(mechanism, hand.mjcf_joints, spec, path)
     _drop_joints(spec, set(matched.values()), notes)
     _drop_visuals(spec, path)
     matrix, offset, movable = hand.mimic_map()
     rows = [movable.index(name) for name in matched]
-    model = _compiled(spec, path)
-    fit = align(hand, tuple(matched), model, tuple(matched.values()), path)
+    model = compile_mjcf(spec, path)
+    fit = align(mechanism, matched, model, path)
     notes += fit.notes
     driven = {joint: matched[joint] for joint in hand.joint_names}
     if spec.actuators:
@@ -65,7 +61,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
     top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
-    placed = _compiled(spec, path)
+    placed = compile_mjcf(spec, path)
     if placed.actuator_ctrllimited.any():
         notes.append("set points beyond the ctrlrange of the MJCF are clipped")
     matrix, offset = fit.sign[:, None] * matrix[rows], fit.sign * offset[rows]
@@ -80,24 +76,6 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         notes=tuple(notes),
         actuator=servo_settings(hand, placed, matched, matrix),
     )
-
-
-def _read(path: Path) -> mujoco.MjSpec:
-    if not path.is_file():
-        raise HandError(f"{path}: no such MJCF file")
-    try:
-        with unlogged():
-            spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
-    # MuJoCo reads URDF files too, but such a hand is made from its URDF.
-    outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
-    if outermost and outermost[1] == b"robot":
-        raise HandError(f"{path}: a URDF, not an MJCF; {FILE_ADVICE}")
-    # Bodies and their frames must be those of the file.
-    spec.compiler.fusestatic = False
-    _reset(spec)
-    return spec
 
 
 def _reset(spec: mujoco.MjSpec) -> None:
@@ -119,14 +97,6 @@ def _reset(spec: mujoco.MjSpec) -> None:
 
 def _public(thing: object) -> list[str]:
     return [name for name in dir(thing) if not name.startswith("_")]
-
-
-def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    try:
-        with unlogged():
-            return spec.compile()
-    except ValueError as error:
-        raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 
 
 def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
@@ -177,56 +147,6 @@ def _delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
         spec.delete(thing)
 
 
-def _name_all(spec: mujoco.MjSpec) -> None:
-    """Name all bodies and joints without a name."""
-    for kind, things in (("body", spec.bodies), ("joint", spec.joints)):
-        taken = {thing.name for thing in things}
-        number = 0
-        for thing in things:
-            while not thing.name:
-                number += 1
-                if f"{kind}_{number}" not in taken:
-                    thing.name = f"{kind}_{number}"
-
-
-def _matched_joints(hand: Hand, spec: mujoco.MjSpec, path: Path) -> dict[str, str]:
-    """Return joint of the hand -> joint of the file, in the order of the hand's joints.
-
-    Mimic joints may be missing.
-    """
-    there = [joint.name for joint in spec.joints]
-    matched: dict[str, str] = {}
-    for joint in hand.joints:
-        if not joint.movable:
-            continue
-        named = hand.mjcf_joints.get(joint.name)
-        # Another MJCF of the same hand may have other names than the MJCF that hand.toml was written for.
-        found = [named] if named is not None and named in there else prefixed_names(joint.name, there)
-        if len(found) == 1:
-            matched[joint.name] = found[0]
-    missing = [name for name in hand.joint_names if name not in matched]
-    if missing:
-        wanted = [f"{name} ({hand.mjcf_joints[name]})" if name in hand.mjcf_joints else name for name in missing]
-        left = [name for name in there if name not in matched.values()]
-        raise HandError(
-            f"{path}: joints {', '.join(wanted)} of hand '{hand.name}' are not found by name among "
-            f"{', '.join(left) or 'no others'}; a table [mjcf_joints] in its hand.toml can map them, and a "
-            "base_link beyond them leaves them out"
-        )
-    twice = [name for name in matched.values() if list(matched.values()).count(name) > 1]
-    if twice:
-        both = " and ".join(name for name, other in matched.items() if other == twice[0])
-        raise HandError(f"{path}: joint '{twice[0]}' is found for {both}; [mjcf_joints] must map them")
-    return matched
-
-
-def prefixed_names(name: str, there: Sequence[str]) -> list[str]:
-    """Return the name itself where it is `there`, else the names with a prefix, such as rh_FFJ4 or hand/FFJ4."""
-    if name in there:
-        return [name]
-    return [other for other in there if other.endswith(name) and not other.removesuffix(name)[-1].isalnum()]
-
-
 def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
     """Delete joints that are not kept, and what acts on them."""
     dropped = {joint.name for joint in spec.joints} - kept
@@ -234,7 +154,7 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
         return
     listed = [joint.name for joint in spec.joints if joint.name in dropped]
     notes.append(f"joints {', '.join(listed)} of the MJCF are fixed: the hand does not have them")
-    loose = {tendon.name for tendon in spec.tendons if joints_of(tendon) & dropped}
+    loose = {tendon.name for tendon in spec.tendons if joints_of(tendon).keys() & dropped}
     joint_like = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
     def acts(actuator: mujoco.MjsActuator) -> bool:
@@ -256,7 +176,7 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
     """Delete what is only seen, after writing its mass into its body."""
-    model = _compiled(spec, path)
+    model = compile_mjcf(spec, path)
     for body in spec.bodies[1:]:
         compiled = model.body(body.name)
         body.mass, body.ipos, body.iquat = compiled.mass[0], compiled.ipos, compiled.iquat

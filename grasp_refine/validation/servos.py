@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Actuator, Hand
+from grasp_refine.hands.mjcf import joints_of
 
 
 def check_servos(spec: mujoco.MjSpec, path: Path) -> None:
@@ -40,17 +41,11 @@ def moved_joints(spec: mujoco.MjSpec) -> set[str]:
     moved = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
     for each in spec.tendons:
         if each.name in driven:
-            moved |= joints_of(each)
+            moved |= joints_of(each).keys()
     for equality in spec.equalities:
         if equality.type == mujoco.mjtEq.mjEQ_JOINT:
             moved |= {equality.name1, equality.name2}
     return moved
-
-
-def joints_of(tendon: mujoco.MjsTendon) -> set[str]:
-    """Return names of the joints of a fixed tendon."""
-    wraps = [tendon.path[i] for i in range(len(tendon.path))]
-    return {wrap.target.name for wrap in wraps if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
 
 
 def moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:

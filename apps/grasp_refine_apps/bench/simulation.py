@@ -19,10 +19,10 @@ from rich.console import Console
 from grasp_refine.core.json_files import save_json
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.mujoco_messages import unlogged
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.messages import unlogged
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocol import AXES, DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate

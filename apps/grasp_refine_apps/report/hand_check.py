@@ -13,9 +13,9 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, Joint
+from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
 from grasp_refine.hands.urdf import joints_fixed_and_mimicking, links_with_visuals
-from grasp_refine.validation.messages import one_line, unlogged
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.urdf_model import urdf_model
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.mimics import mimic_map
+from grasp_refine.hands.tree import Joint
 
 MAX_ANCHOR_DISTANCE_M = 2e-3
 """Largest distance in metres between joint anchors of the same hand."""
@@ -43,21 +44,44 @@ class Alignment:
     """Notes for the user on the alignment."""
 
 
-def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Sequence[str], path: Path) -> Alignment:
-    """Align `model` with `hand` by anchors and axes of its joints `named`, which are the hand's `joints`.
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """The joints of a hand, as an MJCF is compared with them."""
+
+    name: str
+    """Name of the hand, for messages."""
+    base_link: str
+    """Link whose pose is the hand's pose."""
+    joints: Sequence[Joint]
+    """All joints, fixed ones too, parents before children."""
+    independent: Sequence[str]
+    """The independent ones, in the order of `Hand.joint_names`."""
+
+
+def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjModel, path: Path) -> Alignment:
+    """Align `model` with a hand by anchors and axes of the joints that are `matched`.
 
     The base pose is the least-squares fit of the anchors (and of axes, where these are on one line) with all joints at
     0, the signs are those of the axes then. Both are checked at random joint values within the hand's limits.
 
+    Args:
+        mechanism: Joints of the hand.
+        matched: Joint of the hand -> its name in `model`.
+        model: The MJCF, compiled.
+        path: Its file, for messages.
+
     Raises:
         HandError: the joints do not move alike, or anchors and axes do not determine the pose.
     """
-    matrix, offset, movable = hand.mimic_map()
+    joints, named = list(matched), list(matched.values())
+    matrix, offset, movable = mimic_map(mechanism.joints, mechanism.independent)
     rows = [movable.index(name) for name in joints]
-    lower, upper = np.where(np.isinf(hand.lower), -np.pi, hand.lower), np.where(np.isinf(hand.upper), np.pi, hand.upper)
+    limits = {joint.name: (joint.lower, joint.upper) for joint in mechanism.joints}
+    lower, upper = np.array([limits[name] for name in mechanism.independent]).reshape(-1, 2).T
+    lower, upper = np.where(np.isinf(lower), -np.pi, lower), np.where(np.isinf(upper), np.pi, upper)
     q = np.random.default_rng(0).uniform(lower, upper, (NUM_CONFIGURATIONS, len(lower)))
     values = np.concatenate([np.zeros((1, len(movable))), q @ matrix.T + offset])
-    anchors, axes = _hand_joints(hand, dict(zip(movable, values.T, strict=True)), joints)
+    anchors, axes = _hand_joints(mechanism, dict(zip(movable, values.T, strict=True)), joints)
     still = _model_joints(model, named, np.zeros((1, len(named))))
     best = None
     for turn in _rotations(anchors[0], axes[0], still[0][0], still[1][0], path):
@@ -76,9 +100,10 @@ def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Seque
     if distance.max() > MAX_ANCHOR_DISTANCE_M or angle.max() > MAX_AXIS_ANGLE_RAD:
         far, steep = int(distance.argmax()), int(angle.argmax())
         raise HandError(
-            f"{path}: moves unlike hand '{hand.name}': joint '{joints[far]}' is up to {distance[far] * 1e3:.2f} mm off "
-            f"(at most {MAX_ANCHOR_DISTANCE_M * 1e3:g}), the axis of '{joints[steep]}' {np.degrees(angle[steep]):.2f} "
-            f"degrees (at most {np.degrees(MAX_AXIS_ANGLE_RAD):g}); the MJCF is of another hand or has another zero"
+            f"{path}: moves unlike hand '{mechanism.name}': joint '{joints[far]}' is up to "
+            f"{distance[far] * 1e3:.2f} mm off (at most {MAX_ANCHOR_DISTANCE_M * 1e3:g}), the axis of "
+            f"'{joints[steep]}' {np.degrees(angle[steep]):.2f} degrees (at most {np.degrees(MAX_AXIS_ANGLE_RAD):g}); "
+            "the MJCF is of another hand or has another zero"
         )
     notes = []
     if distance.max() > NOTED_DISTANCE_M:
@@ -89,16 +114,16 @@ def align(hand: Hand, joints: Sequence[str], model: mujoco.MjModel, named: Seque
 
 
 def _hand_joints(
-    hand: Hand, values: Mapping[str, np.ndarray], joints: Sequence[str]
+    mechanism: Mechanism, values: Mapping[str, np.ndarray], joints: Sequence[str]
 ) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
     """Return anchors and axes of `joints` (batch, m, 3) in the base link's frame, before each joint itself has moved.
 
     `values` are those of all movable joints, each (batch,).
     """
     count = len(next(iter(values.values())))
-    T = {hand.base_link: np.tile(np.eye(4), (count, 1, 1))}
+    T = {mechanism.base_link: np.tile(np.eye(4), (count, 1, 1))}
     anchors, axes = {}, {}
-    for joint in hand.joints:  # parents before children
+    for joint in mechanism.joints:  # parents before children
         at = T[joint.parent] @ joint.T_parent_child
         anchors[joint.name], axes[joint.name] = at[:, :3, 3], at[:, :3, :3] @ joint.axis
         if joint.movable:

@@ -1,0 +1,187 @@
+"""Couplings of joints that an MJCF of the hand tells and its URDF does not: tendons of actuators, joint equalities."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from grasp_refine.core.errors import HandError
+from grasp_refine.hands.alignment import Mechanism, align
+from grasp_refine.hands.hand_toml import Coupled
+from grasp_refine.hands.mimics import followed
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.tree import Joint, Mimic
+
+MIN_ALIGNMENT = 1.0 - 1e-6
+"""Least cosine between the ratios of two groups that are the same, up to scale and sign."""
+
+
+@dataclass(frozen=True)
+class Couplings:
+    """Couplings between the joints of a hand that an MJCF tells."""
+
+    path: Path
+    """The MJCF."""
+    mimics: Mapping[str, Mimic] = field(default_factory=dict)
+    """Joint that follows another by a joint equality -> that one."""
+    tendons: tuple[Mapping[str, float], ...] = ()
+    """Fixed tendons that an actuator drives, alone in driving their joints: joint -> coefficient."""
+    single: frozenset[str] = frozenset()
+    """Joints that an actuator drives directly."""
+    notes: tuple[str, ...] = ()
+    """Notes for the user on what is not used."""
+
+    def with_mimics(self, joints: Sequence[Joint], kept: Collection[str]) -> tuple[list[Joint], list[str]]:
+        """Return the joints, those that follow another one in the MJCF as mimic joints, and notes.
+
+        Args:
+            joints: Joints of the hand.
+            kept: Joints that hand.toml has settings for, as for independent ones: they stay independent.
+        """
+        new = {name: mimic for name, mimic in self.mimics.items() if name not in kept}
+        notes = [
+            f"joint '{name}' follows '{mimic.joint}' in {self.path.name}, but hand.toml has settings for it: it stays "
+            "independent"
+            for name, mimic in self.mimics.items()
+            if name in kept
+        ]
+        if new:
+            pairs = ", ".join(f"'{name}' follows '{mimic.joint}'" for name, mimic in new.items())
+            notes.append(f"mimic joints, from {self.path.name}: {pairs}")
+        return [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints], notes
+
+    def with_tendons(
+        self, given: tuple[Coupled, ...], joints: Sequence[Joint]
+    ) -> tuple[tuple[Coupled, ...], list[str]]:
+        """Return the groups of independent joints that share an actuator, those of hand.toml first, and notes.
+
+        The ratio of the first joint of a group of the MJCF is 1, so that stiffness and limit are those at that joint.
+
+        Args:
+            given: Groups of hand.toml, whose joints are in no other group.
+            joints: Joints of the hand, with the mimic joints of the MJCF.
+        """
+        by_name = {joint.name: joint for joint in joints}
+        groups = [group for group in (_group(tendon, by_name) for tendon in self.tendons) if group is not None]
+        taken = {name for group in given for name in group.joints}
+        added = [group for group in groups if not taken & set(group.joints)]
+        notes = []
+        if added:
+            notes.append(f"joints that share an actuator, from {self.path.name}: {', '.join(map(_text, added))}")
+        for group in given:
+            theirs = [_text(other) for other in groups if set(other.joints) & set(group.joints)]
+            theirs += [name for name in group.joints if name in self.single]
+            if theirs and not any(_same(group, other) for other in groups):
+                notes.append(
+                    f"hand.toml couples {_text(group)}, which counts, although actuators of {self.path.name} drive "
+                    f"{', '.join(theirs)}"
+                )
+        return (*given, *added), notes
+
+
+def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -> Couplings:
+    """Return the couplings in the MJCF file `path`, by the hand's names and signs of joints.
+
+    An MJCF that cannot be used, or is of another hand, has none, and a note says why.
+
+    Args:
+        path: The file.
+        mechanism: Joints of the hand as its URDF has them.
+        named: As for `matched_joints`.
+    """
+    try:
+        spec = read_mjcf(path)
+        name_all(spec)
+        matched = matched_joints(mechanism, named, spec, path)
+        model = compile_mjcf(spec, path)
+        sign = align(mechanism, matched, model, path).sign
+    except HandError as error:
+        return Couplings(path, notes=(f"couplings of joints are not read from the MJCF: {error}",))
+    ours = {other: name for name, other in matched.items()}
+    signs = dict(zip(matched, sign.tolist(), strict=True))
+    mimics, notes = _mimics(spec, model, mechanism, ours, signs)
+    driven = [actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON]
+    joint_like = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    single = {actuator.target for actuator in spec.actuators if actuator.trntype in joint_like}
+    pulled = [tendon for tendon in spec.tendons if tendon.name in driven and len(joints_of(tendon)) > 1]
+    users = [name for tendon in pulled for name in joints_of(tendon)]
+    tendons = []
+    for tendon in pulled:
+        joints = joints_of(tendon)
+        # Joints that the hand does not have are fixed in the simulation, and what pulls them is deleted.
+        if not joints.keys() <= ours.keys():
+            continue
+        shared = sorted(ours[name] for name in joints if name in single or users.count(name) > 1)
+        if shared:
+            notes.append(f"tendon '{tendon.name}' of {path.name} is no coupling: {', '.join(shared)} has other drives")
+            continue
+        tendons.append({ours[name]: signs[ours[name]] * value for name, value in joints.items()})
+    return Couplings(path, mimics, tuple(tendons), frozenset(ours[name] for name in single & ours.keys()), tuple(notes))
+
+
+def _mimics(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    mechanism: Mechanism,
+    ours: Mapping[str, str],
+    signs: Mapping[str, float],
+) -> tuple[dict[str, Mimic], list[str]]:
+    """Return the independent joints that follow another one by an equality, with that one, and notes.
+
+    In MuJoCo x1 - r1 = c0 + c1 (x2 - r2) + ..., with the reference positions r; values of the hand are sign x there.
+    """
+    by_name = {joint.name: joint for joint in mechanism.joints}
+    found: dict[str, Mimic] = {}
+    notes = []
+    for equality in spec.equalities:
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in ours:
+            continue
+        follower, leader = ours[equality.name1], ours.get(equality.name2)
+        # Those of the URDF count; the MJCF's are the same for what it simulates.
+        if by_name[follower].mimic is not None:
+            continue
+        constant, slope, *higher = np.asarray(equality.data)[:5].tolist()
+        if leader is None or slope == 0.0 or any(higher):
+            notes.append(f"joint '{follower}' is tied in the MJCF by an equality that is no linear one of two joints")
+            continue
+        if followed(by_name[leader], by_name).joint == follower:
+            notes.append(f"joint '{follower}' is tied in the MJCF to '{leader}', which follows it already")
+            continue
+        r1, r2 = (model.qpos0[model.joint(name).qposadr[0]] for name in (equality.name1, equality.name2))
+        mimic = Mimic(
+            leader, signs[follower] * signs[leader] * slope, float(signs[follower] * (r1 + constant - slope * r2))
+        )
+        found[follower] = mimic
+        by_name[follower] = replace(by_name[follower], mimic=mimic)
+    return found, notes
+
+
+def _group(tendon: Mapping[str, float], joints: Mapping[str, Joint]) -> Coupled | None:
+    """Return the independent joints that a tendon pulls, in ratio; None if it pulls only one."""
+    ratio: dict[str, float] = {}
+    for name, coefficient in tendon.items():
+        leads = followed(joints[name], joints)
+        ratio[leads.joint] = ratio.get(leads.joint, 0.0) + coefficient * leads.multiplier
+    ratio = {name: value for name, value in ratio.items() if value}
+    if len(ratio) < 2:
+        return None
+    first = next(iter(ratio.values()))
+    return Coupled(tuple(ratio), tuple(value / first for value in ratio.values()))
+
+
+def _same(a: Coupled, b: Coupled) -> bool:
+    """Return True if two groups have the same joints, in the same ratio."""
+    ratio = dict(zip(b.joints, b.ratio, strict=True))
+    if set(a.joints) != ratio.keys():
+        return False
+    u, v = np.array(a.ratio), np.array([ratio[name] for name in a.joints])
+    return bool(abs(u @ v) >= MIN_ALIGNMENT * np.linalg.norm(u) * np.linalg.norm(v))
+
+
+def _text(group: Coupled) -> str:
+    ratio = "" if set(group.ratio) == {1.0} else f" ({' : '.join(f'{value:g}' for value in group.ratio)})"
+    return " + ".join(group.joints) + ratio

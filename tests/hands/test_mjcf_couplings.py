@@ -1,0 +1,177 @@
+"""Couplings that an MJCF tells: tendons of actuators become groups, joint equalities mimic joints."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from grasp_refine.hands.hand import Coupled, Hand, Mimic, load_hand
+from grasp_refine.validation.mjcf_model import mjcf_model
+from refusals import assert_names
+
+URDF = """<robot name="r"><link name="palm"/><link name="a1"/><link name="a2"/><link name="a3"/><link name="b1"/>
+  <joint name="A1" type="revolute"><parent link="palm"/><child link="a1"/><origin xyz="0.05 0 0.02"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
+  <joint name="A2" type="revolute"><parent link="a1"/><child link="a2"/><origin xyz="0 0 0.04"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
+  <joint name="A3" type="revolute"><parent link="a2"/><child link="a3"/><origin xyz="0 0 0.04"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
+  <joint name="B1" type="revolute"><parent link="palm"/><child link="b1"/><origin xyz="-0.05 0.03 0.02"/>
+    <axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="3"/></joint></robot>"""
+
+MJCF = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.01"/>
+  <body name="a1" pos="0.05 0 0.02" euler="0 {ref} 0"><joint name="rh_A1" axis="0 1 0" ref="{ref}"/><geom size="0.01"/>
+    <body name="a2" pos="0 0 0.04"><joint name="rh_A2" axis="0 {sign} 0"/><geom size="0.01"/>
+      <body name="a3" pos="0 0 0.04"><joint name="rh_A3" axis="0 1 0"/><geom size="0.01"/></body></body></body>
+  <body name="b1" pos="-0.05 0.03 0.02"><joint name="rh_B1" axis="1 0 0"/><geom size="0.01"/></body>
+  </body></worldbody>{parts}</mujoco>"""
+
+TENDON = """<tendon><fixed name="pull"><joint joint="rh_A2" coef="{}"/><joint joint="rh_A3" coef="{}"/></fixed></tendon>
+  <actuator><position name="first" joint="rh_A1" kp="3"/><position name="pull" tendon="pull" kp="3"/>
+  <position name="other" joint="rh_B1" kp="3"/>{}</actuator>"""
+
+
+def loaded(folder: Path, parts: str, *, sign: int = 1, ref: float = 0.0, toml: str = "") -> Hand:
+    """The hand of `URDF` with an MJCF."""
+    (folder / "r.urdf").write_text(URDF)
+    (folder / "r.xml").write_text(MJCF.format(parts=parts, sign=sign, ref=ref))
+    (folder / "hand.toml").write_text(f'mjcf = "r.xml"\n{toml}')
+    return load_hand(folder, candidates=16)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_tendon_of_an_actuator_is_a_group_in_the_signs_of_the_urdf(tmp_path: Path, sign: int) -> None:
+    hand = loaded(tmp_path, TENDON.format(2.0, 3.0, ""), sign=sign)
+    assert hand.coupled == (Coupled(("A2", "A3"), (1.0, 1.5 * sign)),)
+    assert_names(" ".join(hand.notes), "A2 + A3", "r.xml")
+    # The actuator's torques on both joints are in that ratio.
+    model = mjcf_model(hand, tmp_path / "r.xml")
+    compiled = model.spec.compile()
+    data = mujoco.MjData(compiled)
+    data.ctrl[compiled.actuator("pull").id] = 0.1
+    mujoco.mj_forward(compiled, data)
+    torque = model.matrix.T @ [data.joint(name).qfrc_actuator[0] for name in model.joints]
+    at = [hand.joint_names.index(name) for name in ("A2", "A3")]
+    assert torque[at[1]] / torque[at[0]] == pytest.approx(1.5 * sign)
+
+
+def test_without_an_mjcf_there_is_no_group(tmp_path: Path) -> None:
+    loaded(tmp_path, TENDON.format(1.0, 1.0, ""))
+    (tmp_path / "hand.toml").unlink()
+    assert load_hand(tmp_path, candidates=16).coupled == ()
+    assert len(load_hand(tmp_path, mjcf=tmp_path / "r.xml", candidates=16).coupled) == 1
+
+
+@pytest.mark.parametrize(
+    ("drive", "told"),
+    [
+        ('<position name="more" joint="rh_A3" kp="1"/>', True),
+        ('<position name="more" tendon="pull" kp="1"/>', True),
+        ('<position name="more" joint="rh_A1" kp="1"/>', False),
+    ],
+)
+def test_joints_with_another_drive_are_no_group(tmp_path: Path, drive: str, told: bool) -> None:
+    hand = loaded(tmp_path, TENDON.format(1.0, 1.0, drive))
+    two_on_one_tendon = 'tendon="pull" kp="1"' in drive
+    assert bool(hand.coupled) == (two_on_one_tendon or not told)
+
+
+def test_a_tendon_without_an_actuator_is_no_group(tmp_path: Path) -> None:
+    idle = TENDON.format(1.0, 1.0, "").replace('tendon="pull"', 'joint="rh_A2"')
+    assert loaded(tmp_path, idle).coupled == ()
+
+
+GROUP = '[[coupled]]\njoints = ["A2", "A3"]\nratio = [{}, {}]\n'
+
+
+@pytest.mark.parametrize("scale", [1.0, -4.0])
+def test_hand_toml_and_mjcf_that_agree_say_nothing(tmp_path: Path, scale: float) -> None:
+    hand = loaded(tmp_path, TENDON.format(scale, 2 * scale, ""), toml=GROUP.format(1.0, 2.0))
+    assert hand.coupled == (Coupled(("A2", "A3"), (1.0, 2.0)),)
+    assert not any("r.xml" in note for note in hand.notes)
+
+
+def test_hand_toml_counts_and_a_contradiction_is_told(tmp_path: Path) -> None:
+    other_ratio = loaded(tmp_path, TENDON.format(1.0, 1.0, ""), toml=GROUP.format(1.0, 2.0))
+    assert other_ratio.coupled == (Coupled(("A2", "A3"), (1.0, 2.0)),)
+    assert_names(" ".join(other_ratio.notes), "hand.toml", "A2 + A3 (1 : 2)", "r.xml")
+    other_joints = loaded(tmp_path, TENDON.format(1.0, 1.0, ""), toml='[[coupled]]\njoints = ["A1", "A2"]\n')
+    assert other_joints.coupled == (Coupled(("A1", "A2"), (1.0, 1.0)),)
+    assert_names(" ".join(other_joints.notes), "A1 + A2", "A2 + A3", "r.xml")
+    alone = '<actuator><position joint="rh_A2"/><position joint="rh_A3"/></actuator>'
+    each_alone = loaded(tmp_path, alone, toml=GROUP.format(1.0, 1.0))
+    assert each_alone.coupled and any("hand.toml" in note and "r.xml" in note for note in each_alone.notes)
+
+
+EQUALITY = """<equality><joint joint1="rh_A2" joint2="rh_A1" polycoef="0.1 0.5 {} 0 0" active="{}"/></equality>
+  <actuator><position name="first" joint="rh_A1" kp="3"/><position name="third" joint="rh_A3" kp="3"/>
+  <position name="other" joint="rh_B1" kp="3"/></actuator>"""
+
+
+def test_a_joint_equality_is_a_mimic_joint_that_moves_as_in_the_mjcf(tmp_path: Path) -> None:
+    hand = loaded(tmp_path, EQUALITY.format(0, "true"), sign=-1, ref=0.3)
+    assert hand.joint_names == ("A1", "A3", "B1")
+    # There x2 = 0.1 + 0.5 (x1 - 0.3), and x2 turns the other way.
+    mimic = hand.joints_by_name["A2"].mimic
+    assert mimic is not None and mimic.joint == "A1"
+    np.testing.assert_allclose([mimic.multiplier, mimic.offset], [-0.5, 0.05])
+    model = mjcf_model(hand, tmp_path / "r.xml")
+    compiled = model.spec.compile()
+    data = mujoco.MjData(compiled)
+    q = np.array([0.8, 0.2, -0.4])
+    for name, value in zip(model.joints, model.matrix @ q + model.offset, strict=True):
+        data.joint(name).qpos = value
+    mujoco.mj_forward(compiled, data)
+    residual = data.efc_pos[: data.ne]
+    assert len(residual) == 1 and abs(residual[0]) < 1e-12
+
+
+def test_limits_hold_for_mimic_joints_of_the_mjcf(tmp_path: Path) -> None:
+    steep = EQUALITY.format(0, "true").replace("0.1 0.5", "0 4")
+    hand = loaded(tmp_path, steep)
+    np.testing.assert_allclose([hand.lower[0], hand.upper[0]], [-0.5, 0.5])
+
+
+@pytest.mark.parametrize(("square", "active", "told"), [("0.2", "true", True), ("0", "false", False)])
+def test_equalities_that_are_no_mimics_leave_joints_independent(
+    tmp_path: Path, square: str, active: str, told: bool
+) -> None:
+    hand = loaded(tmp_path, EQUALITY.format(square, active))
+    assert "A2" in hand.joint_names
+    assert any("'A2'" in note for note in hand.notes) == told
+
+
+def test_a_joint_with_settings_in_hand_toml_stays_independent(tmp_path: Path) -> None:
+    hand = loaded(tmp_path, EQUALITY.format(0, "true"), toml="[rest_pose]\nA2 = 0.2\n")
+    assert "A2" in hand.joint_names
+    assert_names(" ".join(hand.notes), "'A2'", "'A1'", "hand.toml", "r.xml")
+
+
+def test_equalities_in_a_circle_leave_one_joint_independent(tmp_path: Path) -> None:
+    both = """<equality><joint joint1="rh_A2" joint2="rh_A1"/><joint joint1="rh_A1" joint2="rh_A2"/></equality>"""
+    hand = loaded(tmp_path, both)
+    assert hand.joint_names == ("A1", "A3", "B1")
+    assert hand.joints_by_name["A2"].mimic == Mimic("A1", 1.0, 0.0)
+
+
+def test_a_tendon_pulls_what_its_mimic_joint_follows(tmp_path: Path) -> None:
+    parts = """<equality><joint joint1="rh_A2" joint2="rh_A1" polycoef="0 0.5 0 0 0"/></equality>"""
+    hand = loaded(tmp_path, parts + TENDON.format(1.0, 1.0, "").replace('joint="rh_A1" kp', 'joint="rh_B1" kp'))
+    assert hand.coupled == (Coupled(("A1", "A3"), (1.0, 2.0)),)
+
+
+def test_an_mjcf_that_cannot_be_used_is_told_and_nothing_more(tmp_path: Path) -> None:
+    loaded(tmp_path, "")
+    (tmp_path / "r.xml").write_text(
+        "<mujoco><worldbody><body><joint name='x'/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    hand = load_hand(tmp_path, candidates=16)
+    assert hand.coupled == () and len(hand.joint_names) == 4
+    assert any("A1" in note and "r.xml" in note for note in hand.notes)
+
+
+def test_the_makers_shadow_hand_shares_actuators_between_the_outer_joints(shared_assets: Path) -> None:
+    urdf, mjcf = shared_assets / "hands/shadow/shadow_right.urdf", shared_assets / "hands/shadow_mjcf/right_hand.xml"
+    hand = load_hand(urdf, mjcf=mjcf, candidates=16)
+    assert hand.coupled == load_hand("shadow", urdf=urdf, candidates=16).coupled
