@@ -112,7 +112,7 @@ if TYPE_CHECKING:
     from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
-    from grasp_refine.validation.protocol import Protocol as Protocol
+    from grasp_refine.validation.protocols.protocol import Protocol as Protocol
 
     __version__: str
 
@@ -129,7 +129,7 @@ _HOMES = {
     "pipeline.spec": ("ProblemSpec",),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
-    "validation.protocol": ("Protocol",),
+    "validation.protocols.protocol": ("Protocol",),
 }
 """Modules of the names below, which are loaded when one of them is used (PEP 562)."""
 

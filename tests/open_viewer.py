@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.protocol import DEXGRASPBENCH
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection

@@ -26,6 +26,7 @@ ORDER = (
     "grasp_refine.refinement.solvers",
     "grasp_refine.refinement.terms",
     "grasp_refine.refinement",
+    "grasp_refine.validation.protocols",
     "grasp_refine.validation",
     "grasp_refine.validation.replay",
     "grasp_refine.results",

@@ -20,7 +20,7 @@ from grasp_refine.hands.source import needs_urdf
 from grasp_refine.refinement import solvers
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.validation.protocol import PROTOCOLS, ProtocolName
+from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants

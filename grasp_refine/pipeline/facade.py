@@ -26,7 +26,8 @@ from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.protocol import PROTOCOLS, Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 

@@ -18,7 +18,7 @@ from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 
 

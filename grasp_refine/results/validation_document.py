@@ -17,7 +17,7 @@ from grasp_refine.core.versions import versions
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}

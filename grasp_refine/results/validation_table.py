@@ -24,7 +24,7 @@ from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.validation.formulas import CONTACT_DISTANCE_M
 from grasp_refine.validation.measures import VALIDATED
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 

@@ -15,7 +15,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import STAGES, Motion
-from grasp_refine.validation.protocol import AXES, Protocol
+from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World

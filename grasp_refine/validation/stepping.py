@@ -14,7 +14,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.mujoco_messages import unlogged
-from grasp_refine.validation.contact_model import MUJOCO_CONTACT
+from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 
 DIVERGED = [

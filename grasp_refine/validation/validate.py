@@ -21,7 +21,7 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Trials

@@ -18,7 +18,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.servos import moments
 
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"

@@ -23,7 +23,7 @@ from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World, build_world

@@ -9,7 +9,9 @@ from scipy.stats import kstest
 
 from grasp_refine.core.se3 import distances, exp_so3
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH, STRICT, TABLETOP
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.strict import STRICT
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import Noise, _draw, holds_at, holds_without_squeeze, noise_score

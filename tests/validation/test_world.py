@@ -10,7 +10,8 @@ import pytest
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.protocol import DEXGRASPBENCH, TABLETOP
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.servos import moments
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import TABLE, build_world

@@ -24,7 +24,8 @@ from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import AXES, DEXGRASPBENCH
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world

@@ -29,7 +29,7 @@ from grasp_refine.results.result_files import is_same_refinement, result_paths
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import links_of
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite

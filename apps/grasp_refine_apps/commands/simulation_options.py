@@ -10,7 +10,8 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.problem import StageSource
-from grasp_refine.validation.protocol import PROTOCOLS, Protocol, ProtocolName
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
 from grasp_refine.validation.robustness import Noise
 from grasp_refine.validation.validate import Checks
 

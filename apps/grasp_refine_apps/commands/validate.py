@@ -23,7 +23,7 @@ from grasp_refine.results.simulated import closing_line
 from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.results.validation_table import comparison_table, validation_table
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import World, build_world

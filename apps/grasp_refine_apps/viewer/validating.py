@@ -16,7 +16,8 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import Motion, closing_motion, motion_of
-from grasp_refine.validation.protocol import PROTOCOLS, Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.stepping import Conditions, StepCallback

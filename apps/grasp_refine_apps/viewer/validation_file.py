@@ -15,8 +15,9 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.result_files import fingerprint
-from grasp_refine.validation.contact_model import CONES, ContactModel
-from grasp_refine.validation.protocol import AXES, PROTOCOLS, Protocol
+from grasp_refine.validation.protocols.contact_model import CONES, ContactModel
+from grasp_refine.validation.protocols.protocol import AXES, Protocol
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.collection import Collection

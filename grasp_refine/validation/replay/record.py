@@ -6,7 +6,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import AXES
+from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.simulation import LIFT, close, push
 from grasp_refine.validation.stepping import Conditions, StepCallback

@@ -17,7 +17,7 @@ from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
 from grasp_refine.validation.geometry import measure
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world

@@ -12,7 +12,8 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.load import Loader, load_problem
 from grasp_refine.pipeline.problem import Draft, Group
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.protocol import DEXGRASPBENCH, TABLETOP
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world

@@ -17,7 +17,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.results.validation_document import save_table
 from grasp_refine.results.verdict import HOLDS
-from grasp_refine.validation.protocol import AXES
+from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 

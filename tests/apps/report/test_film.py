@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.protocol import TABLETOP
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, Stage

@@ -16,7 +16,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of

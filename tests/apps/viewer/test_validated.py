@@ -8,7 +8,9 @@ from math import nan, radians
 
 import pytest
 
-from grasp_refine.validation.protocol import AXES, DEXGRASPBENCH, TABLETOP, Protocol
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.protocol import AXES, Protocol
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from refusals import assert_names

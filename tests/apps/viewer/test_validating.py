@@ -23,7 +23,9 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH, STRICT, TABLETOP
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.strict import STRICT
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources

@@ -19,7 +19,7 @@ from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocol import PROTOCOLS, ProtocolName
+from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of

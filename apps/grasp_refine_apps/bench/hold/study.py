@@ -14,7 +14,7 @@ from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocol import ProtocolName
+from grasp_refine.validation.protocols.registry import ProtocolName
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row

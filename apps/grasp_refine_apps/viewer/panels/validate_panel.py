@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.validation.protocol import PROTOCOLS
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click

@@ -1,14 +1,13 @@
-"""Protocols of grasp tests in simulation: the parameters of the DexGraspBench protocol, and named variants."""
+"""Protocol of a grasp test in simulation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import radians
-from typing import Literal
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
+from grasp_refine.validation.protocols.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -82,13 +81,3 @@ class Protocol:
         if friction is None:
             return self
         return replace(self, friction=friction, torsion=self.torsion * friction / self.friction)
-
-
-DEXGRASPBENCH = Protocol()
-STRICT = Protocol("strict", friction=0.3, torsion=0.002)
-TABLETOP = Protocol("tabletop", directions=(), acceleration=9.81)
-PROTOCOLS = {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP)}
-"""Named protocols: name -> protocol."""
-
-ProtocolName = Literal["dexgraspbench", "strict", "tabletop"]
-"""Names of the protocols, for the command line."""

@@ -1,0 +1,20 @@
+"""Named protocols."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.strict import STRICT
+from grasp_refine.validation.protocols.tabletop import TABLETOP
+
+PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
+    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP)}
+)
+"""Name -> protocol."""
+
+ProtocolName = Literal["dexgraspbench", "strict", "tabletop"]
+"""Names of the protocols, for the command line."""

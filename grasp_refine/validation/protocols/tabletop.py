@@ -1,0 +1,14 @@
+"""Protocol that lifts the object off a table.
+
+Source: the tabletop setting of DexGraspBench, `src/task/eval_func/tabletop_mocap.py` of its repository
+(github.com/JYChen18/DexGraspBench): a lift of 10 cm.
+
+Differences: gravity is 9.81 instead of 10 m/s^2. The lift takes 2 instead of 0.4 s, and the object must stay near where
+the hand would carry it at each of ten checks instead of at the end.
+"""
+
+from dataclasses import replace
+
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+
+TABLETOP = replace(DEXGRASPBENCH, name="tabletop", directions=(), acceleration=9.81)
