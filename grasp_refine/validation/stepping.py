@@ -57,6 +57,11 @@ class Conditions:
     """Factor (N,) of the time constant of contacts with the hand: above 1 they are softer."""
     default_contact: Bool[np.ndarray, " N"] | None = None
     """True (N,) where the friction is MuJoCo's default (`MUJOCO_CONTACT`) instead of the protocol's."""
+    thickness: Float[np.ndarray, " N"] | None = None
+    """Distance (N,) by which the surface of the object lies outside that of its pieces, metres; negative: inside.
+
+    Depths and links that touch at a stage are told without it.
+    """
 
     __repr__ = brief
 
@@ -124,6 +129,11 @@ class Rows:
             share = conditions.mass / world.mass
             self.batch.expand("body_mass")[:, world.object_body] *= share
             self.batch.expand("body_inertia")[:, world.object_body] *= share[:, None]
+        if conditions.thickness is not None:
+            surface = np.array(world.link_of_geom) == OBJECT_GEOM
+            self.batch.expand("geom_margin")[:, surface] += conditions.thickness[:, None]
+        if conditions.mass is not None or conditions.thickness is not None:
+            # Constants that follow from masses, and the margins of bodies, which the broad phase uses.
             self.batch.set_const()
         if conditions.gain is not None:
             gain = conditions.gain[:, None]
