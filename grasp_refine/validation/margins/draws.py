@@ -14,7 +14,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.margins.factors import FIELDS, JOINT, PUSH, Factors
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.stepping import Conditions
 
 MAX_DRAWS = 4096

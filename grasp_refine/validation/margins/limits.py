@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import AXES
+from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.world import World

@@ -23,7 +23,7 @@ from grasp_refine.validation.margins.intervals import mean_interval, wilson
 from grasp_refine.validation.margins.limits import Limits, limits
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import Protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.urdf_model import urdf_model

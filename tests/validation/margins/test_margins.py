@@ -14,7 +14,8 @@ from grasp_refine.validation.margins.factors import JOINT, PUSH, Factors
 from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, limits
 from grasp_refine.validation.margins.margins import NO_FACTOR, Margins, Worlds, build_worlds, margins
 from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.protocol import DEXGRASPBENCH, TABLETOP
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import Closed, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
