@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
@@ -230,10 +232,11 @@ class _Search:
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, phase.touching(config.contact_selection), prepared)
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
+        lm = cast(LevenbergMarquardt, config.solver)
         solver = replace(
-            config.solver,
-            iterations=min(config.solver.iterations, phase.iterations),
-            last_patience=min(config.solver.last_patience, phase.patience),
+            lm,
+            iterations=min(lm.iterations, phase.iterations),
+            last_patience=min(lm.last_patience, phase.patience),
         )
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
