@@ -51,6 +51,16 @@ class Body:
         return float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0)))
 
     @cached_property
+    def extent(self) -> float:
+        """Diameter in metres of the sphere about the mean vertex that holds all pieces: the same in any frame.
+
+        It is the diagonal of a box, and the length of a capsule.
+        """
+        middle = np.concatenate([piece.vertices for piece in self.pieces]).mean(axis=0)
+        reach = [np.linalg.norm(piece.vertices - middle, axis=1).max() + piece.radius for piece in self.pieces]
+        return 2.0 * float(max(reach))
+
+    @cached_property
     def area(self) -> float:
         """Exposed surface area in square metres."""
         return float(self.candidates.areas.sum())

@@ -67,6 +67,11 @@ class Piece:
         return float(np.linalg.norm(np.ptp(self.bounds, axis=0)))
 
     @cached_property
+    def extent(self) -> float:
+        """Diameter in metres of the sphere about the mean vertex that holds the core: the same in any frame."""
+        return 2.0 * float(np.linalg.norm(self.vertices - self.vertices.mean(axis=0), axis=1).max())
+
+    @cached_property
     def normals(self) -> np.ndarray:
         """Unit outward normals (F, 3) of the faces; zero for a sliver, whose own normal would be noise."""
         corners = self.vertices[self.faces]

@@ -76,8 +76,7 @@ def feature_slip(
         along = inside[:, None, None] * np.outer(axis, axis)
     else:
         normals, offsets = piece.planes
-        size = np.linalg.norm(np.ptp(piece.vertices, axis=0))
-        slack = tolerance * size + np.broadcast_to(rounding, len(x))
+        slack = tolerance * piece.extent + np.broadcast_to(rounding, len(x))
         active = np.abs(core @ normals.T - offsets) < slack[:, None]
         # The null space of the active normals; nearly parallel ones count as one face.
         products = (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)

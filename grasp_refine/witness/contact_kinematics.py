@@ -44,7 +44,7 @@ class ContactKinematics:
 
     Otherwise only its radius counts, and the fit is to the candidates within it."""
     smallest_curvature: float = 5.0
-    """Floor of the eigenvalues of K_a + K_b, divided by the mean of the two bodies' diagonals."""
+    """Floor of the eigenvalues of K_a + K_b, divided by the mean of the two bodies' extents."""
     seed: int = 0
     """Seed of the random choice of samples."""
 
@@ -89,8 +89,8 @@ class ContactKinematics:
         basis = np.concatenate([E, E], axis=1).swapaxes(0, 1)
         K = _fit(near, sides.rotation.mT @ basis).swapaxes(0, 1)
         count = E.shape[1]
-        diagonal = scene.surfaces.diagonal
-        floor = self.smallest_curvature / (0.5 * (diagonal[:count] + diagonal[count:]))
+        extent = np.array([body.extent for body in (*scene.pairs.a, *scene.pairs.b)])
+        floor = self.smallest_curvature / (0.5 * (extent[:count] + extent[count:]))
         return raise_eigenvalues(K[:, :count], K[:, count:], floor)
 
     @property

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from grasp_refine.witness.native_kinematics import NativePairs
 
 SMALLEST_CURVATURE = 1.0
-"""Floor of the summed curvatures of two bodies, divided by the mean of their diagonals."""
+"""Floor of the summed curvatures of two bodies, divided by the mean of their extents."""
 
 CORNER_CURVATURE_PER_M = 1e4
 """Curvature in 1/m used across an edge or at a vertex, where the exact one is infinite.
@@ -62,16 +62,16 @@ class PairCurvatures:
     @staticmethod
     @stage("loading")
     def of(pairs: Pairs, smallest: float) -> PairCurvatures:
-        """Prepare pairs; `smallest` is the floor of K_a + K_b, divided by the mean of the two bodies' diagonals."""
+        """Prepare pairs; `smallest` is the floor of K_a + K_b, divided by the mean of the two bodies' extents."""
         both = (*pairs.a, *pairs.b)
         distinct, body = index_distinct(both)
-        diagonal = np.array([one.diagonal for one in both]).reshape(2, -1)
+        extent = np.array([one.extent for one in both]).reshape(2, -1)
         return PairCurvatures(
             pairs,
             tuple(distinct),
             body,
             smallest_radii(distinct)[body].reshape(2, -1),
-            smallest / diagonal.mean(axis=0),
+            smallest / extent.mean(axis=0),
             CORNER_CURVATURE_PER_M / length_factor(pairs.a, pairs.b),
         )
 

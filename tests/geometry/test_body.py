@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from grasp_refine.core.errors import MeshError
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, cylinder, hull, sphere
 from refusals import refused
@@ -33,6 +34,18 @@ def test_bounding_spheres_of_primitives_are_the_smallest_ones():
 def test_diagonal_spans_all_pieces_and_their_radii():
     body = build_body("pair", [sphere(0.1), sphere(0.1, [0.3, 0, 0])])
     assert body.diagonal == pytest.approx(np.linalg.norm([0.5, 0.2, 0.2]))
+
+
+def test_the_extent_is_that_of_a_sphere_about_the_mean_vertex_in_any_frame(body):
+    """A box has its diagonal, a capsule its length; the axis-aligned diagonal changes as a body turns."""
+    assert build_body("box", [box([0.2, 0.3, 0.6])]).extent == pytest.approx(0.7)
+    assert build_body("capsule", [capsule(0.1, [0, 0, 0], [0, 0, 0.3])]).extent == pytest.approx(0.5)
+    T = exp_se3(np.array([0.3, -0.2, 0.1, 0.4, -1.1, 0.7]))
+    moved = build_body("three", [piece.transformed(T) for piece in body.pieces])
+    assert moved.extent == pytest.approx(body.extent, rel=1e-12)
+    assert moved.diagonal != pytest.approx(body.diagonal, rel=0.01)
+    for piece, other in zip(body.pieces, moved.pieces, strict=True):
+        assert other.extent == pytest.approx(piece.extent, rel=1e-12)
 
 
 def test_area_is_what_the_candidates_stand_for(body):

@@ -270,5 +270,5 @@ def test_flat_faces_get_the_smallest_curvature() -> None:
     method = ContactKinematics(Adaptive(samples=None, without_target=1.5))
     scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T, T_b, middle, None, None, 0)
     K_a, K_b = method.curvatures(scene, tangents(witness.normal))
-    np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].diagonal * np.eye(2)[None, None], atol=1e-9)
+    np.testing.assert_allclose(K_a + K_b, 5.0 / pairs.a[0].extent * np.eye(2)[None, None], atol=1e-9)
     np.testing.assert_allclose(K_a, K_b, atol=1e-9)

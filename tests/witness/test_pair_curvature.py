@@ -68,7 +68,7 @@ def test_a_common_motion_turns_the_tensors_with_the_bodies() -> None:
         np.testing.assert_allclose(E_moved @ K_moved @ E_moved.mT, R @ (E @ K @ E.mT) @ R.T, atol=0.5)
 
 
-def test_the_sum_is_at_least_one_over_the_mean_diagonal() -> None:
+def test_the_sum_is_at_least_one_over_the_mean_extent() -> None:
     pairs = pair(box([0.08, 0.08, 0.04]), box([0.1, 0.1, 0.02]))
     T = np.eye(4)[None]
     T_b = T.copy()
@@ -79,7 +79,7 @@ def test_the_sum_is_at_least_one_over_the_mean_diagonal() -> None:
     )
     w.point_a[:], w.point_b[:] = [0.001, 0.002, 0.02], [0.001, 0.002, 0.025]
     _, K_a, K_b = fit(pairs, T, T_b, w, smallest=3.0)
-    floor = 3.0 / (0.5 * (pairs.a[0].diagonal + pairs.b[0].diagonal))
+    floor = 3.0 / (0.5 * (pairs.a[0].extent + pairs.b[0].extent))
     assert (np.linalg.eigvalsh(K_a + K_b) >= floor * (1 - 1e-9)).all()
 
 

@@ -138,7 +138,7 @@ Features features_of(In<double> vertices, In<double> normals, In<double> offsets
   const Eigen::Map<const Eigen::Matrix3Xd> corners(vertices.data(), 3, vertices.shape(0));
   Features made;
   made.radius = radius;
-  made.size = (corners.rowwise().maxCoeff() - corners.rowwise().minCoeff()).norm();
+  made.size = 2.0 * (corners.colwise() - corners.rowwise().mean().eval()).colwise().norm().maxCoeff();
   made.normals = Eigen::Map<const Eigen::Matrix3Xd>(normals.data(), 3, normals.shape(0)).transpose();
   made.offsets = Eigen::Map<const Eigen::ArrayXd>(offsets.data(), offsets.size());
   if (corners.cols() <= 2) made.middle = corners.rowwise().mean();

@@ -185,7 +185,7 @@ struct Features {
   Eigen::MatrixX3d normals;  // Of the core's faces; without any, the core is a point or a segment.
   Eigen::ArrayXd offsets;
   Vector3 middle = Vector3::Zero(), axis = Vector3::Zero();  // Of a segment; the axis of a point is zero.
-  double radius = 0, size = 0;                               // `size`: diagonal of the core's bounding box.
+  double radius = 0, size = 0;                               // `size`: `Piece.extent`.
 
   // Projection (3, 3) onto the directions in which the feature at x extends.
   Eigen::Matrix3d along(const Vector3& x, const Vector3& normal) const {
