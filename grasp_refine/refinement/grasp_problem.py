@@ -12,7 +12,8 @@ from grasp_refine.collision.culling import motion, nothing_near, query_near
 from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.array_records import choose
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import transform_points
+from grasp_refine.core.se3 import inverse, matvec, transform_points
+from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
@@ -29,10 +30,13 @@ ROTATION_M_PER_RAD, JOINTS_M_PER_RAD = 0.05, 0.04
 """Movement of the root in metres that counts as much as one radian of the root, and of a joint."""
 
 MAX_STEP = (0.05, 1.0, 0.5)
-"""Bounds of a step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
+"""Largest step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
 
 RESTART_NOISE = (0.01, 0.2, 0.1)
 """Standard deviations of the noise on restarts, in the same order."""
+
+NOISE_CELL_M = 1e-6
+"""Distance between hands, seen from the object, that get different noise although their joint values are the same."""
 
 IK_ITERATIONS, IK_DAMPING = 8, 1e-3
 """Iterations of the position-only inverse kinematics before the first query, and their damping lambda."""
@@ -46,6 +50,8 @@ class GraspProblem:
         prepared = prepared or HandObject.of(scene)
         self.scene, self.goal, self.config, self.prepared = scene, goal, config, prepared
         self.chain = prepared.chain
+        self.axes = scene.T_world_root[:, :3, :3]
+        self.boxes = prepared.boxes(self.axes)
         setup = Setup(scene, goal, prepared, config.margin, config.scales)
         self.terms = config.weights.terms(setup, autograd=False)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
@@ -58,6 +64,8 @@ class GraspProblem:
             np.concatenate([np.full(3, metres), np.full(3, root), np.where(prismatic, metres, joint)])
             for metres, root, joint in (MAX_STEP, RESTART_NOISE)
         )
+        # Bounds of each unknown would depend on the axes of the world: `integrate` shortens steps of the root.
+        self.step[:6] = np.inf
 
     # interface of `levenberg_marquardt.LeastSquares`
 
@@ -91,7 +99,7 @@ class GraspProblem:
         return np.broadcast_to(self.scales, (len(member), len(self.scales)))
 
     def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of a step: joints to their limits, nothing farther than `MAX_STEP`."""
+        """Return the bounds of a step: joints to their limits, and no farther than `MAX_STEP`."""
         hand = self.scene.hand
         lower, upper = np.tile(-self.step, (len(member), 1)), np.tile(self.step, (len(member), 1))
         lower[:, 6:] = np.maximum(lower[:, 6:], hand.lower - point.q)
@@ -99,7 +107,12 @@ class GraspProblem:
         return lower, upper
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """Return the grasps after steps, projected onto joint limits and movement bounds."""
+        """Return the grasps after steps, projected onto joint limits and movement bounds.
+
+        A step that moves the root farther than `MAX_STEP` is shortened as a whole.
+        """
+        length = np.linalg.norm(dx[:, :6].reshape(-1, 2, 3), axis=-1) / MAX_STEP[:2]
+        dx = dx / np.maximum(length.max(axis=1, keepdims=True), 1.0)
         return self.project(member, Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:]))
 
     def project(self, member: np.ndarray, point: Point) -> Point:
@@ -149,7 +162,8 @@ class GraspProblem:
         """Return witness points of links and object; pairs that are not needed, or certainly apart, are FAR."""
         touching, spheres = self.goal.touching[member], self.prepared.bounding_spheres
         center = transform_points(T, spheres[:, :3])
-        low, high = self.prepared.box
+        # Boxes along the axes of the initial grasps, so that the same links count as near in any frame.
+        center, (low, high) = center @ self.axes[member], (side[member, None] for side in self.boxes)
         outside = np.maximum(np.maximum(low - center, center - high), 0.0)
         bound = np.sqrt((outside * outside).sum(axis=-1)) - spheres[:, 3]
         before = None
@@ -182,10 +196,15 @@ class GraspProblem:
 def sample_noise(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
     """Return standard normal numbers (M, 6 + n), the `number`-th (M,) sample of each grasp.
 
-    They depend on the initial grasp, not on its place among others.
+    They depend on the initial grasp, not on its place among others, and rotate with the scene.
     """
     noise = np.empty((len(member), 6 + scene.q.shape[1]))
+    T = scene.T_world_root[member]
+    center = transform_points(inverse(T), center_of_mass(scene.object))
+    cell = np.round(center / NOISE_CELL_M).astype(np.int64)
     for row, (m, k) in enumerate(zip(member.tolist(), number.tolist(), strict=True)):
-        key = crc32(scene.T_world_root[m].tobytes() + scene.q[m].tobytes())
+        key = crc32(cell[row].tobytes() + scene.q[m].tobytes())
         noise[row] = np.random.default_rng((seed, key, k)).normal(size=noise.shape[1])
+    for part in (slice(3), slice(3, 6)):
+        noise[:, part] = matvec(T[:, :3, :3], noise[:, part])
     return noise

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs
 from grasp_refine.geometry.body import Body, build_body
-from grasp_refine.geometry.pieces import sphere
+from grasp_refine.geometry.pieces import hull, sphere
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import touching_pairs
@@ -21,6 +21,9 @@ from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatur
 
 CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
 """Least distances in metres of contact links, and of all other links, from the object when the hand is open."""
+
+_BLOCK_BOXES = 256
+"""Bounding boxes that are computed together, which bounds the memory."""
 
 POINT = 1e-6
 """Radius in metres of the spheres that represent points."""
@@ -89,6 +92,26 @@ class HandObject:
         """Lower and upper corner (3,) of the object's bounding box, its own frame."""
         corners = np.stack([piece.bounds for piece in self.object.body.pieces])
         return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    def boxes(self, axes: Float[np.ndarray, "N 3 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+        """Lower and upper corners (N, 3) of the object's bounding boxes along the columns of rotations (N, 3, 3)."""
+        vertices, radius = self._outline
+        low, high = np.empty((2, len(axes), 3))
+        for rows in np.split(np.arange(len(axes)), range(_BLOCK_BOXES, len(axes), _BLOCK_BOXES)):
+            along = vertices @ axes[rows]
+            low[rows], high[rows] = (along - radius).min(axis=1), (along + radius).max(axis=1)
+        return low, high
+
+    @cached_property
+    def _outline(self) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 1"]]:
+        """Vertices of the object with the radii about them, at least those that its bounding boxes touch."""
+        pieces = self.object.body.pieces
+        vertices = np.concatenate([piece.vertices for piece in pieces])
+        radius = np.concatenate([np.full((len(piece.vertices), 1), piece.radius) for piece in pieces])
+        if radius.any():
+            return vertices, radius
+        outer = hull(vertices).vertices
+        return outer, np.zeros((len(outer), 1))
 
     @cached_property
     def points(self) -> tuple[Pairs, Pairs]:

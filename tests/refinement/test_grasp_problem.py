@@ -301,7 +301,7 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     def recorded(member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
         after = plain(member, point, dx)
         trials.append(after.q)
-        moves.append(dx)
+        moves.append(after.T[:, :3, 3] - point.T[:, :3, 3])
         return after
 
     problem.integrate = recorded
@@ -310,9 +310,22 @@ def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
     assert (seen >= allegro.lower).all() and (seen <= allegro.upper).all()
     assert (seen == allegro.lower).any() and (seen == allegro.upper).any()
     assert (found.loss[:, 1] < found.loss[:, 0]).all()
-    # Restarts are no steps, and have no box.
-    largest = np.sort(np.abs(steps[:, :3]).max(axis=1))
-    assert (largest <= MAX_STEP[0] * (1 + 1e-12)).mean() > 0.9
+    # Restarts are no steps.
+    length = np.linalg.norm(steps, axis=1)
+    assert (length <= MAX_STEP[0] * (1 + 1e-12)).mean() > 0.9
+
+
+def test_steps_that_move_the_root_too_far_are_shortened_as_a_whole(gripper: Hand) -> None:
+    """By its translation or its rotation, whatever their directions."""
+    scene = around_object(gripper, 4, 17)
+    scene = replace(scene, q=np.tile([0.02, 0.3], (4, 1)))
+    problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
+    dx = np.tile([0.03, 0.0, 0.0, 0.0, 0.0, 0.6, 0.001, 0.1], (4, 1))
+    dx[1, :3], dx[2, 3:6], dx[3, :6] = [0.03, 0.06, 0.06], [0.0, 1.2, 1.6], 0.0
+    found = problem.integrate(every(scene), point_of(scene), dx)
+    dx *= np.array([1.0, MAX_STEP[0] / 0.09, MAX_STEP[1] / 2.0, 1.0])[:, None]
+    np.testing.assert_allclose(found.T, integrate(scene.T_world_root, dx[:, :6]), atol=1e-12)
+    np.testing.assert_allclose(found.q, scene.q + dx[:, 6:], atol=1e-12)
 
 
 def test_bounds_are_what_the_limits_leave_of_the_largest_step(gripper: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -321,8 +334,8 @@ def test_bounds_are_what_the_limits_leave_of_the_largest_step(gripper: Hand, mon
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))
     lower, upper = problem.step_bounds(every(scene), at)
-    np.testing.assert_array_equal(upper[:, :6], np.tile([0.02, 0.02, 0.02, 1.0, 1.0, 1.0], (4, 1)))
-    np.testing.assert_array_equal(lower[:, :6], -upper[:, :6])
+    # Those of the root are those of its length, not of each unknown.
+    assert np.isposinf(upper[:, :6]).all() and np.isneginf(lower[:, :6]).all()
     # A slide moves as far as the root, in metres, the hinge by the bound of joints.
     np.testing.assert_allclose(upper[:, 6:], [[0.02, 0.0], [0.0, 0.5], [0.02, 0.5], [0.001, 0.5]], atol=1e-15)
     np.testing.assert_allclose(lower[:, 6:], [[0.0, -0.5], [-0.02, 0.0], [-0.02, -0.5], [-0.02, -0.5]], atol=1e-15)

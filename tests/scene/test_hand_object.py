@@ -1,0 +1,29 @@
+"""What is known of a hand and an object: bounding boxes along any axes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from claw import claw, objects
+from grasp_refine.core.se3 import exp_so3
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import capsule, sphere
+from grasp_refine.scene.hand_object import HandObject
+
+
+@pytest.mark.parametrize("name", ["box", "round"])
+def test_boxes_hold_the_object_and_touch_it(tmp_path: Path, name: str) -> None:
+    obj = objects()["box"]
+    if name == "round":
+        pieces = [capsule(0.01, [0, 0, 0.1], [0, 0.1, 0.1]), sphere(0.02, [0.3, 0, 0])]
+        obj = replace(obj, body=build_body("round", pieces, candidates=64))
+    prepared = HandObject(claw(tmp_path), obj)
+    axes = np.concatenate([np.eye(3)[None], exp_so3(np.random.default_rng(0).normal(size=(600, 3)))])
+    low, high = prepared.boxes(axes)
+    np.testing.assert_allclose([low[0], high[0]], prepared.box)
+    for rotation, lower, upper in zip(axes, low, high, strict=True):
+        bounds = np.array([[(p.vertices @ rotation - p.radius).min(0), (p.vertices @ rotation + p.radius).max(0)]
+                           for p in obj.body.pieces])  # fmt: skip
+        np.testing.assert_allclose([lower, upper], [bounds[:, 0].min(0), bounds[:, 1].max(0)], atol=1e-12)
