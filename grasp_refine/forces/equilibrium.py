@@ -25,6 +25,7 @@ from grasp_refine.forces.wrench import (
     basis_spin,
     contact_forces_under,
     grasp_map,
+    turn_loads,
 )
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -42,7 +43,7 @@ PUSH_SHARE = 0.2
 LOADS = np.concatenate(
     [PUSH_SHARE / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), np.zeros((4, 3))], 1
 )
-"""Loads (4, 6) under which forces should balance: pushes to the corners of a tetrahedron.
+"""Loads (4, 6) under which forces should balance, in the axes of a grasp: pushes to the corners of a tetrahedron.
 
 Their mean is no load: what is balanced under all of them is balanced without any, too."""
 
@@ -89,7 +90,7 @@ class Equilibrium:
     forms: Float[np.ndarray, "E m"]
     """Combinations of the chain's joint torques, in N m, that the actuators cannot make, over `COUPLING_LEVER_M`."""
     loads: Float[np.ndarray, "P 6"]
-    """Outer loads on the object, as for `contact_forces`."""
+    """Outer loads on the object in the axes of each grasp, otherwise as for `contact_forces`."""
     friction: float = PLANNING_FRICTION
     """Coefficient of sliding friction of all contacts."""
 
@@ -100,7 +101,12 @@ class Equilibrium:
 
     @stage("forces")
     def forces(
-        self, touching: Bool[np.ndarray, "M L"], witness: Witness, frames: Frames, last: Balance | None = None
+        self,
+        touching: Bool[np.ndarray, "M L"],
+        witness: Witness,
+        frames: Frames,
+        axes: Float[np.ndarray, "M 3 3"],
+        last: Balance | None = None,
     ) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 
@@ -108,6 +114,8 @@ class Equilibrium:
             touching: Mask (M, L) of the links that push.
             witness: Witness points of all links and the object, world frame.
             frames: Poses of the links.
+            axes: Rotations of the grasps' frames, in which loads are, and to which friction pyramids are aligned; they
+                rest while the hand moves.
             last: Those of the same grasps nearby, to start from.
         """
         there = (touching & witness.valid)[..., None]
@@ -115,7 +123,14 @@ class Equilibrium:
         forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
         start = None if last is None else last.local
         found = contact_forces_under(
-            self.loads, point, normal, self.center, friction=self.friction, forms=forms, start=start
+            turn_loads(self.loads, axes),
+            point,
+            normal,
+            self.center,
+            friction=self.friction,
+            forms=forms,
+            axes=axes,
+            start=start,
         )
         return Balance(found.unbalanced, found.force, found.local, found.solved)
 
@@ -125,6 +140,7 @@ class Equilibrium:
         columns: np.ndarray,
         witness: Witness,
         frames: Frames,
+        axes: Float[np.ndarray, "M 3 3"],
         E: np.ndarray,
         K_link: np.ndarray,
         K_object: np.ndarray,
@@ -136,6 +152,7 @@ class Equilibrium:
             columns: The links (C,) that push in any of the grasps.
             witness: Witness points of these (M, C).
             frames: Poses of the links.
+            axes: As for `forces`.
             E: Tangents (M, C, 3, 2) at the normals.
             K_link: Curvatures (M, C, 2, 2) of the links in that basis, 1/m.
             K_object: Curvatures of the object.
@@ -145,7 +162,7 @@ class Equilibrium:
         local, f = balance.local[:, :, columns], balance.force[:, :, columns]
         there = (witness.valid & balance.pressed[:, columns])[..., None]
         p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
-        motion = np.where(there[..., None], _contact_motion(witness, E, K_link, K_object, n), 0.0)
+        motion = np.where(there[..., None], _contact_motion(witness, E, K_link, K_object, n, axes), 0.0)
         motion = self.chain.to_joint_space(frames, motion.reshape(M, C * 6, 6), np.repeat(columns, 6))
         # What is unbalanced is a . f, summed over the contacts, with forms a of forces at points x: da = b x dx.
         twists = self._twist_forms(frames, columns)
@@ -160,7 +177,7 @@ class Equilibrium:
         J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
         if len(self.forms):
             J[:, :, 6:] += self._axis_changes(frames, columns, p, f)
-        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, forms)
+        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, forms, axes)
         # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
         L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local) / RIDGE)
         residual = matvec(L.mT, balance.unbalanced)
@@ -241,7 +258,7 @@ def _at(twists: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def _contact_motion(
-    witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray
+    witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray, axes: np.ndarray
 ) -> Float[np.ndarray, "M C 6 6"]:
     """Rotations of the contacts' local bases, then movements of their points, in the twists of the links.
 
@@ -252,7 +269,7 @@ def _contact_motion(
     normal = -(E @ (K_link @ U_link))
     # dn = w x n while the link's surface is flat.
     normal[..., 3:] -= hat(n)
-    turn = hat(n) @ normal + n[..., :, None] * basis_spin(n, normal)[..., None, :]
+    turn = hat(n) @ normal + n[..., :, None] * basis_spin(n, normal, axes)[..., None, :]
     return np.concatenate([turn, -(E @ U_object)], axis=-2)
 
 

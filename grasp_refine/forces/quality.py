@@ -12,7 +12,7 @@ from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
-from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under
+from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -24,7 +24,7 @@ DEEP = 0.01
 """Penetration, or gaps of contacts, in metres that count as much as forces that do not balance at all."""
 
 PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
-"""Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces`."""
+"""Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces` in the axes of the hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,9 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     point, normal = contacts(hand, chain.links, witness)
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
-    pushed = contact_forces_under(PUSHES, point, normal, center, forms=forms)
-    slippery = contact_forces(point, normal, center, friction=LOW_FRICTION)
+    axes = frames.T_world_root[:, :3, :3]
+    pushed = contact_forces_under(turn_loads(PUSHES, axes), point, normal, center, forms=forms, axes=axes)
+    slippery = contact_forces(point, normal, center, friction=LOW_FRICTION, axes=axes)
     distance = np.where(witness.valid, witness.distance, 0.0)
     return Quality(
         slippery=slippery.residual,

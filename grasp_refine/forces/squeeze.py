@@ -49,7 +49,7 @@ def squeezed(
     T_link = frames.T_world_link
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
-    force = total * grasp_forces(hand, scene.object, scene.links, witness, ridge=SQUEEZE_RIDGE).force
+    force = total * grasp_forces(hand, scene.object, scene.links, witness, T, ridge=SQUEEZE_RIDGE).force
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
     covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
     torque = chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
@@ -57,7 +57,13 @@ def squeezed(
 
 
 def grasp_forces(
-    hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, *, ridge: float = RIDGE
+    hand: Hand,
+    obj: Object,
+    links: tuple[str, ...],
+    witness: Witness,
+    T_world_root: Float[np.ndarray, "N 4 4"],
+    *,
+    ridge: float = RIDGE,
 ) -> ContactForces:
     """Best contact forces of N grasps, torques taken about the object's centre of mass.
 
@@ -66,10 +72,11 @@ def grasp_forces(
         obj: The object.
         links: As for `contacts`.
         witness: As for `contacts`.
+        T_world_root: Poses of the hand, to whose axes friction pyramids are aligned.
         ridge: As for `contact_forces`.
     """
     point, normal = contacts(hand, links, witness)
-    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge)
+    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge, axes=T_world_root[:, :3, :3])
 
 
 def contacts(

@@ -28,8 +28,11 @@ LEVER_M = 0.05
 """Lever in metres: a torque counts like the force that makes it there."""
 
 POLE_ROTATION = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
-"""Rotation (3, 3) that takes the only normal at which `basis_tangents` turn abruptly to -z; no common normal, such as
-an axis, is near it."""
+"""Rotation (3, 3) that takes the only normal at which `basis_tangents` turn abruptly to -z, in the axes of a grasp; no
+common normal, such as an axis, is near it."""
+
+WORLD_AXES = np.eye(3)
+"""Axes of grasps where nothing else says how friction pyramids are oriented about the normals."""
 
 MIN_POLE_OFFSET = 1e-9
 """Smallest 1 + z for which that rotation is computed."""
@@ -65,13 +68,14 @@ def contact_forces(
     ridge: float = RIDGE,
     load: Float[np.ndarray, "N 6"] | Float[np.ndarray, " 6"] | None = None,
     forms: Float[np.ndarray, "N E K 3"] | None = None,
+    axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
 ) -> ContactForces:
     """The forces f_k that minimise |[F, tau / LEVER_M]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
 
     The pressures n_k . f_k sum to 1 and none is above `MAX_PRESSURE_SHARE`, or, of a single contact, 1. Friction is at
     most that of a pyramid of `NUM_EDGES` edges within the cone (see `programs`); its orientation about the normal is
-    that of `basis_tangents`, so that rotating everything changes the result as little as a friction between that and
-    cos(pi / NUM_EDGES) times it would.
+    that of `basis_tangents`. Where the axes rotate with everything else, the forces do too; where only they rotate, the
+    result changes as little as a friction between that and cos(pi / NUM_EDGES) times it would change it.
 
     Args:
         point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is ignored.
@@ -82,11 +86,12 @@ def contact_forces(
             about as large as the weight itself.
         load: Outer load on the object, [F, tau / `LEVER_M`] per unit of total pressure; None: none.
         forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
+        axes: Rotations (N, 3, 3) of the frames to which pyramids are aligned, such as the hand's, or one for all.
     """
     outer = np.zeros((len(point), 1, 6))
     if load is not None:
         outer[:, 0] = load
-    found = contact_forces_under(outer, point, normal, center, friction=friction, ridge=ridge, forms=forms)
+    found = contact_forces_under(outer, point, normal, center, friction=friction, ridge=ridge, forms=forms, axes=axes)
     return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
 
 
@@ -100,6 +105,7 @@ def contact_forces_under(
     friction: float = PLANNING_FRICTION,
     ridge: float = RIDGE,
     forms: Float[np.ndarray, "N E K 3"] | None = None,
+    axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
     start: Float[np.ndarray, "N P K 3"] | None = None,
 ) -> ContactForces:
     """`contact_forces` under each of P loads, all fields (N, P, ...); it costs less than one after another.
@@ -112,11 +118,12 @@ def contact_forces_under(
         friction: As for `contact_forces`.
         ridge: As for `contact_forces`.
         forms: As for `contact_forces`.
+        axes: As for `contact_forces`; loads are in the frame of the contacts (see `turn_loads`).
         start: `local` forces to start from (see `programs.solve_programs`).
     """
     N, K = point.shape[:2]
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
-    G, basis = grasp_map(point, normal, center, forms)
+    G, basis = grasp_map(point, normal, center, forms, axes)
     outer = np.zeros((N, loads.shape[-2], G.shape[2]))
     outer[..., :6] = loads
     local, solved = solve_programs(G, there, outer, friction, ridge, start)
@@ -132,6 +139,7 @@ def grasp_map(
     normal: Float[np.ndarray, "N K 3"],
     center: Float[np.ndarray, " 3"],
     forms: Float[np.ndarray, "N E K 3"] | None = None,
+    axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
 ) -> tuple[Float[np.ndarray, "N K R 3"], Float[np.ndarray, "N K 3 3"]]:
     """Grasp map G (N, K, 6 + E, 3) of local forces, and their directions (N, K, 3, 3) as columns.
 
@@ -140,35 +148,53 @@ def grasp_map(
         normal: As for `contact_forces`.
         center: As for `contact_forces`.
         forms: As for `contact_forces`.
+        axes: As for `contact_forces`.
     """
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     n = np.where(there[..., None], normal, [0.0, 0.0, 1.0])
     r = np.where(there[..., None], point - center, 0.0)
-    basis = np.concatenate([n[..., None], basis_tangents(n)], axis=-1)
+    basis = np.concatenate([n[..., None], basis_tangents(n, axes)], axis=-1)
     parts = [basis, hat(r) @ basis / LEVER_M]
     if forms is not None:
         parts.append(np.moveaxis(forms, 1, 2) @ basis)
     return np.concatenate(parts, axis=-2) * there[..., None, None], basis
 
 
-def basis_tangents(normal: Float[np.ndarray, "*K 3"]) -> Float[np.ndarray, "*K 3 2"]:
+def basis_tangents(
+    normal: Float[np.ndarray, "*N K 3"], axes: Float[np.ndarray, "*#N 3 3"] = WORLD_AXES
+) -> Float[np.ndarray, "*N K 3 2"]:
     """Two unit tangents as columns of each unit normal that turn with it smoothly, except at one direction.
 
     Those of `se3.tangents` jump where a normal crosses a coordinate plane, where normals of upright objects lie.
+
+    Args:
+        normal: Unit normals.
+        axes: Rotations of frames; rotating them with the normals rotates the tangents.
     """
     # In the frame of the pole, with w = n + e_z, they are the first two columns of I - w w^T / (1 + n_z).
-    n = normal @ POLE_ROTATION.T
-    w = (normal + POLE_ROTATION[2]) / np.maximum(1.0 + n[..., 2:], MIN_POLE_OFFSET)
-    return POLE_ROTATION[:2].T - w[..., None] * n[..., None, :2]
+    pole = POLE_ROTATION @ axes.mT
+    n = normal @ pole.mT
+    w = (normal + pole[..., None, 2, :]) / np.maximum(1.0 + n[..., 2:], MIN_POLE_OFFSET)
+    return pole[..., None, :2, :].mT - w[..., None] * n[..., None, :2]
 
 
-def basis_spin(normal: Float[np.ndarray, "*K 3"], change: Float[np.ndarray, "*K 3 D"]) -> Float[np.ndarray, "*K D"]:
+def basis_spin(
+    normal: Float[np.ndarray, "*N K 3"],
+    change: Float[np.ndarray, "*N K 3 D"],
+    axes: Float[np.ndarray, "*#N 3 3"] = WORLD_AXES,
+) -> Float[np.ndarray, "*N K D"]:
     """Rotation of the `basis_tangents` about the normal, in radians, where the normals change by `change`."""
-    x, y, z = np.moveaxis(normal @ POLE_ROTATION.T, -1, 0)
-    turned = POLE_ROTATION @ change
+    pole = POLE_ROTATION @ axes.mT
+    x, y, z = np.moveaxis(normal @ pole.mT, -1, 0)
+    turned = pole[..., None, :, :] @ change
     return (y[..., None] * turned[..., 0, :] - x[..., None] * turned[..., 1, :]) / np.maximum(1.0 + z, MIN_POLE_OFFSET)[
         ..., None
     ]
+
+
+def turn_loads(loads: Float[np.ndarray, "P 6"], axes: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N P 6"]:
+    """Loads (N, P, 6) in the frame of the contacts, from those in the axes of each grasp."""
+    return np.concatenate([part @ axes.mT for part in np.split(loads, 2, axis=-1)], axis=-1)
 
 
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:

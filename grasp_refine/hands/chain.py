@@ -85,7 +85,7 @@ class Chain:
             twists = xp.where(numbers.slides, products @ numbers.slide_twist, twists)
         root_twists = (T_world_root[:, :, 3] @ numbers.root_twist).reshape(-1, 6, 6)
         axes = xp.matrix_transpose(xp.concat([root_twists, twists], axis=1))
-        return Frames(T_world_link, axes)
+        return Frames(T_world_link, axes, T_world_root)
 
     def to_joint_space(
         self, frames: Frames, covector: Array, link: np.ndarray, minus: np.ndarray | None = None
@@ -135,6 +135,8 @@ class Frames:
     First the root's: translation along the three world axes, rotation about the three world axes through the
     root's origin. Then those of `Chain.joints`.
     """
+    T_world_root: Array
+    """Poses (batch, 4, 4) of the root."""
 
     __repr__ = brief
 

@@ -148,7 +148,7 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
     touching = proximity.witness.distance <= CONTACT_DISTANCE_M
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
-    forces = grasp_forces(prepared.hand, prepared.object, links, proximity.witness.rows(good))
+    forces = grasp_forces(prepared.hand, prepared.object, links, proximity.witness.rows(good), hands.T[good])
     hands = _Scored(
         hands.T[good], hands.q[good], hands.way[good], forces.residual + SINGLE_GROUP_PENALTY / groups[good]
     )

@@ -70,7 +70,8 @@ def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the wrench (N,) that the best contact forces leave unbalanced, as `ContactForces.residual`."""
-    return grasp_forces(grasps.hand, grasps.object, grasps.links, grasps.geometry.witness).residual
+    T = np.where(grasps.known[:, None, None], grasps.T_world_root, np.eye(4))
+    return grasp_forces(grasps.hand, grasps.object, grasps.links, grasps.geometry.witness, T).residual
 
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -180,7 +180,13 @@ def test_without_contacts_there_is_no_quality(free: Hand, ball: Object) -> None:
 
 def test_no_grasps_have_no_qualities(free: Hand, ball: Object) -> None:
     chain, frames, witness = touching(free, *OPPOSING)
-    found = quality(free, ball, chain, Frames(frames.T_world_link[:0], frames.axes[:0]), witness.rows(slice(0)))
+    found = quality(
+        free,
+        ball,
+        chain,
+        Frames(*(part[:0] for part in (frames.T_world_link, frames.axes, frames.T_world_root))),
+        witness.rows(slice(0)),
+    )
     assert found.value.shape == (0,)
 
 

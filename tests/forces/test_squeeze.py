@@ -63,7 +63,8 @@ def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     T = known.chain(scene.T_world_root, scene.q).T_world_link
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     point, normal = contacts(scene.hand, scene.links, witness)
-    force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE).force
+    axes = scene.T_world_root[:, :3, :3]
+    force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE, axes=axes).force
     return TOTAL_PRESSURE_N * force, witness.point_a
 
 

@@ -18,6 +18,7 @@ from grasp_refine.forces.wrench import (
     center_of_mass,
     contact_forces,
     grasp_map,
+    turn_loads,
 )
 from grasp_refine.objects.object import load_object
 
@@ -173,6 +174,21 @@ def test_moving_everything_changes_nothing() -> None:
     np.testing.assert_allclose(turned(0.0).force, without.force @ R.T, atol=1e-6)
     assert (turned(0.15).residual <= residual(0.15 * INNER) + 1e-5).all()
     assert (turned(0.15).residual >= residual(0.15 / INNER) - 1e-5).all()
+
+
+def test_forces_rotate_with_their_axes() -> None:
+    """Loads, forms and pyramids too: each grasp has a rotation of its own."""
+    point, normal = random_contacts(40, 4, seed=3)
+    load, forms = (np.random.default_rng(5).normal(size=shape) for shape in ((40, 6), (40, 2, 4, 3)))
+    axes, R = (exp_so3(np.random.default_rng(seed).normal(size=(40, 3))) for seed in (6, 7))
+    here = contact_forces(point, normal, ORIGIN, load=0.1 * load, forms=forms, axes=axes)
+    turned_load = 0.1 * turn_loads(np.eye(6), R).mT @ load[..., None]
+    there = contact_forces(
+        point @ R.mT, normal @ R.mT, ORIGIN, load=turned_load[..., 0], forms=forms @ R[:, None].mT, axes=R @ axes
+    )
+    np.testing.assert_allclose(there.residual, here.residual, atol=1e-12)
+    np.testing.assert_allclose(there.force, here.force @ R.mT, atol=1e-9)
+    np.testing.assert_allclose(there.local, here.local, atol=1e-9)
 
 
 def test_more_friction_never_harms() -> None:
@@ -368,12 +384,13 @@ def test_the_basis_is_a_rotation_wherever_the_normal_points() -> None:
 def test_the_basis_turns_by_its_spin_and_with_its_normal() -> None:
     """Against differences along all tangents."""
     normal, h = unit(50, 1), 1e-6
-    E = basis_tangents(normal)
-    spin = basis_spin(normal, E)
+    axes = exp_so3(np.array([0.3, -0.8, 0.5]))
+    E = basis_tangents(normal, axes)
+    spin = basis_spin(normal, E, axes)
     for k in range(2):
         ahead, behind = (normal + step * E[..., k] for step in (h, -h))
         ahead, behind = (n / np.linalg.norm(n, axis=1, keepdims=True) for n in (ahead, behind))
-        turned = (basis_tangents(ahead) - basis_tangents(behind)) / (2 * h)
+        turned = (basis_tangents(ahead, axes) - basis_tangents(behind, axes)) / (2 * h)
         omega = np.cross(normal, E[..., k]) + spin[:, k, None] * normal
         np.testing.assert_allclose(turned, np.cross(omega[..., None], E, axis=1), atol=1e-4)
 

@@ -80,7 +80,8 @@ def test_sampled_grasps_hold_the_object(allegro: Hand, box: Object, held: GraspS
     assert set(held.object) == {box.name}
     assert (held.scale == 1.0).all()
     assert len(held) == 12
-    forces = grasp_forces(allegro, box, links_of(allegro), witness_of(allegro, box, held))
+    T = transform_from_pose(held.hand_pose)
+    forces = grasp_forces(allegro, box, links_of(allegro), witness_of(allegro, box, held), T)
     assert np.median(forces.residual) < 0.05, "most of them can squeeze the object without moving it"
 
 
@@ -111,7 +112,9 @@ def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
 def test_of_forces_that_balance_alike_those_of_more_groups_are_better(
     allegro: Hand, box: Object, monkeypatch: pytest.MonkeyPatch
 ):
-    def balanced(hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness) -> SimpleNamespace:
+    def balanced(
+        hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, T_world_root: np.ndarray
+    ) -> SimpleNamespace:
         return SimpleNamespace(residual=np.zeros(len(witness.distance)), solved=np.ones(len(witness.distance), bool))
 
     monkeypatch.setattr(grasp_sampling, "grasp_forces", balanced)

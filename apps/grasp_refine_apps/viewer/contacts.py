@@ -81,7 +81,8 @@ class Contacts:
     def forces(self) -> Forces:
         """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
         point, normal = contacts(self.prepared.hand, self.prepared.chain.links, self.witness)
-        found = contact_forces(point, normal, center_of_mass(self.prepared.object))
+        axes = self.frames.T_world_root[:, :3, :3]
+        found = contact_forces(point, normal, center_of_mass(self.prepared.object), axes=axes)
         near = np.isfinite(point[0, :, 0])
         return Forces(point[0, near], normal[0, near], found.force[0, near])
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array
@@ -41,7 +42,8 @@ class Wrench(Term):
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the best contact forces, searched from those it has; none where it is rejected."""
         pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
-        return replace(state, forces=self.equilibrium.forces(pushing, state.witness, state.frames, state.forces))
+        forces = self.equilibrium.forces(pushing, state.witness, state.frames, self._axes(state), state.forces)
+        return replace(state, forces=forces)
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the roots (M,) of the mean squares over the loads, forces being counted a little."""
@@ -59,4 +61,8 @@ class Wrench(Term):
         pressed = state.forces.pressed[:, columns]
         radius = np.full((2, *pressed.shape), 0.5 * CURVATURE_RADIUS_M)
         w, E, *K = contact_curvatures(self.setup, state, columns, pressed, radius, width)
-        yield JointRows(*self.equilibrium.rows(state.forces, columns, w, state.frames, E, *K))
+        yield JointRows(*self.equilibrium.rows(state.forces, columns, w, state.frames, self._axes(state), E, *K))
+
+    def _axes(self, state: State) -> Float[np.ndarray, "M 3 3"]:
+        """Return the rotations of the hands in the initial grasps: a frame that rotates with the scene."""
+        return self.setup.scene.T_world_root[state.member, :3, :3]
