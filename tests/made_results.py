@@ -118,6 +118,7 @@ def plain_outcome(
         contact_distance=np.zeros((count, links)),
         stage_pose=np.repeat(pose[:, None], 3, axis=1),
         stage_q=np.repeat(q[:, None], 3, axis=1),
+        weakness=np.full(count, ""),
     )
 
 

@@ -1,15 +1,16 @@
-"""Quality of grasps: an estimate of whether they hold, from contact points and normals alone, without simulation."""
+"""Quality of grasps: the probability that they hold, from contact points and normals alone, without simulation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.short_repr import brief
+from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under, turn_loads
@@ -27,6 +28,10 @@ PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
 """Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces` in the axes of the hand."""
 
 
+SHORTCOMINGS = ("slippery", "pushed", "deep", "open")
+"""Fields of `Quality` that its score and its probability are made of."""
+
+
 @dataclass(frozen=True, eq=False)
 class Quality:
     """Shortcomings of each of N grasps, all without unit and 0 at best; NaN where a grasp has no forces."""
@@ -40,23 +45,34 @@ class Quality:
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
+    weakest_push: Float[np.ndarray, "N 3"]
+    """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
+    deepest_link: Int[np.ndarray, " N"]
+    """Index (N,) of the link that is deepest in the object."""
+    farthest_contact: Int[np.ndarray, " N"]
+    """Index (N,) of the link whose gap, weighted by its pressure, is largest."""
 
     __repr__ = brief
 
     @property
+    def shortcomings(self) -> Float[np.ndarray, "N 4"]:
+        """The fields `SHORTCOMINGS` (N, 4)."""
+        return np.stack([getattr(self, name) for name in SHORTCOMINGS], axis=1)
+
+    @property
     def score(self) -> Float[np.ndarray, " N"]:
-        """Sum of all (N,); infinite where a grasp has no forces."""
-        total = np.sum([getattr(self, field.name) for field in fields(self)], axis=0)
+        """Sum of the shortcomings (N,); infinite where a grasp has no forces."""
+        total = self.shortcomings.sum(axis=1)
         return np.where(np.isnan(total), np.inf, total)
 
     @property
     def value(self) -> Float[np.ndarray, " N"]:
-        """The quality 1 / (1 + score) (N,), in (0, 1]: higher is better, NaN where a grasp has no forces."""
-        return np.where(np.isfinite(self.score), 1.0 / (1.0 + self.score), np.nan)
+        """Probability (N,) that a grasp holds, see `calibration`; NaN where a grasp has no forces."""
+        return CALIBRATION.probability(self.shortcomings)
 
 
 def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> Quality:
-    """Quality of N grasps, an estimate from contact points and normals of how well they will hold; 1 at best.
+    """Quality of N grasps: their shortcomings, and the probability that they hold, from contact points and normals.
 
     Args:
         hand: The hand.
@@ -77,9 +93,13 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     pushed = contact_forces_under(turn_loads(PUSHES, axes), point, normal, center, forms=forms, axes=axes)
     slippery = contact_forces(point, normal, center, friction=LOW_FRICTION, axes=axes)
     distance = np.where(witness.valid, witness.distance, 0.0)
+    depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance, 0.0)
     return Quality(
         slippery=slippery.residual,
         pushed=pushed.residual.mean(axis=1),
-        deep=np.maximum(-distance, 0.0).max(axis=1, initial=0.0) / DEEP,
-        open=(slippery.pressure * np.maximum(distance, 0.0)).sum(axis=1) / DEEP,
+        deep=depth.max(axis=1, initial=0.0) / DEEP,
+        open=gap.sum(axis=1) / DEEP,
+        weakest_push=PUSHES[np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
+        deepest_link=depth.argmax(axis=1),
+        farthest_contact=np.nan_to_num(gap).argmax(axis=1),
     )

@@ -13,6 +13,7 @@ from grasp_refine.core.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.core.short_repr import brief
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
+from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.formulas import MeasuredGrasps, MeasuredRefinement
 from grasp_refine.validation.geometry import measure, movement
@@ -63,6 +64,8 @@ class Outcome:
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
     """Joint values (N, 3, n) at these stages; those of a squeeze may lie beyond the limits."""
+    weakness: np.ndarray
+    """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
 
     __repr__ = brief
 
@@ -190,6 +193,7 @@ def compare(
         contact_distance=at_contacts(witness.distance),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
+        weakness=np.array(weaknesses(grasps.quality, scene.links)[count:], dtype=np.str_),
     )
 
 

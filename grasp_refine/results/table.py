@@ -183,7 +183,15 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
         lines.append(
             Text.assemble((f"{slips.sum()} {how}", "yellow"), f"{_numbers_in_brackets(outcome, slips)}: {advice}")
         )
+        lines += _weakness_lines(outcome, slips)
     return lines
+
+
+def _weakness_lines(outcome: Outcome, slips: np.ndarray) -> list[Text]:
+    """Return a line for each of the first grasps that may slip on what makes it weak."""
+    rows = [row for row in np.flatnonzero(slips) if outcome.weakness[row]][:MAX_NUMBERED_GRASPS]
+    names = [numbers_text(outcome.object, outcome.index, np.arange(len(outcome)) == row) for row in rows]
+    return [Text(f"  grasp {name}: {outcome.weakness[row]}") for name, row in zip(names, rows, strict=True)]
 
 
 def _converged(outcome: Outcome, config: Config) -> list[Text]:

@@ -11,15 +11,15 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import whole
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_QUALITY
+from grasp_refine.refinement.force_closure_search import CLOSE
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 
-HOLDS = 1.0 / (1.0 + GOOD_QUALITY)
-"""Quality from which on a grasp should hold."""
+HOLDS = 0.9
+"""Quality, the estimated probability of holding, from which on a grasp should hold."""
 
-BAR = f"{HOLDS:.3f} or more"
+BAR = f"{HOLDS:g} or more"
 """`HOLDS` in words."""
 
 
@@ -63,11 +63,14 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
 def advice(outcome: Outcome, config: Config) -> list[str]:
     """Return advice on each of N grasps."""
     slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & made_to_hold(outcome, config)
-    parts = (
-        (status_advice(Status(status), outcome, config), f"may slip: {slip_advice(outcome, config)}" if slip else "")
-        for status, slip in zip(outcome.status, slips, strict=True)
-    )
-    return ["; ".join(filter(None, pair)) for pair in parts]
+    texts = []
+    for status, slip, weakness in zip(outcome.status, slips, outcome.weakness.tolist(), strict=True):
+        parts = [status_advice(Status(status), outcome, config)]
+        if slip:
+            why = f" ({weakness})" if weakness else ""
+            parts.append(f"may slip{why}: {slip_advice(outcome, config)}")
+        texts.append("; ".join(filter(None, parts)))
+    return texts
 
 
 def estimate_line(good: int, before: int | None, count: int) -> Text:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.forces.quality import quality
+from grasp_refine.forces.quality import Quality, quality
 from grasp_refine.forces.squeeze import grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
@@ -47,6 +48,15 @@ class MeasuredGrasps:
         """True for grasps (N,) that are finite, and all of whose queries succeeded."""
         return self.geometry.witness.valid.all(axis=1)
 
+    @cached_property
+    def quality(self) -> Quality:
+        """Shortcomings of the grasps, with arbitrary numbers for those that are not `known`."""
+        known = self.known
+        T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
+        q = np.where(known[:, None], self.q, 0.0)
+        chain = Chain(self.hand, self.links)
+        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
+
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRefinement:
@@ -76,12 +86,7 @@ def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return `Quality.value` (N,); NaN where a grasp is not `known`, or has no contacts."""
-    known = grasps.known
-    T = np.where(known[:, None, None], grasps.T_world_root, np.eye(4))
-    q = np.where(known[:, None], grasps.q, 0.0)
-    chain = Chain(grasps.hand, grasps.links)
-    value = quality(grasps.hand, grasps.object, chain, chain(T, q), grasps.geometry.witness).value
-    return np.where(known, value, np.nan)
+    return np.where(grasps.known, grasps.quality.value, np.nan)
 
 
 def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -119,7 +119,7 @@ class Measure:
 QUALITY = Measure(
     key="quality",
     title="quality",
-    hint="estimate of how well the contacts can hold, 1 / (1 + score), from 0 to 1",
+    hint="estimated probability that the grasp holds when it is simulated, from 0 to 1",
     unit=SHARE,
     formula=quality_value,
     better="higher",

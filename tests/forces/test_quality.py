@@ -7,6 +7,7 @@ import pytest
 
 from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
+from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
 from grasp_refine.forces.programs import NUM_EDGES
 from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, Quality, quality
@@ -69,7 +70,7 @@ def test_two_opposing_contacts_need_no_friction_but_for_what_pushes(free: Hand, 
     most = 2 / 6 * PUSH_SHARE + 4 / 6 * (PUSH_SHARE - PLANNING_FRICTION * np.cos(np.pi / NUM_EDGES))
     assert found.pushed[0] <= most + 1e-4
     assert found.score[0] == pytest.approx(found.slippery[0] + found.pushed[0])
-    assert found.value[0] == pytest.approx(1.0 / (1.0 + found.score[0]))
+    assert found.value[0] == pytest.approx(CALIBRATION.probability(found.shortcomings)[0])
 
 
 def test_contacts_all_around_balance_every_push(free: Hand, ball: Object) -> None:

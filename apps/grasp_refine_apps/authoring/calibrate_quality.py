@@ -1,0 +1,217 @@
+"""Fit the calibration of the quality: simulate grasps of many hands and generators, and print coefficients.
+
+Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE]`, where ASSETS is a folder of
+hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry refined, and
+refined from one start and from several: what people will ask about. The reliability is told on each set with a fit on
+all others, where a set is one generator with one hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from grasp_refine.core.array_records import join, take
+from grasp_refine.core.atomic_files import written_whole
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.calibration import Calibration
+from grasp_refine.forces.quality import Quality
+from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.problem import Group
+from grasp_refine.pipeline.refine import refine_group
+from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.refinement.config import Config
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.formulas import MeasuredGrasps
+from grasp_refine.validation.geometry import measure
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
+
+RIDGE = 1e-2
+"""Weight of the squared coefficients, of standardised shortcomings."""
+BINS = 10
+"""Number of bins of the reliability."""
+
+NUM_SAMPLED = 12
+"""Number of grasps sampled for a hand and an object."""
+SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:0.05,0.05,0.12")
+"""Objects for sampled grasps."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Grasps of one generator with one hand."""
+
+    name: str
+    """Name of generator and hand, by which grasps are left out."""
+    spec: ProblemSpec
+    """Hand, objects and grasps."""
+
+
+def sources(assets: Path) -> Iterator[Source]:
+    """Return all sources of a folder of assets."""
+    grasps, hands = assets / "grasps" / "normalised", assets / "hands"
+    shadow = str(hands / "shadow" / "shadow_right.urdf")
+    pieces = assets / "grasps" / "bodex_shadow" / "example_object"
+    meshes, cube = assets / "objects", "box:0.075,0.075,0.075"
+    every = {"bodex": tuple(range(0, 80, 2)), "dexgraspnet": tuple(range(0, 60, 6)), "leap": tuple(range(0, 768, 8))}
+    yield Source(
+        "BODex, Shadow",
+        ProblemSpec(hand=shadow, objects=pieces, index=every["bodex"], grasps=grasps / "bodex_shadow.npz"),
+    )
+    yield Source(
+        "DexGraspNet, Shadow",
+        ProblemSpec(
+            hand="shadow", objects=meshes, index=every["dexgraspnet"], grasps=grasps / "dexgraspnet_shadow.npz"
+        ),
+    )
+    yield Source(
+        "FRoGGeR, Allegro",
+        ProblemSpec(
+            hand="allegro", objects=meshes, object_name="077_rubiks_cube", grasps=grasps / "frogger_allegro.npz"
+        ),
+    )
+    yield Source("LEAP", ProblemSpec(hand="leap", object=cube, index=every["leap"], grasps=grasps / "leap_cube.npz"))
+    own = {name: str(hands / name / f"{name}.urdf") for name in ("barrett", "robotiq3f")}
+    for name, hand in {**{name: name for name in ("allegro", "leap", "shadow_palm")}, **own}.items():
+        for obj in SAMPLED_OBJECTS:
+            yield Source(f"sampled, {name}", ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{NUM_SAMPLED}")))
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """N grasps with their shortcomings and verdicts."""
+
+    source: np.ndarray
+    """Name of the source (N,)."""
+    shortcomings: np.ndarray
+    """Shortcomings (N, K), as of `Quality.shortcomings`."""
+    held: np.ndarray
+    """True (N,) where a grasp held."""
+
+
+def measured(scene: Scene) -> Quality:
+    """Return the quality of the grasps of a scene."""
+    nothing = np.full((len(scene.q), len(scene.links), 3), np.nan)
+    args = scene.hand, scene.object, scene.links, scene.T_world_root, scene.q
+    return MeasuredGrasps(*args, measure(*args, nothing, nothing)).quality
+
+
+def samples(source: Source) -> Samples:
+    """Simulate the grasps of a source: input grasps, geometry refined, and refined from one and from several starts."""
+    problem = load_problem(source.spec)
+    model, config = model_of(problem.hand), Config()
+    geometry = replace(config, weights=replace(config.weights, wrench=0.0))
+    shortcomings, held = [], []
+    for group in problem.groups:
+        world = build_world(model, group.scene.object, DEXGRASPBENCH, group.scene.table)
+        prepared = HandObject.of(group.scene)
+        cases = [(group.scene, group.motion())]
+        cases += [refined(group, each, prepared) for each in (geometry, replace(config, starts=1), config)]
+        for scene, motion in cases:
+            shortcomings.append(measured(scene).shortcomings)
+            held.append(simulate(world, motion).success)
+    count = sum(map(len, held))
+    return Samples(np.full(count, source.name), np.concatenate(shortcomings), np.concatenate(held))
+
+
+def refined(group: Group, config: Config, prepared: HandObject) -> tuple[Scene, Motion]:
+    """Return the refined grasps of a group, and the motion that closes the hand to them."""
+    outcome = refine_group(group, config, prepared=prepared)
+    T = transform_from_pose(outcome.hand_pose)
+    return replace(group.scene, T_world_root=T, q=outcome.q), Motion(
+        transform_from_pose(outcome.stage_pose), outcome.stage_q
+    )
+
+
+def fit(found: Samples) -> Calibration:
+    """Return the logistic model of most likelihood, with a ridge; no weight is below 0."""
+    known = np.isfinite(found.shortcomings).all(axis=1)
+    roots, held = np.sqrt(found.shortcomings[known]), found.held[known].astype(float)
+    scale = roots.std(axis=0) + 1e-12
+    scaled = roots / scale
+
+    def loss(coefficients: np.ndarray) -> tuple[float, np.ndarray]:
+        odds = coefficients[0] - scaled @ coefficients[1:]
+        excess = (expit(odds) - held) / len(held)
+        ridge = RIDGE * coefficients[1:] / scaled.shape[1]
+        value = np.mean(np.logaddexp(0.0, odds) - held * odds) + 0.5 * ridge @ coefficients[1:]
+        return value, np.concatenate([[excess.sum()], ridge - scaled.T @ excess])
+
+    bounds = [(None, None)] + [(0.0, None)] * scaled.shape[1]
+    best = minimize(loss, np.ones(1 + scaled.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x
+    return Calibration(float(best[0]), tuple((best[1:] / scale).tolist()))
+
+
+def left_out(found: Samples) -> np.ndarray:
+    """Return the probability (N,) of each grasp by a fit on all other sources."""
+    probability = np.full(len(found.held), np.nan)
+    for name in dict.fromkeys(found.source.tolist()):
+        at = found.source == name
+        probability[at] = fit(take(found, ~at)).probability(found.shortcomings[at])
+    return probability
+
+
+def report(found: Samples) -> str:
+    """Return coefficients, reliability and error of the fit as text."""
+    known = np.isfinite(found.shortcomings).all(axis=1)
+    probability, held = left_out(found)[known], found.held[known]
+    calibration = fit(found)
+    weights = ", ".join(f"{weight:.2f}" for weight in calibration.weights)
+    lines = [
+        f"{len(found.held)} grasps, {found.held.mean():.1%} held; {np.count_nonzero(~known)} without forces, "
+        f"{np.count_nonzero(found.held[~known])} of which held",
+        f"Calibration(offset={calibration.offset:.2f}, weights=({weights}))",
+        "left out: estimated, held, number of grasps",
+    ]
+    number = np.minimum((BINS * probability).astype(int), BINS - 1)
+    for bin in np.unique(number):
+        at = number == bin
+        ends = f"{bin / BINS:.1f} to {(bin + 1) / BINS:.1f}"
+        lines.append(f"  {ends}: {probability[at].mean():.3f}  {held[at].mean():.3f}  {at.sum()}")
+    lines.append(f"Brier score {np.mean((probability - held) ** 2):.4f}, of the mean alone {held.var():.4f}")
+    for name in dict.fromkeys(found.source[known].tolist()):
+        at = found.source[known] == name
+        lines.append(f"  {name}: {probability[at].mean():.3f} estimated, {held[at].mean():.3f} held, {at.sum()} grasps")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Simulate, fit and print."""
+    parser = argparse.ArgumentParser(description="Fit the calibration of the quality of grasps.")
+    parser.add_argument("assets", type=Path, help="folder of hands, objects and grasps")
+    parser.add_argument(
+        "--samples", type=Path, help="keep shortcomings and verdicts in this .npz, or take them from it"
+    )
+    options = parser.parse_args(arguments)
+    if options.samples is not None and options.samples.exists():
+        with np.load(options.samples) as file:
+            found = Samples(file["source"], file["shortcomings"], file["held"])
+    else:
+        parts = []
+        for source in sources(options.assets):
+            try:
+                parts.append(samples(source))
+                print(f"{source.name}, {source.spec.object or 'its objects'}: {len(parts[-1].held)} grasps", flush=True)
+            except GraspRefineError as error:
+                print(f"{source.name}: left out, {error}", flush=True)
+        found = join(*parts)
+        if options.samples is not None:
+            with written_whole(options.samples) as path:
+                np.savez(path, source=found.source, shortcomings=found.shortcomings, held=found.held)
+    print(report(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Calibration of the quality: probability that a grasp holds, from its shortcomings.
+
+A logistic regression on grasps that were simulated under the protocol `dexgraspbench`; its coefficients are those that
+`python -m grasp_refine_apps.authoring.calibrate_quality` prints, with the reliability on hands and generators that were
+left out of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Logistic model of holding: log odds = `offset` minus the weighted square roots of the shortcomings."""
+
+    offset: float
+    """Log odds of a grasp without shortcomings."""
+    weights: tuple[float, ...]
+    """Weight of the square root of each of the K shortcomings, at least 0."""
+
+    def costs(self, shortcomings: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N K"]:
+        """Return the log odds (N, K) that each shortcoming costs."""
+        return np.array(self.weights) * np.sqrt(shortcomings)
+
+    def probability(self, shortcomings: Float[np.ndarray, "N K"]) -> Float[np.ndarray, " N"]:
+        """Return the probability (N,) that a grasp holds; NaN where a shortcoming is not known."""
+        odds = self.offset - self.costs(shortcomings).sum(axis=1)
+        return 1.0 / (1.0 + np.exp(-odds))
+
+
+CALIBRATION = Calibration(offset=7.10, weights=(3.79, 9.54, 1.38, 1.73))
+"""Fit of all sets, for `slippery`, `pushed`, `deep` and `open` of `Quality`."""

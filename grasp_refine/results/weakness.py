@@ -1,0 +1,54 @@
+"""Texts on what makes grasps weak: the shortcoming that costs most quality, with its push, link or contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_refine.forces.calibration import CALIBRATION
+from grasp_refine.forces.quality import DEEP, LOW_FRICTION, SHORTCOMINGS, Quality
+
+NEGLIGIBLE_COST = 0.5
+"""Log odds below which the costliest shortcoming is not told."""
+
+AXES = "xyz"
+"""Names of the axes of the object."""
+
+
+def weaknesses(quality: Quality, links: tuple[str, ...]) -> list[str]:
+    """Return for each of N grasps a text on its costliest shortcoming; empty where it costs little, or is not known.
+
+    Args:
+        quality: Shortcomings of the grasps, in the object's frame.
+        links: Names of the links.
+    """
+    costs = CALIBRATION.costs(quality.shortcomings)
+    known = np.isfinite(costs).all(axis=1)
+    worst = np.nan_to_num(costs).argmax(axis=1)
+    found = []
+    for i, which in enumerate(worst):
+        if not known[i]:
+            found.append("no forces of its contacts balance" if not np.isnan(costs[i]).all() else "it has no contacts")
+        elif costs[i, which] < NEGLIGIBLE_COST:
+            found.append("")
+        else:
+            found.append(_text(quality, SHORTCOMINGS[which], i, links))
+    return found
+
+
+def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...]) -> str:
+    """Return the text on a shortcoming of grasp `i`."""
+    if shortcoming == "slippery":
+        return f"with friction {LOW_FRICTION:g} its forces leave {quality.slippery[i]:.0%} of the load unbalanced"
+    if shortcoming == "pushed":
+        return f"weak against pushes, most along {direction_text(quality.weakest_push[i])}"
+    if shortcoming == "deep":
+        return f"{links[quality.deepest_link[i]]} is {1e3 * DEEP * quality.deep[i]:.1f} mm in the object"
+    return f"contact of {links[quality.farthest_contact[i]]} is open"
+
+
+def direction_text(direction: np.ndarray) -> str:
+    """Return a unit vector (3,) in words: an axis with its sign where it is near one, else its components."""
+    axis = int(np.abs(direction).argmax())
+    if abs(direction[axis]) > np.cos(np.radians(10.0)):
+        return f"{'-' if direction[axis] < 0 else '+'}{AXES[axis]}"
+    return f"({', '.join(f'{value:.1f}' for value in direction)})"

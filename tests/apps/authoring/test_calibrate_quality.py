@@ -1,0 +1,49 @@
+"""The fit of the calibration, on grasps that hold by a known law."""
+
+import numpy as np
+import pytest
+
+from grasp_refine.forces.calibration import Calibration
+from grasp_refine_apps.authoring.calibrate_quality import Samples, fit, left_out, main
+
+LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Samples:
+    """20,000 grasps of four generators, which hold with the probability of the law."""
+    rng = np.random.default_rng(0)
+    shortcomings = rng.uniform(0.0, 1.0, (20_000, 4)) ** 2
+    held = rng.uniform(size=len(shortcomings)) < LAW.probability(shortcomings)
+    return Samples(np.array(["a", "b", "c", "d"])[rng.integers(0, 4, len(held))], shortcomings, held)
+
+
+def test_the_law_is_found(drawn: Samples) -> None:
+    found = fit(drawn)
+    assert found.offset == pytest.approx(LAW.offset, rel=0.08)
+    np.testing.assert_allclose(found.weights, LAW.weights, atol=0.35)
+
+
+def test_a_shortcoming_that_seems_to_help_gets_no_weight(drawn: Samples) -> None:
+    """Deeper grasps held more often: by chance or not, depth must not raise the probability."""
+    odd = Samples(drawn.source, drawn.shortcomings, drawn.held | (drawn.shortcomings[:, 2] > 0.5))
+    assert fit(odd).weights[2] == 0.0
+
+
+def test_grasps_are_judged_by_the_others(drawn: Samples) -> None:
+    """The verdicts of one generator are turned around: its own estimates stay, those of the others change."""
+    at = drawn.source == "a"
+    turned = Samples(drawn.source, drawn.shortcomings, np.where(at, ~drawn.held, drawn.held))
+    before, after = left_out(drawn), left_out(turned)
+    np.testing.assert_array_equal(before[at], after[at])
+    assert (np.abs(before[~at] - after[~at]) > 0.05).mean() > 0.5
+
+
+def test_estimates_are_what_happens(drawn: Samples, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "samples.npz", **{name: getattr(drawn, name) for name in ("source", "shortcomings", "held")})
+    main([str(tmp_path), "--samples", str(tmp_path / "samples.npz")])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  0.")]
+    bins = np.array([[float(value) for value in (row[0], row[2].rstrip(":"), *row[3:])] for row in rows])
+    assert len(bins) == 10 and bins[:, 4].sum() == len(drawn.held)
+    assert (bins[:, 0] <= bins[:, 2]).all() and (bins[:, 2] <= bins[:, 1]).all()
+    assert (np.abs(bins[:, 2] - bins[:, 3]) < 4.0 * np.sqrt(0.25 / bins[:, 4]) + 0.005).all()

@@ -1,0 +1,49 @@
+"""What is told of weak grasps: the costliest shortcoming, with its push, link or contact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.forces.quality import Quality
+from grasp_refine.results.weakness import direction_text, weaknesses
+
+LINKS = ("palm", "thumb", "index")
+
+
+def plain(**given: float) -> Quality:
+    """One grasp without shortcomings but the given ones; the thumb is deepest, the index finger farthest."""
+    one = {name: np.array([given.get(name, 0.0)]) for name in ("slippery", "pushed", "deep", "open")}
+    return Quality(
+        **one, weakest_push=np.array([[0.0, -1.0, 0.0]]), deepest_link=np.array([1]), farthest_contact=np.array([2])
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"slippery": 0.4}, ("friction 0.1", "40%")),
+        ({"pushed": 0.2}, ("-y",)),
+        ({"deep": 0.3}, ("thumb", "3.0 mm")),
+        ({"open": 0.4}, ("index",)),
+        ({"pushed": 0.2, "deep": 1e-4}, ("-y",)),
+    ],
+)
+def test_the_costliest_shortcoming_is_told(given: dict[str, float], named: tuple[str, ...]) -> None:
+    (text,) = weaknesses(plain(**given), LINKS)
+    assert all(name in text for name in named)
+
+
+def test_a_good_grasp_has_no_weakness() -> None:
+    assert weaknesses(plain(pushed=1e-6), LINKS) == [""]
+
+
+def test_a_grasp_without_forces_says_so() -> None:
+    nothing = np.array([np.nan])
+    assert weaknesses(replace(plain(), slippery=nothing, pushed=nothing, open=nothing), LINKS) != [""]
+
+
+def test_directions() -> None:
+    assert direction_text(np.array([0.0, 0.0, 1.0])) == "+z"
+    assert direction_text(np.array([-0.99, 0.1, 0.0])) == "-x"
+    assert direction_text(np.array([0.6, 0.0, -0.8])) == "(0.6, 0.0, -0.8)"
