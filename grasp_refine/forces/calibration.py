@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,7 @@ class Calibration:
 
     def probability(self, shortcomings: Float[np.ndarray, "N K"]) -> Float[np.ndarray, " N"]:
         """Return the probability (N,) that a grasp holds; NaN where a shortcoming is not known."""
-        odds = self.offset - self.costs(shortcomings).sum(axis=1)
-        return 1.0 / (1.0 + np.exp(-odds))
+        return expit(self.offset - self.costs(shortcomings).sum(axis=1))
 
 
 CALIBRATION = Calibration(offset=7.10, weights=(3.79, 9.54, 1.38, 1.73))

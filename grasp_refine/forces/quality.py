@@ -90,7 +90,8 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     center = center_of_mass(obj)
     forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
     axes = frames.T_world_root[:, :3, :3]
-    pushed = contact_forces_under(turn_loads(PUSHES, axes), point, normal, center, forms=forms, axes=axes)
+    pushes = turn_loads(PUSHES, axes)
+    pushed = contact_forces_under(pushes, point, normal, center, forms=forms, axes=axes)
     slippery = contact_forces(point, normal, center, friction=LOW_FRICTION, axes=axes)
     distance = np.where(witness.valid, witness.distance, 0.0)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance, 0.0)
@@ -99,7 +100,7 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
         pushed=pushed.residual.mean(axis=1),
         deep=depth.max(axis=1, initial=0.0) / DEEP,
         open=gap.sum(axis=1) / DEEP,
-        weakest_push=PUSHES[np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
+        weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
         farthest_contact=np.nan_to_num(gap).argmax(axis=1),
     )

@@ -7,6 +7,7 @@ import pytest
 
 from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
+from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
 from grasp_refine.forces.programs import NUM_EDGES
@@ -71,6 +72,21 @@ def test_two_opposing_contacts_need_no_friction_but_for_what_pushes(free: Hand, 
     assert found.pushed[0] <= most + 1e-4
     assert found.score[0] == pytest.approx(found.slippery[0] + found.pushed[0])
     assert found.value[0] == pytest.approx(CALIBRATION.probability(found.shortcomings)[0])
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+def test_the_weakest_push_is_one_that_fingers_cannot_take(free: Hand, ball: Object, turn: float) -> None:
+    """Two contacts along x take part of a push across it, and nothing of one along x, as each presses with half of all.
+
+    Pushes are along the axes of the hand.
+    """
+    chain, _, witness = touching(free, *OPPOSING)
+    T = np.eye(4)[None].copy()
+    T[0, :3, :3] = exp_so3(np.array([0.0, 0.0, turn]))
+    found = quality(free, ball, chain, chain(T, np.zeros((1, len(free.joint_names)))), witness)
+    in_hand = found.weakest_push[0] @ T[0, :3, :3]
+    assert np.isclose(np.abs(in_hand).max(), 1.0) and np.count_nonzero(np.abs(in_hand) > 1e-9) == 1
+    assert abs(found.weakest_push[0, 0]) == pytest.approx(np.cos(turn))
 
 
 def test_contacts_all_around_balance_every_push(free: Hand, ball: Object) -> None:

@@ -10,6 +10,7 @@ import trimesh
 from claw import around, claw
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.quality import quality
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
@@ -120,10 +121,11 @@ def test_the_hand_may_come_from_anywhere(hand: Hand, ball: Object) -> None:
 
 def test_there_is_no_quality_without_contacts_and_it_falls_with_depth(hand: Hand, ball: Object) -> None:
     found = at(hand, ball, [[0.011, 0.011, 0.0031], [0.0, 0.0, 0.05], [-0.002, -0.002, 0.05]])
-    # That deep, 2 mm over `quality.DEEP` = 1 cm are added to the score; the forces are the same.
-    scores = 1.0 / found.quality - 1.0
+    # That deep, 2 mm over `quality.DEEP` = 1 cm are added to the shortcomings; the forces are the same.
+    odds = np.log(found.quality / (1.0 - found.quality))
     assert np.isnan(found.quality[0]) and 0.0 < found.quality[2] < found.quality[1] < 1.0
-    np.testing.assert_allclose(scores[2] - scores[1], 0.2, atol=1e-3)
+    (cost,) = CALIBRATION.costs(np.array([[0.0, 0.0, 0.2, 0.0]])).sum(axis=1)
+    np.testing.assert_allclose(odds[1] - odds[2], cost, atol=1e-3)
 
 
 def test_the_quality_of_coupled_joints_is_that_where_they_are(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ RIDGE = 1e-2
 BINS = 10
 """Number of bins of the reliability."""
 
-NUM_SAMPLED = 12
+NUM_SAMPLED = 8
 """Number of grasps sampled for a hand and an object."""
 SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:0.05,0.05,0.12")
 """Objects for sampled grasps."""
@@ -65,7 +65,7 @@ def sources(assets: Path) -> Iterator[Source]:
     shadow = str(hands / "shadow" / "shadow_right.urdf")
     pieces = assets / "grasps" / "bodex_shadow" / "example_object"
     meshes, cube = assets / "objects", "box:0.075,0.075,0.075"
-    every = {"bodex": tuple(range(0, 80, 2)), "dexgraspnet": tuple(range(0, 60, 6)), "leap": tuple(range(0, 768, 8))}
+    every = {"bodex": tuple(range(0, 80, 4)), "dexgraspnet": tuple(range(0, 60, 6)), "leap": tuple(range(0, 768, 16))}
     yield Source(
         "BODex, Shadow",
         ProblemSpec(hand=shadow, objects=pieces, index=every["bodex"], grasps=grasps / "bodex_shadow.npz"),
