@@ -39,7 +39,7 @@ class SimulatedGrasps:
         """Return lines on the number of grasps that held before and after, and the reasons of failures."""
         before, after = self.held.T
         changed = int((after & ~before).sum()), int((before & ~after).sum())
-        held = held_line(self.protocol.name, (int(before.sum()), int(after.sum())), *changed, len(after))
+        held = held_line(self.protocol.label, (int(before.sum()), int(after.sum())), *changed, len(after))
         return [held, *reason_lines(self.after, self.protocol)]
 
     def __repr__(self) -> str:
@@ -56,11 +56,11 @@ class SimulatedGrasps:
 
 def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
     """Return lines on the number of grasps that failed, by reason."""
-    worst = trials.reason[np.arange(len(trials)), trials.worst]
+    outcome = trials.outcome
     return [
-        Text.assemble((f"{(worst == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
+        Text.assemble((f"{(outcome == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
         for reason in list(Reason)[1:]
-        if (worst == reason).any()
+        if (outcome == reason).any()
     ]
 
 
@@ -101,8 +101,10 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
     ]
     return {
         "protocol": protocol.name,
+        "rule": protocol.rule,
         "success": trials.success[i],
         **directions[worst],
+        "reason": Reason(trials.outcome[i]).label,
         "directions": directions,
         "closing": {
             "displacement_m": trials.closing_m[i],

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -118,6 +118,7 @@ def _simulation(
         return None
     return {
         **simulation_entry(validated.trials, i, protocol),
+        "mass_kg": None if validated.mass is None else validated.mass[i],
         "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},
         "without_squeeze": None if validated.unsqueezed is None else validated.unsqueezed[i],
         "noise_score": None if validated.noise is None else validated.noise[i],
@@ -150,11 +151,11 @@ def flat_rows(
     return rows
 
 
-def _quantiles(validated: Validated, field: str) -> dict[str, float] | None:
+def _quantiles(validated: Validated, field: Literal["peak_m", "peak_rad"]) -> dict[str, float] | None:
     """Return quantiles of the largest displacements of the objects of grasps that held."""
     if validated.trials is None or not validated.success.any():
         return None
-    most = getattr(validated.trials, field)[validated.success].max(axis=1)
+    most = validated.trials.most(field)[validated.success]
     return {f"{q:g}": float(np.quantile(most, q)) for q in QUANTILES}
 
 

@@ -73,9 +73,9 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
     if protocol is not None:
         gained, lost = after.success & ~before.success, before.success & ~after.success
         held = int(before.success.sum()), int(after.success.sum())
-        first = [held_line(protocol.name, held, int(gained.sum()), int(lost.sum()), len(after))]
+        first = [held_line(protocol.label, held, int(gained.sum()), int(lost.sum()), len(after))]
         table.add_row(
-            f"held, {protocol.name}",
+            f"held, {protocol.label}",
             f"{before.success.sum()} ({_percent(before.success)})",
             f"{after.success.sum()} ({_percent(after.success)})",
             str(int(gained.sum())),
@@ -92,8 +92,10 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     title, shown = f"{what}: {count_text(len(validated), 'grasp')}", np.arange(len(validated))
     if protocol is not None:
         title += f", {protocol.name}, friction {protocol.friction:g}"
-        if protocol.checks != Protocol.checks:
-            title += f", pushes of {protocol.checks * protocol.steps_per_check * protocol.timestep:g} s"
+        if protocol.density is not None and validated.mass is not None:
+            title += f", {validated.mass[0] * 1e3:.0f} g"
+        if protocol.seconds != Protocol().seconds:
+            title += f", {'lift' if protocol.tabletop else 'pushes'} of {protocol.seconds:g} s"
     if len(validated) > MAX_LISTED_GRASPS and not verbose:
         shown = np.argsort(-_badness(validated), kind="stable")[:NUM_WORST_GRASPS]
         title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
@@ -143,7 +145,9 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
     trials = validated.trials
     assert trials is not None
     worst = trials.worst[i]
-    reason = Reason(trials.reason[i, worst])
+    reason = Reason(trials.outcome[i])
+    failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
+    count = len(trials.directions)
     if reason == Reason.HELD:
         flags = [
             word
@@ -155,15 +159,14 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
         ]
         if validated.noise is not None:
             flags.append(f"noise {validated.noise[i]:.0%}")
-        return Text(f" held{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
-    failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
+        held = f" held{f' in {count - len(failed)} of {count}' if len(failed) else ''}"
+        return Text(f"{held}{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
     if reason == Reason.PENETRATES:
         return Text(f" penetrates {trials.penetration_m[i] * 1e3:.0f} mm at first", "red")
     if reason == Reason.THROWN:
         return Text(f" thrown {trials.closing_m[i] * 1e3:.0f} mm by closing", "red")
     if reason in (Reason.IN_TABLE, Reason.NOT_FINITE) or np.isnan(trials.time_s[i, worst]):
         return Text(f" {reason.label}", "red")
-    count = len(trials.directions)
     where = " ".join(trials.directions[d] for d in failed)
     if len(failed) > _MAX_DIRECTIONS:
         where = f"all {count}" if len(failed) == count else f"{len(failed)} of {count}"
@@ -188,15 +191,17 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         return [estimate_line(int(should_hold(quality).sum()), None, len(quality))]
     success = validated.success
     color = "green" if success.all() else "yellow"
-    how = f"in all of {', '.join(trials.directions)}" if len(trials.directions) > 1 else f"the {trials.directions[0]}"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
-    lines = [Text.assemble((held, color), f" ({_percent(success)}) {how}")]
+    lines = [Text.assemble((held, color), f" ({_percent(success)}) {protocol.rule}")]
     lines += reason_lines(trials, protocol)
     lines.append(Agreement.of(should_hold(quality), success).line())
     if success.any():
         parts = []
-        for values, factor, unit in ((trials.peak_m, 1e3, "mm"), (np.degrees(trials.peak_rad), 1, "deg")):
-            most = values[success].max(axis=1)
+        for values, factor, unit in (
+            (trials.most("peak_m"), 1e3, "mm"),
+            (np.degrees(trials.most("peak_rad")), 1, "deg"),
+        ):
+            most = values[success]
             parts.append(" / ".join(f"{np.quantile(most, q) * factor:.1f}" for q in QUANTILES) + f" {unit}")
         words = " / ".join(QUANTILES.values())
         lines.append(Text(f"objects that were held moved {parts[0]} and turned {parts[1]} ({words})"))

@@ -70,8 +70,8 @@ def simulate(
         motion: Motion that closes the hand.
         conditions: What differs between the grasps; by default that of grasps and protocol.
         threads: CPU threads; by default as many as there are. The result does not depend on it.
-        first_failure: A grasp that failed in one direction is not simulated further in the others, for which the
-            same reason is then given.
+        first_failure: A grasp that failed in so many directions that it does not hold is not simulated further in
+            the others, for which the worst reason is then given.
         progress: Called with the number of finished grasps, in fractions.
 
     Raises:
@@ -204,6 +204,7 @@ def push(
     elif not protocol.tabletop:
         forces = world.mass * protocol.acceleration * np.array([AXES[name] for name in names])
         rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
+    required = protocol.required(len(names))
     time, displacement, angle, peak, steepest = (np.full(len(grasp), np.nan) for _ in range(5))
     contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
     for check in range(1, protocol.checks + 1):
@@ -228,8 +229,9 @@ def push(
         contacts[decided] = rows.touching(np.flatnonzero(decided & ~rows.unstable)).links[decided]
         undecided = undecided & ~decided
         if first_failure:
-            worst = reason.reshape(shape).max(axis=1)[grasp]
-            lost = undecided & (worst != Reason.HELD)
+            by_grasp = reason.reshape(shape)
+            worst, failures = by_grasp.max(axis=1)[grasp], (by_grasp != Reason.HELD).sum(axis=1)[grasp]
+            lost = undecided & (len(names) - failures < required)
             reason[lost], undecided = worst[lost], undecided & ~lost
         if not to_the_end:
             rows.running &= undecided
@@ -249,6 +251,7 @@ def push(
         closing_m=closed.closing_m,
         closing_rad=closed.closing_rad,
         penetration_m=closed.penetration_m,
+        success=(reason.reshape(shape) == Reason.HELD).sum(axis=1) >= required,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import degrees
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -86,6 +87,8 @@ class Trials:
     """Rotation of the object while the hand closed (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
     """Penetration of hand and object at the pregrasp (N,), metres."""
+    success: Bool[np.ndarray, " N"]
+    """True where a grasp (N,) held by the rule of its protocol (`Protocol.rule`)."""
 
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
@@ -101,16 +104,22 @@ class Trials:
         return len(self.reason)
 
     @property
-    def success(self) -> Bool[np.ndarray, " N"]:
-        """True where a grasp (N,) held in every direction."""
-        return (self.reason == Reason.HELD).all(axis=1)
-
-    @property
     def worst(self) -> Int[np.ndarray, " N"]:
-        """Column (N,) of the first direction that failed, else of the one that was nearest to failing."""
+        """Column (N,) of the first direction that failed; for a grasp that held, of that nearest to failing."""
         failed = self.reason != Reason.HELD
         share = np.maximum(self.peak_m / Protocol.farthest, self.peak_rad / Protocol.steepest)
-        return np.where(failed.any(axis=1), failed.argmax(axis=1), np.nan_to_num(share, nan=np.inf).argmax(axis=1))
+        nearest = np.where(failed, -1.0, np.nan_to_num(share, nan=np.inf)).argmax(axis=1)
+        lost = failed.all(axis=1) | (failed.any(axis=1) & ~self.success)
+        return np.where(lost, failed.argmax(axis=1), nearest)
+
+    @property
+    def outcome(self) -> Int[np.ndarray, " N"]:
+        """A `Reason` for each grasp (N,): HELD by the rule of the protocol, else that of the worst direction."""
+        return np.where(self.success, Reason.HELD, self.reason[np.arange(len(self)), self.worst])
+
+    def most(self, name: Literal["peak_m", "peak_rad"]) -> Float[np.ndarray, " N"]:
+        """Return the largest displacement or rotation (N,) over the directions in which the object was held."""
+        return np.where(self.reason == Reason.HELD, getattr(self, name), 0.0).max(axis=1)
 
     def select(self, rows: np.ndarray) -> Trials:
         """Return the grasps `rows`, in that order."""

@@ -74,6 +74,8 @@ class Validated:
     """Measures at the grasp pose."""
     trials: Trials | None = None
     """Trials in simulation."""
+    mass: Float[np.ndarray, " N"] | None = None
+    """Mass of the simulated object (N,), kg."""
     noise: Float[np.ndarray, " N"] | None = None
     """Share (N,) of the offsets of the object with which the grasp held."""
     frictions: Bool[np.ndarray, "N F"] | None = None
@@ -96,8 +98,8 @@ class Validated:
         """Return True where a grasp (N,) held, but the object moved more than `BARELY` of the limits of a lost one."""
         if self.trials is None:
             return self.success
-        moved = self.trials.peak_m.max(axis=1) > BARELY * protocol.farthest
-        turned = self.trials.peak_rad.max(axis=1) > BARELY * protocol.steepest
+        moved = self.trials.most("peak_m") > BARELY * protocol.farthest
+        turned = self.trials.most("peak_rad") > BARELY * protocol.steepest
         return self.success & (moved | turned)
 
     @property
@@ -186,6 +188,7 @@ def validate(
         wall_s=np.full(count, wall / max(count, 1)),
         cpu_s=np.full(count, cpu / max(count, 1)),
         trials=trials,
+        mass=np.full(count, world.mass),
         **_further(world, scene, motion, rows, checks, progress),
     )
 

@@ -96,7 +96,7 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
     spec.compiler.degree = False
     spec.copy_during_attach = True
     _set_options(spec, protocol)
-    _add_object(spec, obj, protocol)
+    mass = _add_object(spec, obj, protocol)
     _add_hand(spec, hand, gravity=protocol.tabletop)
     if protocol.tabletop:
         _add_table(spec, table if table is not None else resting_plane(obj))
@@ -107,7 +107,7 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
             model = spec.compile()
     except ValueError as error:
         raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_error_with_advice(error)}") from None
-    return _located(spec, model, hand, obj.name, protocol)
+    return _located(spec, model, hand, obj.name, protocol, mass)
 
 
 def _error_with_advice(error: ValueError) -> str:
@@ -136,14 +136,23 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_MULTICCD
 
 
-def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> None:
+def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> float:
+    """Add the object and return its mass in kg."""
     body = spec.worldbody.add_body(name=OBJECT)
     body.add_freejoint(name=OBJECT)
     volumes = np.array([Inertia.of([piece], density=1.0).mass for piece in obj.body.pieces])
+    mass = protocol.object_mass(float(volumes.sum()), _size(obj))
     for number, (piece, share) in enumerate(zip(obj.body.pieces, volumes / volumes.sum(), strict=True)):
         geom = add_piece(spec, body, piece, f"{OBJECT}_{number}")
-        geom.mass = protocol.mass * share
+        geom.mass = mass * share
         geom.contype = geom.conaffinity = ALL_COLLISION_BITS
+    return mass
+
+
+def _size(obj: Object) -> float:
+    """Return half of the diagonal of the bounding box of an object, metres."""
+    bounds = np.array([piece.bounds for piece in obj.body.pieces])
+    return float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0))) / 2
 
 
 def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
@@ -180,7 +189,9 @@ def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
     geom.contype = geom.conaffinity = ALL_COLLISION_BITS
 
 
-def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: str, protocol: Protocol) -> World:
+def _located(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: str, protocol: Protocol, mass: float
+) -> World:
     prefix = f"{HAND}/"
     body_names = [model.body(i).name for i in range(model.nbody)]
     object_body = body_names.index(OBJECT)
@@ -210,7 +221,7 @@ def _located(spec: mujoco.MjSpec, model: mujoco.MjModel, hand: HandModel, name: 
         object_at=int(model.joint(OBJECT).qposadr[0]),
         joints_at=np.array([joint.qposadr[0] for joint in joints], dtype=int),
         object_body=object_body,
-        mass=protocol.mass,
+        mass=mass,
         control=moments(model)[:, [joint.dofadr[0] for joint in joints]],
         links=links,
         link_of_geom=np.array(link_of_geom, dtype=int),

@@ -86,7 +86,7 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
     def place(world: World, motion: Motion, **others: object) -> Trials:
         x, number = motion.T_world_root[:, 1, 0, 3], np.zeros((len(motion), 1))
         none = np.zeros((len(motion), 0), dtype=bool)
-        return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x)
+        return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x, x == x)
 
     monkeypatch.setattr("grasp_refine.validation.simulation.simulate", place)
     problem = gr.load_problem(gr.ProblemSpec(grasps=tmp_path / "two.npz", index=(0, 1, 2)))

@@ -72,10 +72,10 @@ def test_the_simulation_of_a_file_is_that_of_the_worst_direction(tmp_path: Path)
     number, none = np.array([[1.0, 2.0], [4.0, 3.0]]), np.zeros((2, 2, 1), dtype=bool)
     after = Trials(
         ("+x", "-x"), ("tip",), reason, number, number, number, 1e-3 * number, number, none, none[:, 0], none[:, 0],
-        number[:, 0], number[:, 0], number[:, 0],
+        number[:, 0], number[:, 0], number[:, 0], np.array([False, True]),
     )  # fmt: skip
     hand, path = load_hand("allegro"), tmp_path / "results.npz"
-    before = replace(after, reason=np.full((2, 2), Reason.HELD))
+    before = replace(after, reason=np.full((2, 2), Reason.HELD), success=np.ones(2, dtype=bool))
     outcome = plain_outcome(2, links=len(links_of(hand)), q=hand.rest[None].repeat(2, axis=0))
     save_results(path, hand, links_of(hand), outcome, {}, (before, after))
     with np.load(path) as entries:

@@ -178,6 +178,7 @@ def simulated(*pairs: tuple[bool, bool]) -> SimulatedGrasps:
             directions=("+z",), links=("palm", "tip"), reason=reason, time_s=one, displacement_m=one, angle_rad=one,
             peak_m=one, peak_rad=one, contacts=many, closing_m=one[:, 0], closing_rad=one[:, 0],
             penetration_m=one[:, 0], contacts_grasp=many[:, 0], contacts_squeeze=many[:, 0],
+            success=np.array(held),
         )  # fmt: skip
 
     before, after = (trials(list(side)) for side in zip(*pairs, strict=True))

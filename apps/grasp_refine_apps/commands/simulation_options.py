@@ -15,10 +15,6 @@ from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
 from grasp_refine.validation.robustness import Noise
 from grasp_refine.validation.validate import Checks
 
-CHECK_INTERVAL_S = Protocol.steps_per_check * Protocol.timestep
-"""Interval between two checks of a push, seconds."""
-
-
 MAX_PUSH_S = 60.0
 """Longest push, seconds."""
 
@@ -34,10 +30,11 @@ class Simulation:
     a table by 10 cm."""
     friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction; torsional friction is scaled in proportion."""
-    mass: float = Protocol.mass
+    mass: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Mass of the object, kg."""
-    seconds: float = Protocol.checks * Protocol.steps_per_check * Protocol.timestep
-    """Duration of each push, or of the lift, in steps of 0.2 s; 0.4 takes a third of the time."""
+    seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
+    """Duration of each push, or of the lift, in steps of 0.2 s, or those of the protocol; 0.4 instead of 2 takes a
+    third of the time."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
@@ -52,12 +49,21 @@ class Simulation:
         for name, value in (("friction", self.friction), ("mass", self.mass)):
             if value == 0:
                 raise GraspRefineError(f"--{name} must be above 0")
-        checks = round(min(self.seconds, 2 * MAX_PUSH_S) / CHECK_INTERVAL_S)
-        if not CHECK_INTERVAL_S <= self.seconds <= MAX_PUSH_S or abs(checks * CHECK_INTERVAL_S - self.seconds) > 1e-9:
-            raise GraspRefineError(
-                f"--seconds must be a multiple of {CHECK_INTERVAL_S:g}, at most {MAX_PUSH_S:g}, got {self.seconds:g}"
-            )
-        return replace(PROTOCOLS[self.protocol].with_friction(self.friction), mass=self.mass, checks=checks)
+        protocol = PROTOCOLS[self.protocol].with_friction(self.friction).with_mass(self.mass)
+        return protocol if self.seconds is None else replace(protocol, checks=_checks(protocol, self.seconds))
+
+
+def _checks(protocol: Protocol, seconds: float) -> int:
+    """Return the number of checks of a push that takes so many seconds.
+
+    Raises:
+        GraspRefineError: it is not a multiple of the interval between two checks, or too long.
+    """
+    interval = protocol.steps_per_check * protocol.timestep
+    checks = round(min(seconds, 2 * MAX_PUSH_S) / interval)
+    if not interval <= seconds <= MAX_PUSH_S or abs(checks * interval - seconds) > 1e-9:
+        raise GraspRefineError(f"--seconds must be a multiple of {interval:g}, at most {MAX_PUSH_S:g}, got {seconds:g}")
+    return checks
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,7 @@ class Collection:
         verdict, reason = np.full((2, len(self)), "", dtype=object)
         for number, trial in trials.items():
             verdict[number] = HELD_TEXT if trial.held else FAILED_TEXT
-            reason[number] = next((one.reason.label for one in trial.results if not one.held), "")
+            if not trial.held:
+                reason[number] = next(one.reason.label for one in trial.results if not one.held)
         columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
         return replace(self.with_columns(*columns), trials=trials) if trials else self

@@ -102,14 +102,15 @@ class TrialResult:
 
     @property
     def held(self) -> bool:
-        """Whether the object stayed in every direction."""
-        return all(result.held for result in self.results)
+        """Whether it held by the rule of the protocol."""
+        return sum(result.held for result in self.results) >= self.protocol.required(len(self.results))
 
     @property
     def barely(self) -> bool:
         """Whether it held, but came more than half of the way to what counts as lost."""
         far, steep = BARELY * self.protocol.farthest, BARELY * self.protocol.steepest
-        return self.held and any(result.peak_m > far or result.peak_rad > steep for result in self.results)
+        near = (result.peak_m > far or result.peak_rad > steep for result in self.results if result.held)
+        return self.held and any(near)
 
     @property
     def before_push(self) -> Reason | None:
@@ -138,25 +139,22 @@ class TrialResult:
             stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
         elif lost:
             names = ", ".join(result.direction for result in lost)
-            return f"Does not hold: the object was lost in {len(lost)} of {len(self.results)} directions ({names})"
+            where = f"the object was lost in {len(lost)} of {len(self.results)} directions ({names})"
+            if not self.held:
+                return f"Does not hold: {where}"
+            stayed = f"Holds, as {self.protocol.required(len(self.results))} directions are enough: {where}"
         else:
             stayed = f"Holds: the object stayed in all {len(self.results)} directions"
         if self.barely:
-            moved, turned = (max(getattr(result, key) for result in self.results) for key in ("peak_m", "peak_rad"))
+            held = [result for result in self.results if result.held]
+            moved, turned = (max(getattr(result, key) for result in held) for key in ("peak_m", "peak_rad"))
             stayed += f", but barely: it moved {moved * 1e3:.0f} mm and turned {degrees(turned):.0f}° at most"
         return stayed
 
     @property
     def conditions(self) -> str:
         """Conditions of the simulation in one line."""
-        protocol = self.protocol
-        weight = f"friction {protocol.friction:g}, an object of {protocol.mass * 1e3:g} g"
-        seconds = protocol.checks * protocol.steps_per_check * protocol.timestep
-        if protocol.tabletop:
-            return f"{protocol.name}: {weight}, lifted off a table by {protocol.lift * 1e2:g} cm in {seconds:g} s"
-        return (
-            f"{protocol.name}: {weight}, pushed with {protocol.mass * protocol.acceleration:g} N for {seconds:g} s each"
-        )
+        return f"{self.protocol.name}: {self.protocol.summary}"
 
     @property
     def closed_by(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import radians
+from math import ceil, inf, radians
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
@@ -18,6 +18,15 @@ AXES = {
     "-z": (0.0, 0.0, -1.0),
 }
 """Directions in which the object is pushed, in its frame: name -> unit vector."""
+
+SHARE_ROUNDING = 1e-9
+"""Number of directions by which a required share may exceed an integer: rounding."""
+
+_POSITIVE = (
+    *("friction", "mass", "density", "density_size", "largest_mass"),
+    *("timestep", "moves", "steps_per_move", "checks", "steps_per_check", "required_share"),
+)
+"""Fields that must be above 0."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +43,20 @@ class Protocol:
     torsion: float = 0.02
     """Torsional friction of all contacts, in metres."""
     mass: float = 0.1
-    """Mass of the object in kg."""
+    """Mass of the object in kg; with a density, that gives it."""
+    density: float | None = None
+    """Density of the object in kg/m^3: with the volume of its pieces it gives its mass. None: the mass is `mass`."""
+    density_size: float | None = None
+    """Size of an object that has this density, half of the diagonal of its bounding box, in metres; the density of
+    others is divided by the square of their size in this unit. None: all have it."""
+    largest_mass: float | None = None
+    """Largest mass in kg that the density may give; None: any."""
     acceleration: float = 10.0
     """Acceleration in m/s^2 that gives the pushing force times the mass; where the object is lifted, gravity."""
     directions: tuple[str, ...] = tuple(AXES)
     """Directions of the pushes, keys of `AXES`, each from the same state; empty: the object is lifted off a table."""
+    required_share: float = 1.0
+    """Share of the directions in which a grasp must hold."""
     lift: float = 0.1
     """Height of the lift in metres; only without pushes."""
     contact: ContactModel = DEXGRASPBENCH_CONTACT
@@ -66,15 +84,76 @@ class Protocol:
         Raises:
             GraspRefineError: names the field, and the valid directions.
         """
-        check_positive(self, "friction", "mass", "timestep", "moves", "steps_per_move", "checks", "steps_per_check")
+        check_positive(self, *_POSITIVE)
+        if self.density is None and (self.density_size, self.largest_mass) != (None, None):
+            raise GraspRefineError("Protocol: density_size and largest_mass are for a density, and there is none")
+        if self.required_share > 1:
+            raise GraspRefineError(f"Protocol: required_share must be at most 1, got {self.required_share:g}")
         unknown = [direction for direction in self.directions if direction not in AXES]
         if unknown:
             raise GraspRefineError(f"Protocol: directions are among {', '.join(AXES)}, got {', '.join(unknown)}")
+
+    def required(self, count: int) -> int:
+        """Return the number of directions, of `count`, in which a grasp must hold."""
+        return ceil(self.required_share * count - SHARE_ROUNDING)
+
+    @property
+    def rule(self) -> str:
+        """Rule by which a grasp holds, to follow "held", for people."""
+        count = len(self.directions)
+        if count < 2:
+            return f"the {self.directions[0] if self.directions else 'lift'}"
+        least = self.required(count)
+        return f"in {'all' if least == count else f'at least {least}'} of {', '.join(self.directions)}"
+
+    @property
+    def label(self) -> str:
+        """Name, with the share of directions that must hold unless these are all."""
+        least, count = self.required(len(self.directions)), len(self.directions)
+        return self.name if least == count else f"{self.name}, at least {least} of {count} directions"
+
+    @property
+    def seconds(self) -> float:
+        """Duration of a push, or of the lift, in seconds."""
+        return self.checks * self.steps_per_check * self.timestep
+
+    @property
+    def summary(self) -> str:
+        """Friction, object and motion, for people."""
+        if self.density is None:
+            weight, force = f"{self.mass * 1e3:g} g", f"{self.mass * self.acceleration:g} N"
+        else:
+            size = "" if self.density_size is None else f" at a size of {self.density_size * 1e3:g} mm"
+            most = "" if self.largest_mass is None else f", at most {self.largest_mass * 1e3:g} g"
+            weight, force = f"{self.density:g} kg/m³{size}{most}", f"its mass times {self.acceleration:g} m/s²"
+        if self.tabletop:
+            motion = f"lifted off a table by {self.lift * 1e2:g} cm in {self.seconds:g} s"
+        else:
+            motion = f"pushed with {force} in {len(self.directions)} directions for {self.seconds:g} s each"
+        return f"friction {self.friction:g}, an object of {weight}, {motion}"
 
     @property
     def tabletop(self) -> bool:
         """Whether the object is lifted off a table instead of being pushed."""
         return not self.directions
+
+    def object_mass(self, volume: float, size: float) -> float:
+        """Return the mass in kg of an object.
+
+        Args:
+            volume: Volume of its pieces, m^3.
+            size: Half of the diagonal of its bounding box, metres.
+        """
+        if self.density is None:
+            return self.mass
+        density = self.density if self.density_size is None else self.density * (self.density_size / size) ** 2
+        return min(density * volume, inf if self.largest_mass is None else self.largest_mass)
+
+    def with_mass(self, mass: float | None) -> Protocol:
+        """Return a copy in which all objects have this mass in kg; None: this protocol."""
+        if mass is None:
+            return self
+        return replace(self, mass=mass, density=None, density_size=None, largest_mass=None)
 
     def with_friction(self, friction: float | None) -> Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""

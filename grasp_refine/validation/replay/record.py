@@ -69,7 +69,7 @@ def record(
     time, qpos, qvel, ctrl, mocap_pos, mocap_quat = (np.stack(column) for column in zip(*frames, strict=True))
     force = np.zeros(3)
     if direction in AXES:
-        force = protocol.mass * protocol.acceleration * np.array(AXES[direction])
+        force = world.mass * protocol.acceleration * np.array(AXES[direction])
     return Replay(
         name=name,
         hand=hand,

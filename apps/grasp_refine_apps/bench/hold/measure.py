@@ -141,7 +141,7 @@ class GroupTask:
         for number, (name, world) in enumerate(worlds.items()):
             within = part_of(progress, number / len(worlds), 1.0 / (len(worlds) * max(count, 1)))
             trials = simulate(world, motion, threads=self.threads, first_failure=True, progress=within)
-            reason[name] = trials.reason[np.arange(count), trials.worst]
+            reason[name] = trials.outcome
         values = metrics(scene.hand, scene.object, scene.T_world_root, scene.q).values
         gap = {"contact_gap_m": contact_gap(scene, touching)}
         return GroupResult(
