@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from functools import lru_cache
 from types import MappingProxyType, UnionType
@@ -59,6 +59,17 @@ def check_fields(settings: Any) -> None:
             value = tuple(value)
             object.__setattr__(settings, name, value)
         check_kind(f"{type(settings).__name__}: {name}", value, kind)
+
+
+def check_values(settings_class: type, values: Mapping[str, Any], prefix: str = "") -> None:
+    """Refuse values of fields of a dataclass, by name, that are not of the annotated types.
+
+    Raises:
+        GraspRefineError: names the field, after the prefix.
+    """
+    kinds = dict(_field_kinds(settings_class))
+    for name, value in values.items():
+        check_kind(f"{prefix}{name}", value, kinds[name])
 
 
 def check_positive(settings: Any, *names: str) -> None:

@@ -136,7 +136,7 @@ def _simulate(
     threads: int | None,
 ) -> SimulatedGrasps:
     """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
-    from grasp_refine.validation.simulation import simulate
+    from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.validate import model_of
     from grasp_refine.validation.world import build_world
 
@@ -153,7 +153,7 @@ def _simulate(
         refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
             progress = partial(tell, f"simulating, {when}")
-            trials.append(simulate(world, motion, threads=threads, progress=progress))
+            trials.append(judge(world, motion, numbers=group.rows, threads=threads, progress=progress))
     order = problem.order
     return SimulatedGrasps(
         protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)

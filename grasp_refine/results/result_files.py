@@ -130,6 +130,7 @@ def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:
     rows, worst = np.arange(len(trials)), trials.worst
     return {
         f"simulation_{when}": trials.success,
+        **({} if trials.label is None else {f"simulation_label_{when}": trials.label}),
         f"simulation_reason_{when}": labels(Reason, trials.outcome),
         f"simulation_direction_{when}": np.array(trials.directions)[worst],
         f"simulation_displacement_m_{when}": trials.displacement_m[rows, worst],

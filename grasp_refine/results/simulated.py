@@ -103,6 +103,7 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
         "protocol": protocol.name,
         "rule": protocol.rule,
         "success": trials.success[i],
+        "label": None if trials.label is None else trials.label[i],
         **directions[worst],
         "reason": Reason(trials.outcome[i]).label,
         "directions": directions,

@@ -157,6 +157,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
             )
             if flagged
         ]
+        if trials.label is not None:
+            flags.append(f"{trials.label[i]:.0%} elsewhere")
         if validated.noise is not None:
             flags.append(f"noise {validated.noise[i]:.0%}")
         held = f" held{f' in {count - len(failed)} of {count}' if len(failed) else ''}"
@@ -165,6 +167,9 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
         return Text(f" penetrates {trials.penetration_m[i] * 1e3:.0f} mm at first", "red")
     if reason == Reason.THROWN:
         return Text(f" thrown {trials.closing_m[i] * 1e3:.0f} mm by closing", "red")
+    if reason == Reason.OFF_CENTRE:
+        assert trials.label is not None
+        return Text(f" off centre, {trials.label[i]:.0%} held elsewhere", "red")
     if reason in (Reason.IN_TABLE, Reason.NOT_FINITE) or np.isnan(trials.time_s[i, worst]):
         return Text(f" {reason.label}", "red")
     where = " ".join(trials.directions[d] for d in failed)
@@ -193,6 +198,8 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     color = "green" if success.all() else "yellow"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
     lines = [Text.assemble((held, color), f" ({_percent(success)}) {protocol.rule}")]
+    if trials.label is not None:
+        lines.append(Text(f"mean label {trials.label.mean():.3f}: share of the trials elsewhere that held"))
     lines += reason_lines(trials, protocol)
     lines.append(Agreement.of(should_hold(quality), success).line())
     if success.any():

@@ -1,34 +1,92 @@
-"""Robustness of grasps: other friction, another pose of the object, no squeeze."""
+"""Robustness of grasps: other friction, another pose of the object, no squeeze; and verdicts that ask for it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from math import radians
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.core.se3 import exp_so3
+from grasp_refine.core.se3 import matrix_from_quaternion
 from grasp_refine.validation.motion import STAGES, Motion
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.stepping import Conditions
-from grasp_refine.validation.world import World
+from grasp_refine.validation.trials import Trials
+from grasp_refine.validation.world import TABLE, World
 
 Progress = Callable[[float], None]
 """Called with the number of finished trials, in fractions."""
 
+SEED = 0
+"""Seed of the offsets that are part of a protocol: they are the same before and after, and for all generators."""
 
-@dataclass(frozen=True)
-class Noise:
-    """Random offsets of the object before the hand closes on it."""
 
-    count: int = 0
-    """Number of offsets per grasp."""
-    offset: float = 0.005
-    """Largest shift in metres; shifts are uniform in the sphere of this radius, or its projection on the table."""
-    turn: float = radians(5)
-    """Largest rotation about the object's middle, in radians; rotation vectors are uniform in the sphere."""
+def judge(
+    world: World,
+    motion: Motion,
+    conditions: Conditions | None = None,
+    *,
+    numbers: Int[np.ndarray, " N"] | None = None,
+    threads: int | None = None,
+    first_failure: bool = False,
+    progress: Progress | None = None,
+) -> Trials:
+    """Return the trials of N grasps as by `simulate`, with the verdict of the whole protocol.
+
+    Where the protocol has offsets of the object, grasps are tried with each of them as well: their label is the share
+    that holds, and they succeed where that is at least the required one.
+
+    Args:
+        world: Hand, object and protocol.
+        motion: N grasps.
+        conditions: What differs between the grasps; by default that of grasps and protocol.
+        numbers: Number (N,) of each grasp, such as its row, on which its offsets depend; by default 0 to N - 1.
+        threads: CPU threads.
+        first_failure: As for `simulate`.
+        progress: Called with the number of finished grasps, in fractions.
+    """
+    total = 1 + world.protocol.noise.count
+
+    def report(done: float) -> None:
+        if progress is not None:
+            progress(done / total)
+
+    trials = simulate(world, motion, conditions, threads=threads, first_failure=first_failure, progress=report)
+    if not world.protocol.noise.count:
+        return trials
+    label = offset_labels(
+        world, motion, conditions, numbers=numbers, threads=threads, progress=lambda done: report(len(motion) + done)
+    )
+    return replace(trials, label=label, success=label >= world.protocol.required_label)
+
+
+def offset_labels(
+    world: World,
+    motion: Motion,
+    conditions: Conditions | None = None,
+    *,
+    numbers: Int[np.ndarray, " N"] | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Float[np.ndarray, " N"]:
+    """Return the share (N,) of the protocol's offsets of the object at which a grasp holds; arguments as of `judge`.
+
+    Progress is that of all N x `protocol.noise.count` trials.
+    """
+    noise, count = world.protocol.noise, len(motion)
+    each = np.repeat(np.arange(count), noise.count)
+    elsewhere = (Conditions.nominal(world, count) if conditions is None else conditions).select(each)
+    T = noise.poses(
+        np.arange(count) if numbers is None else numbers,
+        middle=world.model.body_ipos[world.object_body],
+        upright=_normal(world),
+        seed=SEED,
+    ).reshape(-1, 4, 4)
+    elsewhere = replace(elsewhere, T_world_object=elsewhere.T_world_object @ T)
+    trials = simulate(world, motion.select(each), elsewhere, threads=threads, first_failure=True, progress=progress)
+    return trials.success.reshape(count, noise.count).mean(axis=1)
 
 
 def noise_score(
@@ -43,7 +101,7 @@ def noise_score(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Float[np.ndarray, " N"]:
-    """Return the share (N,) of the offsets of the object at which a grasp still holds in every direction.
+    """Return the share (N,) of the offsets of the object at which a grasp still holds by the rule for directions.
 
     Args:
         world: Hand, object and protocol.
@@ -57,16 +115,7 @@ def noise_score(
         progress: Called with finished trials, of N x `noise.count`.
     """
     each = np.repeat(np.arange(len(motion)), noise.count)
-    shifts, turns = zip(
-        *(_draw(np.random.default_rng([seed, int(number)]), noise) for number in numbers),
-        strict=True,
-    )
-    shift, turn = np.concatenate(shifts), np.concatenate(turns)
-    if upright is not None:
-        shift, turn = shift - np.outer(shift @ upright, upright), np.outer(turn @ upright, upright)
-    T = np.tile(np.eye(4), (len(each), 1, 1))
-    T[:, :3, :3] = exp_so3(turn)
-    T[:, :3, 3] = middle - T[:, :3, :3] @ middle + shift
+    T = noise.poses(numbers, middle=middle, upright=upright, seed=seed).reshape(-1, 4, 4)
     friction = np.full(len(each), world.protocol.friction)
     trials = simulate(
         world, motion.select(each), Conditions(T, friction), threads=threads, first_failure=True, progress=progress
@@ -79,31 +128,43 @@ def holds_at(
     motion: Motion,
     frictions: Sequence[float],
     *,
+    numbers: Int[np.ndarray, " N"] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Bool[np.ndarray, "N F"]:
-    """Return True (N, F) where a grasp holds with a coefficient of sliding friction."""
+    """Return True (N, F) where a grasp holds with a coefficient of sliding friction; arguments as of `judge`."""
     each, at = np.repeat(np.arange(len(motion)), len(frictions)), np.tile(frictions, len(motion))
     conditions = replace(Conditions.nominal(world, len(each)), friction=at.astype(float))
-    trials = simulate(world, motion.select(each), conditions, threads=threads, first_failure=True, progress=progress)
+    numbers = each if numbers is None else numbers[each]
+    trials = judge(
+        world,
+        motion.select(each),
+        conditions,
+        numbers=numbers,
+        threads=threads,
+        first_failure=True,
+        progress=progress,
+    )
     return trials.success.reshape(len(motion), len(frictions))
 
 
 def holds_without_squeeze(
-    world: World, motion: Motion, *, threads: int | None = None, progress: Progress | None = None
+    world: World,
+    motion: Motion,
+    *,
+    numbers: Int[np.ndarray, " N"] | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
 ) -> Bool[np.ndarray, " N"]:
-    """Return True (N,) where a grasp holds when the hand stops closing at the grasp."""
+    """Return True (N,) where a grasp holds when the hand stops closing at the grasp; arguments as of `judge`."""
     grasp, squeeze = STAGES.index("grasp"), STAGES.index("squeeze")
     T, q = motion.T_world_root.copy(), motion.q.copy()
     T[:, squeeze], q[:, squeeze] = T[:, grasp], q[:, grasp]
-    return simulate(world, Motion(T, q), threads=threads, first_failure=True, progress=progress).success
+    return judge(world, Motion(T, q), numbers=numbers, threads=threads, first_failure=True, progress=progress).success
 
 
-def _draw(rng: np.random.Generator, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-    """Return shifts and rotation vectors (count, 3) each, uniform in spheres."""
-    samples = []
-    for radius in (noise.offset, noise.turn):
-        direction = rng.normal(size=(noise.count, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        samples.append(radius * rng.uniform(size=(noise.count, 1)) ** (1 / 3) * direction)
-    return samples[0], samples[1]
+def _normal(world: World) -> Float[np.ndarray, " 3"] | None:
+    """Return the unit normal (3,) of the table; None without one."""
+    if not world.protocol.tabletop:
+        return None
+    return matrix_from_quaternion(world.model.geom(TABLE).quat)[:, 2]

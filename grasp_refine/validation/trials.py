@@ -28,6 +28,7 @@ class Reason(IntEnum):
     IN_TABLE = 5
     UNSTABLE = 6
     NOT_FINITE = 7
+    OFF_CENTRE = 8
 
     @property
     def label(self) -> str:
@@ -48,6 +49,7 @@ class Reason(IntEnum):
             Reason.UNSTABLE: "the simulation diverged",
             Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or its pose is invalid: no rigid "
             "motion, or beyond 1e6 m or rad",
+            Reason.OFF_CENTRE: "the object stayed, but in too many of the trials with the object elsewhere it did not",
         }[self]
 
 
@@ -89,6 +91,8 @@ class Trials:
     """Penetration of hand and object at the pregrasp (N,), metres."""
     success: Bool[np.ndarray, " N"]
     """True where a grasp (N,) held by the rule of its protocol (`Protocol.rule`)."""
+    label: Float[np.ndarray, " N"] | None = None
+    """Share (N,) of the protocol's offsets of the object with which the grasp held; None without offsets."""
 
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
@@ -114,8 +118,12 @@ class Trials:
 
     @property
     def outcome(self) -> Int[np.ndarray, " N"]:
-        """A `Reason` for each grasp (N,): HELD by the rule of the protocol, else that of the worst direction."""
-        return np.where(self.success, Reason.HELD, self.reason[np.arange(len(self)), self.worst])
+        """A `Reason` for each grasp (N,): HELD by the rule of the protocol, else that of the worst direction.
+
+        OFF_CENTRE, where all directions held, but too few of the offsets of the object.
+        """
+        worst = self.reason[np.arange(len(self)), self.worst]
+        return np.where(self.success, Reason.HELD, np.where(worst == Reason.HELD, Reason.OFF_CENTRE, worst))
 
     def most(self, name: Literal["peak_m", "peak_rad"]) -> Float[np.ndarray, " N"]:
         """Return the largest displacement or rotation (N,) over the directions in which the object was held."""
@@ -138,6 +146,8 @@ class Trials:
         columns = {}
         for field in fields(cls)[2:]:
             values = [getattr(part, field.name) for part in parts]
+            if values[0] is None:
+                continue
             if field.name.startswith("contacts"):
                 values = [spread(part, value) for part, value in zip(parts, values, strict=True)]
             columns[field.name] = np.concatenate(values)

@@ -21,9 +21,9 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.robustness import Noise, holds_at, holds_without_squeeze, noise_score
-from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World
@@ -181,7 +181,9 @@ def validate(
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))
     wall, cpu = time.perf_counter(), time.process_time()
-    trials = simulate(world, motion, threads=checks.threads, progress=lambda done: progress("simulating", done))
+    trials = judge(
+        world, motion, numbers=rows, threads=checks.threads, progress=lambda done: progress("simulating", done)
+    )
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return Validated(
         **labels,
@@ -215,12 +217,17 @@ def _further(
             world,
             motion,
             checks.frictions,
+            numbers=rows,
             threads=checks.threads,
             progress=lambda done: progress("other friction", done / len(checks.frictions)),
         )
     if checks.without_squeeze:
         found["unsqueezed"] = holds_without_squeeze(
-            world, motion, threads=checks.threads, progress=lambda done: progress("without squeeze", done)
+            world,
+            motion,
+            numbers=rows,
+            threads=checks.threads,
+            progress=lambda done: progress("without squeeze", done),
         )
     return found
 

@@ -131,9 +131,11 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     option.noslip_iterations = protocol.contact.noslip_iterations
     option.impratio = protocol.contact.impratio
     option.gravity = [0.0, 0.0, -protocol.acceleration if protocol.tabletop else 0.0]
-    # A simulation that diverges must not be reset to its start, where it would look like one that holds. And one
-    # contact for a pair of convex pieces, as in the MuJoCo that the protocol was published with: 4 has up to four.
-    option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_MULTICCD
+    # A simulation that diverges must not be reset to its start, where it would look like one that holds.
+    option.disableflags |= disable.mjDSBL_AUTORESET
+    if not protocol.multiccd:
+        # As in the MuJoCo that DexGraspBench was published with: 4 has up to four contacts for a pair.
+        option.disableflags |= disable.mjDSBL_MULTICCD
 
 
 def _add_object(spec: mujoco.MjSpec, obj: Object, protocol: Protocol) -> float:

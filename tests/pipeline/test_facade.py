@@ -88,7 +88,7 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
         none = np.zeros((len(motion), 0), dtype=bool)
         return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x, x == x)
 
-    monkeypatch.setattr("grasp_refine.validation.simulation.simulate", place)
+    monkeypatch.setattr("grasp_refine.validation.robustness.judge", place)
     problem = gr.load_problem(gr.ProblemSpec(grasps=tmp_path / "two.npz", index=(0, 1, 2)))
     assert len(problem.groups) == 2
     refined = gr.refine(problem, config=gr.Config(starts=1, solver=LevenbergMarquardt(iterations=1)))

@@ -18,10 +18,11 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.protocols.tabletop import TABLETOP
-from grasp_refine.validation.robustness import Noise, holds_at
+from grasp_refine.validation.robustness import holds_at
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from grasp_refine.core.se3 import distances, exp_so3
+from grasp_refine.core.se3 import distances, exp_so3, log_so3
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
-from grasp_refine.validation.robustness import Noise, _draw, holds_at, holds_without_squeeze, noise_score
+from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
@@ -243,7 +244,8 @@ def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeyp
 def test_noise_is_uniform_in_spheres() -> None:
     """So is then the cube of the length, between 0 and that of the largest; half of the offsets lie on either side."""
     lengths = (0.005, 0.1)
-    for vectors, most in zip(_draw(np.random.default_rng(0), Noise(4000, *lengths)), lengths, strict=True):
+    T = Noise(4000, *lengths).poses(np.array([0]), middle=np.zeros(3))[0]
+    for vectors, most in zip((T[:, :3, 3], log_so3(T[:, :3, :3])), lengths, strict=True):
         assert kstest((np.linalg.norm(vectors, axis=1) / most) ** 3, "uniform").pvalue > 0.01
         np.testing.assert_allclose((vectors > 0).mean(axis=0), 0.5, atol=0.03)
 

@@ -6,14 +6,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import Batch
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.objects.object import load_object
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.servos import moments
-from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.simulation import close, simulate
+from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.world import TABLE, build_world
 from gripper import XML, around, ball, gripper
 from refusals import refused
@@ -46,6 +49,23 @@ def test_what_is_only_seen_touches_nothing() -> None:
     world = build_world(with_bits((1, 1), (0, 0)), ball(), DEXGRASPBENCH)
     assert world.links == ("left plate",)
     assert not simulate(world, around(4.0)).success.any()
+
+
+@pytest.mark.parametrize("multiccd", [False, True])
+def test_the_protocol_says_in_how_many_points_pieces_touch(multiccd: bool) -> None:
+    """Flat plates on a flat box: one point each, or the corners of the face."""
+    box = load_object("box:0.06,0.04,0.05", unit="m", candidates=16)
+    world = build_world(gripper(), box, replace(DEXGRASPBENCH, multiccd=multiccd))
+    points: list[int] = []
+
+    def count(batch: Batch) -> None:
+        data = mujoco.MjData(world.model)
+        batch.get_data(0, data)
+        mujoco.mj_forward(world.model, data)
+        points.append(data.ncon)
+
+    close(world, around(4.0), Conditions.nominal(world, 1), on_step=count)
+    assert points[-1] == (8 if multiccd else 2)
 
 
 def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:

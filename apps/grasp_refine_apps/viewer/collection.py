@@ -13,6 +13,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.hands.hand import Hand
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
 from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
 from grasp_refine_apps.viewer.recorded import read_records
@@ -142,6 +143,7 @@ class Collection:
         for number, trial in trials.items():
             verdict[number] = HELD_TEXT if trial.held else FAILED_TEXT
             if not trial.held:
-                reason[number] = next(one.reason.label for one in trial.results if not one.held)
+                lost = (one.reason for one in trial.results if not one.held)
+                reason[number] = next(lost, Reason.OFF_CENTRE).label
         columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
         return replace(self.with_columns(*columns), trials=trials) if trials else self

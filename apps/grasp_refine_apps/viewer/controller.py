@@ -224,7 +224,8 @@ class Controller(Editor):
         """Return the shown grasp at a pose, as in its file with pregrasp and squeeze."""
         collection, number = self._state.collection, self._state.number
         row = collection.member[number : number + 1]
-        return PosedGrasp(self._state.scene, pose, collection.group(number).grasps.select(row))
+        group = collection.group(number)
+        return PosedGrasp(self._state.scene, pose, group.grasps.select(row), row=int(group.rows[row[0]]))
 
     def show_motion_frame(self, frame: int) -> None:
         """Show a frame of the simulation."""

@@ -68,6 +68,8 @@ class TrialResult:
     """Rotation of the object by the closing hand, radians."""
     penetration_m: float
     """Penetration of hand and object at the pregrasp, metres."""
+    label: float | None = None
+    """Share of the protocol's offsets of the object with which the grasp held; None without offsets."""
     motion: Motion | None = None
     """Closing motion of the hand, for another simulation; None where that is not known."""
 
@@ -92,6 +94,7 @@ class TrialResult:
             closing_m=float(trials.closing_m[i]),
             closing_rad=float(trials.closing_rad[i]),
             penetration_m=float(trials.penetration_m[i]),
+            label=None if trials.label is None else float(trials.label[i]),
             motion=motion,
         )
 
@@ -103,6 +106,11 @@ class TrialResult:
     @property
     def held(self) -> bool:
         """Whether it held by the rule of the protocol."""
+        return self._held_centred if self.label is None else self.label >= self.protocol.required_label
+
+    @property
+    def _held_centred(self) -> bool:
+        """Whether it held in enough directions, with the object where it should be."""
         return sum(result.held for result in self.results) >= self.protocol.required(len(self.results))
 
     @property
@@ -129,6 +137,17 @@ class TrialResult:
     @property
     def verdict(self) -> str:
         """The outcome in one line."""
+        if self.label is None:
+            return self._verdict_centred
+        noise, holds = self.protocol.noise, "Holds" if self.held else "Does not hold"
+        return (
+            f"{holds}: the object stayed in {self.label:.0%} of {noise.count} trials "
+            f"with it up to {noise.reach} elsewhere; where it should be: {self._verdict_centred}"
+        )
+
+    @property
+    def _verdict_centred(self) -> str:
+        """The outcome in one line, with the object where it should be."""
         if self.before_push is not None:
             return f"Does not hold: {self.words(self.results[0])}"
         lost = [result for result in self.results if not result.held]
@@ -140,7 +159,7 @@ class TrialResult:
         elif lost:
             names = ", ".join(result.direction for result in lost)
             where = f"the object was lost in {len(lost)} of {len(self.results)} directions ({names})"
-            if not self.held:
+            if not self._held_centred:
                 return f"Does not hold: {where}"
             stayed = f"Holds, as {self.protocol.required(len(self.results))} directions are enough: {where}"
         else:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
 from mujoco.batch import Batch
 
 from grasp_refine.core.errors import GraspRefineError
@@ -19,6 +20,7 @@ from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.replay.record import record
+from grasp_refine.validation.robustness import offset_labels
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.stepping import Conditions, StepCallback
 from grasp_refine.validation.validate import model_of
@@ -81,6 +83,8 @@ class PosedGrasp:
     """Pose of the hand."""
     file_grasp: GraspSet | None = None
     """The one grasp as in its file; None: it is in none."""
+    row: int = 0
+    """Row of the grasp in its file, on which offsets of the object depend."""
     prepared: HandObject | None = None
     """Prepared hand and object; None: built when needed."""
 
@@ -130,6 +134,14 @@ def run_trial(make_world: MakeWorld, grasp: PosedGrasp, protocol: Protocol, cont
     observer = trial_observer(protocol, pushing, control)
     closed = close(world, motion, Conditions.nominal(world, 1), on_step=observer)
     trials = push(world, closed, on_step=observer)
+    if protocol.noise.count:
+
+        def report(done: float) -> None:
+            control.report(done / protocol.noise.count, "trying it with the object elsewhere")
+            control.check()
+
+        label = offset_labels(world, motion, numbers=np.array([grasp.row]), progress=report)
+        trials = replace(trials, label=label)
     control.report(1.0, "done")
     return TrialResult.of(trials, 0, protocol, owners, motion)
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.result_files import fingerprint
-from grasp_refine.validation.protocols.contact_model import CONES, ContactModel
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
+from grasp_refine.validation.protocols.protocol_file import protocol_of
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
@@ -249,6 +249,7 @@ def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, s
         closing_m=closed["displacement_m"].number(),
         closing_rad=closed["angle_rad"].number(),
         penetration_m=closed["pregrasp_penetration_m"].number(),
+        label=None if simulation["label"].value is None else simulation["label"].number(),
     )
 
 
@@ -265,23 +266,12 @@ def _direction(result: _Json) -> DirectionResult:
 
 def _protocol(given: _Json) -> Protocol:
     """Read the protocol of all simulations."""
-    found: dict[str, Any] = {}
-    for field in fields(Protocol):
-        value = given[field.name]
-        if field.name == "name":
-            found[field.name] = value.text()
-        elif field.name == "directions":
-            found[field.name] = tuple(direction.choice(AXES) for direction in value.list())
-        elif field.name == "contact":
-            cone, *numbers = (value[each.name] for each in fields(ContactModel))
-            impratio, noslip = (number.number() for number in numbers)
-            found[field.name] = ContactModel(cone.choice(CONES), impratio, int(noslip))  # type: ignore[arg-type]
-        else:
-            number = value.number()
-            if not number > 0:
-                raise value.error("a number above 0")
-            found[field.name] = int(number) if isinstance(field.default, int) else number
-    return Protocol(**found)
+    if not isinstance(given.value, dict):
+        raise given.error("an object")
+    try:
+        return protocol_of(given.value, where=f"{given.path}: {given.where}.")
+    except GraspRefineError as error:
+        raise GraspFileError(str(error)) from None
 
 
 def _closing(given: _Json) -> dict[str, str]:

@@ -7,6 +7,9 @@ from typing import Literal, get_args
 
 import mujoco
 
+from grasp_refine.core.arguments import check_positive
+from grasp_refine.core.errors import GraspRefineError
+
 Cone = Literal["elliptic", "pyramidal"]
 """Friction cones of MuJoCo: elliptic, or the pyramid inscribed in it."""
 
@@ -24,6 +27,16 @@ class ContactModel:
     """Ratio of the impedance along tangents to that along the normal: the higher, the less contacts creep."""
     noslip_iterations: int = 2
     """Iterations of the solver that removes slip after the main one."""
+
+    def __post_init__(self) -> None:
+        """Refuse what MuJoCo cannot simulate.
+
+        Raises:
+            GraspRefineError: names the field.
+        """
+        check_positive(self, "impratio")
+        if self.noslip_iterations < 0:
+            raise GraspRefineError(f"ContactModel: noslip_iterations must be at least 0, got {self.noslip_iterations}")
 
     @property
     def mujoco_cone(self) -> mujoco.mjtCone:

@@ -8,6 +8,7 @@ from math import ceil, inf, radians
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.protocols.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
+from grasp_refine.validation.protocols.noise import Noise
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -24,7 +25,7 @@ SHARE_ROUNDING = 1e-9
 
 _POSITIVE = (
     *("friction", "mass", "density", "density_size", "largest_mass"),
-    *("timestep", "moves", "steps_per_move", "checks", "steps_per_check", "required_share"),
+    *("timestep", "moves", "steps_per_move", "checks", "steps_per_check", "required_share", "required_label"),
 )
 """Fields that must be above 0."""
 
@@ -57,10 +58,16 @@ class Protocol:
     """Directions of the pushes, keys of `AXES`, each from the same state; empty: the object is lifted off a table."""
     required_share: float = 1.0
     """Share of the directions in which a grasp must hold."""
+    noise: Noise = Noise()
+    """Offsets of the object with which each grasp is tried as well; the label of a grasp is the share that holds."""
+    required_label: float = 0.5
+    """Label from which on a grasp holds; only with `noise`."""
     lift: float = 0.1
     """Height of the lift in metres; only without pushes."""
     contact: ContactModel = DEXGRASPBENCH_CONTACT
     """Friction of contacts in MuJoCo."""
+    multiccd: bool = False
+    """Whether two convex pieces may touch in several points; by default in one, so that flat faces turn about it."""
     timestep: float = 0.004
     """Simulation step in seconds."""
     moves: int = 10
@@ -87,8 +94,9 @@ class Protocol:
         check_positive(self, *_POSITIVE)
         if self.density is None and (self.density_size, self.largest_mass) != (None, None):
             raise GraspRefineError("Protocol: density_size and largest_mass are for a density, and there is none")
-        if self.required_share > 1:
-            raise GraspRefineError(f"Protocol: required_share must be at most 1, got {self.required_share:g}")
+        for name in ("required_share", "required_label"):
+            if getattr(self, name) > 1:
+                raise GraspRefineError(f"Protocol: {name} must be at most 1, got {getattr(self, name):g}")
         unknown = [direction for direction in self.directions if direction not in AXES]
         if unknown:
             raise GraspRefineError(f"Protocol: directions are among {', '.join(AXES)}, got {', '.join(unknown)}")
@@ -101,16 +109,26 @@ class Protocol:
     def rule(self) -> str:
         """Rule by which a grasp holds, to follow "held", for people."""
         count = len(self.directions)
-        if count < 2:
-            return f"the {self.directions[0] if self.directions else 'lift'}"
         least = self.required(count)
-        return f"in {'all' if least == count else f'at least {least}'} of {', '.join(self.directions)}"
+        if count < 2:
+            rule = f"the {self.directions[0] if self.directions else 'lift'}"
+        else:
+            rule = f"in {'all' if least == count else f'at least {least}'} of {', '.join(self.directions)}"
+        if not self.noise.count:
+            return rule
+        return f"{rule}, {self._label_rule} with the object up to {self.noise.reach} elsewhere"
+
+    @property
+    def _label_rule(self) -> str:
+        """Number of trials with offsets that must hold, for people."""
+        return f"in at least {self.required_label:.0%} of {self.noise.count} trials"
 
     @property
     def label(self) -> str:
-        """Name, with the share of directions that must hold unless these are all."""
+        """Name, with the rule unless it is that all directions must hold."""
         least, count = self.required(len(self.directions)), len(self.directions)
-        return self.name if least == count else f"{self.name}, at least {least} of {count} directions"
+        share = [] if least == count else [f"at least {least} of {count} directions"]
+        return ", ".join([self.name, *share, *([f"{self._label_rule} elsewhere"] if self.noise.count else [])])
 
     @property
     def seconds(self) -> float:
