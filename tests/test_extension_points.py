@@ -20,7 +20,8 @@ from grasp_refine.hands.source import needs_urdf
 from grasp_refine.refinement import solvers
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
+from grasp_refine.validation import protocols
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants
@@ -144,9 +145,16 @@ def test_solvers_are_measured():
     assert set(grasp_variants.SOLVERS) == set(get_args(grasp_variants.SolverName))
 
 
-def test_protocols_are_choices():
-    assert tuple(PROTOCOLS) == get_args(ProtocolName)
-    assert all(name == protocol.name for name, protocol in PROTOCOLS.items())
+def test_protocols_have_a_file_with_their_source():
+    for name, protocol in PROTOCOLS.items():
+        module = import_module(f"{protocols.__name__}.{name.replace('-', '_')}")
+        assert protocol.name == name and protocol in vars(module).values()
+        assert module.__doc__ and "\nSource: " in module.__doc__, name
+
+
+def test_the_guide_lists_all_protocols():
+    guide = (ROOT / "docs" / "pages" / "guides" / "prove-it.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `([a-z-]+)` \| ", guide, re.MULTILINE) == list(PROTOCOLS)
 
 
 def test_formats_are_listed():

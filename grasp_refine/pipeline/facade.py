@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
@@ -101,13 +102,13 @@ def refine(
 
 
 def simulate(
-    refined: RefinedGrasps, protocol: str | Protocol = "dexgraspbench", *, listener: Listener | None = None
+    refined: RefinedGrasps, protocol: str | Path | Protocol = "dexgraspbench", *, listener: Listener | None = None
 ) -> SimulatedGrasps:
     """Simulate refined grasps in MuJoCo, before and after their refinement.
 
     Args:
         refined: Result of `refine`.
-        protocol: Name of a protocol of `refine-grasp validate`, or one of your own.
+        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own.
         listener: Callbacks of the progress.
 
     Raises:
@@ -121,7 +122,7 @@ def evaluate(
     hand: Hand | Problem,
     object: Object | None = None,
     grasps: GraspSet | None = None,
-    protocol: str | Protocol | None = None,
+    protocol: str | Path | Protocol | None = None,
     *,
     table: float | None = None,
 ) -> Evaluation:
@@ -131,7 +132,8 @@ def evaluate(
         hand: The hand; or a problem of `load_problem`.
         object: The object, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
-        protocol: Name of a protocol of `refine-grasp validate`, or one of your own; None: nothing is simulated.
+        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None: nothing is
+            simulated.
         table: Height (metres) of a table in the object's frame, z up.
 
     Raises:
@@ -229,12 +231,8 @@ def _problem(hand: Hand | Problem, obj: Object | None, grasps: GraspSet | None, 
     return problem_of(hand, obj, grasps, table=table)
 
 
-def _protocol(protocol: str | Protocol) -> Protocol:
-    if isinstance(protocol, Protocol):
-        return protocol
-    if protocol not in PROTOCOLS:
-        raise GraspRefineError(f"no protocol '{protocol}': there are {', '.join(PROTOCOLS)}")
-    return PROTOCOLS[protocol]
+def _protocol(protocol: str | Path | Protocol) -> Protocol:
+    return protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
 
 
 def _with_grasps(group: Group, grasps: GraspSet) -> Group:

@@ -14,6 +14,7 @@ from rich.text import Text
 from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.results.table import plain_table
 from grasp_refine.results.verdict import HOLDS, estimate_line, held_line
+from grasp_refine.validation.protocols.protocol_file import protocol_of
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.failed import failed_text, left_over
 from grasp_refine_apps.batch.statistics import UNUSABLE, Statistics, Tally
@@ -86,7 +87,8 @@ def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[T
     its = statistics.all
     if not its.simulated:
         return [estimate_line(its.good_after, its.good_before, its.count)]
-    protocol = ((document.get("config") or {}).get("protocol") or {}).get("name") or ""
+    described = (document.get("config") or {}).get("protocol")
+    protocol = protocol_of(described).label if described else ""
     return [
         held_line(protocol, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
         *(

@@ -10,7 +10,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.spec import AUTO
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocols.registry import ProtocolName
+from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs
@@ -27,9 +27,8 @@ class Options:
     """An experiment: smoke (every method on two grasps, in seconds)."""
     starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
-    protocols: tuple[ProtocolName, ...] = ("dexgraspbench", "strict")
-    """Protocols of the simulation: dexgraspbench (friction 0.6), strict (friction 0.3), or tabletop (lifted off a
-    table)."""
+    protocols: Annotated[tuple[str, ...], arg(metavar="NAME|FILE.toml [...]")] = ("dexgraspbench", "strict")
+    """Protocols of the simulation: names that `refine-grasp validate --help` lists, or TOML files."""
     count: Annotated[DisallowNone[int | None], default("all, or the preset's")] = None
     """Maximum number of grasps on each object at each scale, the first ones."""
     width: int = Config.width
@@ -64,10 +63,12 @@ class BenchHold(BenchCommand):
         """Return the study that the options define.
 
         Raises:
-            GraspRefineError: targets, which the study does not use.
+            GraspRefineError: targets, which the study does not use, or no such protocol.
         """
         options = self.options
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark refines grasps without targets")
+        for name in options.protocols:
+            load_protocol(name)
         preset = PRESETS[options.preset] if options.preset is not None else {}
         return HoldStudy(self.inputs, **{**preset, **given(options, HoldStudy)})

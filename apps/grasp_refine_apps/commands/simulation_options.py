@@ -10,10 +10,22 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.problem import StageSource
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
-from grasp_refine.validation.robustness import Noise
+from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS
 from grasp_refine.validation.validate import Checks
+
+ProtocolOption = Annotated[
+    str,
+    arg(
+        metavar="NAME|FILE.toml",
+        help="Protocol, or a TOML file of your own. "
+        + "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
+        + ".",
+    ),
+]
+"""Option of a protocol; its help lists all of them."""
 
 MAX_PUSH_S = 60.0
 """Longest push, seconds."""
@@ -25,9 +37,7 @@ class Simulation:
 
     simulate: bool = True
     """Simulate the grasps, in addition to measuring their geometry."""
-    protocol: ProtocolName = "dexgraspbench"
-    """dexgraspbench: pushed in six directions, friction 0.6; strict: the same with friction 0.3; tabletop: lifted off
-    a table by 10 cm."""
+    protocol: ProtocolOption = DEFAULT
     friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction; torsional friction is scaled in proportion."""
     mass: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
@@ -49,7 +59,7 @@ class Simulation:
         for name, value in (("friction", self.friction), ("mass", self.mass)):
             if value == 0:
                 raise GraspRefineError(f"--{name} must be above 0")
-        protocol = PROTOCOLS[self.protocol].with_friction(self.friction).with_mass(self.mass)
+        protocol = load_protocol(self.protocol).with_friction(self.friction).with_mass(self.mass)
         return protocol if self.seconds is None else replace(protocol, checks=_checks(protocol, self.seconds))
 
 
@@ -100,8 +110,7 @@ class ValidationOptions:
 
     validate: bool = False
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
-    protocol: ProtocolName = "dexgraspbench"
-    """Protocol: dexgraspbench (friction 0.6), strict (friction 0.3), or tabletop (lifted off a table)."""
+    protocol: ProtocolOption = DEFAULT
     friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction."""
 
@@ -115,4 +124,4 @@ class ValidationOptions:
             raise GraspRefineError("--protocol and --friction are for --validate, which simulates the grasps")
         if self.friction is not None and not 0 < self.friction < inf:
             raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
-        return PROTOCOLS[self.protocol].with_friction(self.friction) if self.validate else None
+        return load_protocol(self.protocol).with_friction(self.friction) if self.validate else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Literal
 
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import Protocol
@@ -16,5 +15,5 @@ PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
 )
 """Name -> protocol."""
 
-ProtocolName = Literal["dexgraspbench", "strict", "tabletop"]
-"""Names of the protocols, for the command line."""
+DEFAULT = DEXGRASPBENCH.name
+"""Name of the protocol where none is given."""

@@ -19,8 +19,8 @@ from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
-from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of
 from grasp_refine_apps.bench.timing import one_thread, warmed_up
@@ -93,8 +93,8 @@ class GroupTask:
     model: HandModel
     """The hand for simulation."""
     methods: tuple[Method, ...]
-    protocols: tuple[ProtocolName, ...]
-    """Names of the protocols of the simulation."""
+    protocols: tuple[str, ...]
+    """Names of the protocols of the simulation, or TOML files."""
     width: int
     """Largest number of grasps that are refined at once."""
     seed: int
@@ -106,7 +106,7 @@ class GroupTask:
         with one_thread():
             scene = self.scene
             worlds: dict[str, World] = {
-                name: build_world(self.model, scene.object, PROTOCOLS[name], scene.table) for name in self.protocols
+                name: build_world(self.model, scene.object, load_protocol(name), scene.table) for name in self.protocols
             }
             # Caches built once for a hand and an object are not timed.
             configs = (method.config(self.seed, self.width) for method in self.methods)
@@ -140,7 +140,7 @@ class GroupTask:
         reason = {}
         for number, (name, world) in enumerate(worlds.items()):
             within = part_of(progress, number / len(worlds), 1.0 / (len(worlds) * max(count, 1)))
-            trials = simulate(world, motion, threads=self.threads, first_failure=True, progress=within)
+            trials = judge(world, motion, threads=self.threads, first_failure=True, progress=within)
             reason[name] = trials.outcome
         values = metrics(scene.hand, scene.object, scene.T_world_root, scene.q).values
         gap = {"contact_gap_m": contact_gap(scene, touching)}

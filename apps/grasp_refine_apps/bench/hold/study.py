@@ -14,7 +14,6 @@ from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocols.registry import ProtocolName
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
@@ -36,8 +35,8 @@ class HoldStudy:
     """Numbers of starts."""
     count: int | None = None
     """Largest number of grasps on each object at each scale; None: all."""
-    protocols: tuple[ProtocolName, ...] = ("dexgraspbench", "strict")
-    """Names of the protocols of the simulation."""
+    protocols: tuple[str, ...] = ("dexgraspbench", "strict")
+    """Names of the protocols of the simulation, or TOML files."""
     width: int = Config.width
     """Largest number of grasps that are refined at once."""
     seed: int = 0

@@ -19,13 +19,6 @@ from grasp_refine_apps.viewer.state import Job, State
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.validating import MAX_FRICTION
 
-PROTOCOL_HINTS = {
-    "dexgraspbench": "The hand closes and squeezes; then the object, without gravity, is pushed in six directions.",
-    "strict": "As dexgraspbench, with half of the friction.",
-    "tabletop": "The object lies on a table; the hand closes, squeezes, and lifts it by 10 cm.",
-}
-"""Meaning of the protocols."""
-
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""
 
@@ -66,7 +59,7 @@ class ValidatePanel:
         self._motion: ShownMotion | None = None
 
         gui = server.gui
-        hint = " ".join(f"{name}: {about}" for name, about in PROTOCOL_HINTS.items())
+        hint = "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
         self.protocol = gui.add_dropdown("Protocol", tuple(PROTOCOLS), hint=hint)
         self.friction: Any = gui.add_number(
             "Friction",
