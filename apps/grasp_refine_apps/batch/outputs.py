@@ -87,7 +87,7 @@ class Outputs:
         """Write report and summary, as far as they are enabled."""
         if self.report:
             shards = {shard.number: shard for shard in session.complete_shards}
-            load = partial(_load_case, shards, InputCache(), document["seed"])
+            load = partial(load_case, shards, InputCache(), document["seed"])
             worst = session.statistics.worst()
             pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
             save_text(self.out / REPORT, page(document, session.statistics, pictures))
@@ -118,7 +118,7 @@ def _remove_index(path: Path) -> None:
             path.unlink()
 
 
-def _load_case(shards: Mapping[int, Shard], cache: InputCache, seed: int, case: Case) -> tuple[Hand, Object]:
+def load_case(shards: Mapping[int, Shard], cache: InputCache, seed: int, case: Case) -> tuple[Hand, Object]:
     """Hand and object of one of the worst cases."""
     shard = shards[case.shard]
     problem = cache.get("problem", case.shard, lambda: problem_of(shard.task, seed, cache, lambda *sign: None))

@@ -55,7 +55,7 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         panels=[{"title": one.title, "hint": hint(one), "svg": svg} for one, svg in charts.items() if svg],
         numbers=[(one.headline, statistics_row(one, statistics.distributions)) for one, svg in charts.items() if svg],
         pairs=rows,
-        cases=[_case(picture) for picture in pictures],
+        cases=[case_entry(picture) for picture in pictures],
         reasons=[
             (name, whole(count), words.share(count, statistics.all.simulated))
             for name, count in _most_frequent(statistics.reasons)
@@ -156,7 +156,8 @@ def view_command(case: Case) -> str:
     return shlex.join(["refine-grasp", "view", case.file.as_posix(), "--index", str(case.row), *case.look])
 
 
-def _case(picture: Picture) -> dict[str, Any]:
+def case_entry(picture: Picture) -> dict[str, Any]:
+    """Entries of a case for the macro `figure` of templates; links are relative to the folder of its file."""
     case = picture.case
     measures = (_measure_text(one, case.measures[one.key]) for one in COMPARED)
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"

@@ -41,6 +41,8 @@ class Progress:
         skipped: int = 0,
         *,
         simulated: bool = False,
+        work: tuple[str, str] = ("refining", "refined"),
+        verdict: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Prepare the display; nothing is printed yet.
@@ -51,6 +53,8 @@ class Progress:
             workers: Number of workers at a time.
             skipped: Number of grasps done before.
             simulated: Grasps are simulated; then those that held are counted, else those that should hold.
+            work: Verb for what is done with the grasps, and its past participle.
+            verdict: Whether the share of grasps that held, or are good, is shown.
             clock: Clock, seconds.
         """
         self.console = console
@@ -58,6 +62,7 @@ class Progress:
         self._open = set(self._shards)
         self._total = sum(shard.size for shard in shards) + skipped
         self._skipped, self._workers, self._simulated, self._clock = skipped, workers, simulated, clock
+        self._work, self._verdict = work, verdict
         self._done = self._counted = self._good = self._failed = self._lost = 0
         self._active: dict[int, Sign] = {}
         self._begun = self._printed_s = clock()
@@ -76,7 +81,7 @@ class Progress:
             before = f", {whole(self._skipped)} were done before" if self._skipped else ""
             now = words.grasps(self._total - self._skipped)
             shards, workers = count_text(len(self._shards), "shard"), count_text(self._workers, "worker")
-            self.say(f"refining {now} in {shards} with {workers}{before}")
+            self.say(f"{self._work[0]} {now} in {shards} with {workers}{before}")
         return self
 
     def __exit__(
@@ -167,12 +172,12 @@ class Progress:
 
     def _facts(self) -> list[str]:
         """Facts about the whole batch, the most important first."""
-        facts = [f"{whole(self._skipped + self._refined)}/{words.grasps(self._total)} refined"]
+        facts = [f"{whole(self._skipped + self._refined)}/{words.grasps(self._total)} {self._work[1]}"]
         if self.speed > 0:
             facts.append(words.rate(self.speed))
         if self.remaining_s is not None and self._open:
             facts.append(f"{words.duration(self.remaining_s)} left")
-        if self._counted:
+        if self._counted and self._verdict:
             verdict = "held" if self._simulated else "good"
             facts.append(f"{words.share(self._good, self._counted)} {verdict}")
         if self._failed:

@@ -75,7 +75,7 @@ class Worst:
         held = rows["held_after"] == 1.0
         order = np.lexsort((rows["row_in_file"], -penetration, quality, held))
         for i in order[usable[order]][:MAX_KEPT].tolist():
-            case = _case(rows, i)
+            case = case_of(rows, i)
             if len(self._heap) < MAX_KEPT:
                 heapq.heappush(self._heap, (case.badness, case))
             elif case.badness > self._heap[0][0]:
@@ -101,7 +101,8 @@ class Worst:
         return tuple(sorted(chosen, key=lambda case: case.badness, reverse=True))
 
 
-def _case(rows: Rows, i: int) -> Case:
+def case_of(rows: Rows, i: int) -> Case:
+    """Return row `i` of some rows of the index as a case."""
     held, row = float(rows["held_after"][i]), float(rows["row"][i])
     return Case(
         shard=int(rows["shard"][i]),

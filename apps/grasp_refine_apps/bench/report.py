@@ -123,6 +123,13 @@ class Table:
             for row in self.rows
         ]
 
+    def markdown(self) -> str:
+        """Return the columns of a page as a table in Markdown."""
+        columns = self.shown("page")
+        heads = [f"{column.head}, {column.unit}" if column.unit else column.head for column in columns]
+        lines = [heads, ["---"] * len(heads), *([cell.text for cell in cells] for cells in self.cells())]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
     def printed(self) -> RichTable:
         """Return the table for a terminal."""
         first, *columns = self.shown("terminal")
@@ -149,11 +156,23 @@ class Note:
 
 
 @dataclass(frozen=True)
+class Figures:
+    """Pictures of grasps before and after, on a page."""
+
+    title: str
+    note: str
+    """Paragraph above them."""
+    entries: Sequence[dict[str, Any]]
+    """Entries of the macro `figure`, as `batch.page.case_entry` returns them."""
+    only: Only = "page"
+
+
+@dataclass(frozen=True)
 class Report:
     """Report of a run."""
 
     title: str
-    parts: Sequence[Table | Chart | Note]
+    parts: Sequence[Table | Chart | Note | Figures]
     """What is shown, in this order."""
     failed: bool = False
     """Whether something is wrong, so that the command ends with exit code 1."""
@@ -172,6 +191,6 @@ class Report:
         Args:
             document: The JSON document of the benchmark.
         """
-        kinds = {Table: "table", Chart: "chart", Note: "note"}
+        kinds = {Table: "table", Chart: "chart", Note: "note", Figures: "figures"}
         parts = [(kinds[type(part)], part) for part in self.parts if isinstance(part, Chart) or part.only != "terminal"]
         return rendered(__package__, document=document, report=self, parts=parts)

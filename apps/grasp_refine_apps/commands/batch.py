@@ -79,6 +79,18 @@ class Output:
 
 
 @dataclass(frozen=True)
+class Batched:
+    """A batch after a run of the command."""
+
+    document: dict[str, Any]
+    """The JSON document, without the grasps."""
+    session: Session
+    """Complete and failed shards."""
+    outputs: Outputs
+    """Files that were written."""
+
+
+@dataclass(frozen=True)
 class Batch:
     """Refine whole datasets of grasps.
 
@@ -104,6 +116,17 @@ class Batch:
 
         Raises:
             GraspRefineError: an input that cannot be used at all; then nothing is written.
+        """
+        batched = self.refine()
+        self._show(batched)
+        nothing = batched.session.shards and not batched.session.statistics.all.usable
+        return NOTHING_USABLE if batched.document["failed"] or nothing else 0
+
+    def refine(self) -> Batched:
+        """Refine what is missing and write all outputs; nothing is printed but progress.
+
+        Raises:
+            GraspRefineError: as for `execute`.
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config, protocol, part = self._read_settings()
@@ -142,8 +165,7 @@ class Batch:
                 "profile": profile_entry(session.profile or None),
             }
             outputs.write(document, session, progress)
-        self._show(document, session, outputs, time.perf_counter() - wall)
-        return NOTHING_USABLE if failed or (shards and not session.statistics.all.usable) else 0
+        return Batched(document, session, outputs)
 
     def _outputs(self) -> Outputs:
         """Return the files to write; a part of a batch has results and a summary only.
@@ -156,16 +178,16 @@ class Batch:
         has_all_parts = self.sharding.shard is None
         return Outputs(out, index if has_all_parts else None, self.output.report and has_all_parts, self.output.json)
 
-    def _show(self, document: dict[str, Any], session: Session, outputs: Outputs, wall_s: float) -> None:
+    def _show(self, batched: Batched) -> None:
         """Print the tables."""
-        console = screen()
+        console, document, session, outputs = screen(), batched.document, batched.session, batched.outputs
         console.print(batch_table(document, session.statistics))
         if session.profile:
             console.print(profile_table(session.profile))
         if outputs.index is None:
             console.print("index and report are written by the same command without --shard, when all parts are done")
         written = outputs.files or (outputs.out,)
-        console.print(f"{wall_s:.1f} s; wrote", *written, soft_wrap=True, markup=False)
+        console.print(f"{document['totals']['wall_s']:.1f} s; wrote", *written, soft_wrap=True, markup=False)
 
     def _read_settings(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
         """Return the settings of refinement and simulation, and the part of the batch, as (part, parts).

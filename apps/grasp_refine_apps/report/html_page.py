@@ -8,6 +8,8 @@ from typing import Any
 TEMPLATE = "page.html.jinja"
 STYLE = "page.css"
 """Style sheet shared by all pages."""
+MACROS = "macros.html.jinja"
+"""Macros that all templates can use."""
 
 
 COLORS = (
@@ -39,8 +41,8 @@ def rendered(package: str, **values: Any) -> str:
 
     light, dark = stylesheet()
     text = (files(package) / TEMPLATE).read_text(encoding="utf-8")
-    style = (files(__package__) / STYLE).read_text(encoding="utf-8")
+    style, macros = ((files(__package__) / name).read_text(encoding="utf-8") for name in (STYLE, MACROS))
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    return environment.from_string(text).render(light=light, dark=dark, style=style, **values)
+    return environment.from_string(macros + text).render(light=light, dark=dark, style=style, **values)
