@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 from uuid import uuid4
 
 from rich.console import Console
@@ -24,7 +24,8 @@ from grasp_refine.core.versions import versions
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.document import settings
-from grasp_refine.validation.protocols.registry import PROTOCOLS, ProtocolName
+from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.outputs import load_case
 from grasp_refine_apps.batch.pictures import draw_cases
@@ -84,8 +85,8 @@ class BenchEvidence:
     """Objects: names in objects.csv."""
     generators: Names = ()
     """Generators: sampled, and names of grasp files."""
-    protocols: tuple[ProtocolName, ...] = get_args(ProtocolName)
-    """Protocols of the simulation."""
+    protocols: Annotated[tuple[str, ...], arg(metavar="NAME|FILE.toml [...]")] = tuple(PROTOCOLS)
+    """Protocols of the simulation: names, and TOML files."""
     seed: int = 0
     """Random seed."""
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
@@ -117,7 +118,7 @@ class BenchEvidence:
             sessions[method] = self._batch(method, listing, out).refine().session
         console.print("4 of 4: trials", style="bold")
         refined = {method: sessions[method].complete_shards for method in (GEOMETRY, REFINED)}
-        trials = [Trial(PROTOCOLS[name]) for name in dict.fromkeys(self.protocols)]
+        trials = [Trial(load_protocol(name)) for name in dict.fromkeys(self.protocols)]
         shards = trials_shards(refined, trials, out)
         simulated = self._run(TrialsWork(self.seed), Session(tuple(shards), (), _complete(shards)), console)
         names = [trial.label for trial in trials]
