@@ -214,7 +214,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         lines.append(Text(f"objects that were held moved {parts[0]} and turned {parts[1]} ({words})"))
     barely = validated.barely(protocol)
     if barely.any():
-        limits = f"{BARELY * protocol.farthest * 1e3:.0f} mm or {np.degrees(BARELY * protocol.steepest):.1f} deg"
+        limits = " or ".join(protocol.bounds(BARELY))
         lines.append(
             Text.assemble(
                 (f"{barely.sum()} held only barely", "yellow"),

@@ -41,8 +41,8 @@ class Reason(IntEnum):
             Reason.HELD: "the object stayed",
             Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from where it should be",
             Reason.TURNED: f"the object had turned by {degrees(protocol.steepest):g} degrees or more",
-            Reason.THROWN: f"closing the hand had moved the object by {protocol.farthest * 1e3:g} mm, or turned it by "
-            f"{degrees(protocol.steepest):g} degrees, before the push",
+            Reason.THROWN: "closing the hand had moved the object by "
+            f"{', or turned it by '.join(protocol.bounds())}, before the push",
             Reason.IN_TABLE: f"the hand is deeper than {protocol.deepest * 1e3:g} mm in the table at the pregrasp",
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",

@@ -102,7 +102,7 @@ def test_a_grasp_that_holds_only_where_the_object_should_be_says_so(world: World
     assert trials.outcome.tolist() == [Reason.OFF_CENTRE]
     entry = simulation_entry(trials, 0, strict)
     assert (entry["success"], entry["reason"], entry["label"]) == (False, "off centre", trials.label[0])
-    assert_names(entry["rule"], "all of +x", "90%", "24 trials", "10 mm")
+    assert_names(entry["rule"], "all of +x", "90 %", "24 trials", "10 mm")
     (line,) = reason_lines(trials, strict)
     assert_names(line.plain, "1 off centre")
     seen = TrialResult.of(trials, 0, strict, {}, None)

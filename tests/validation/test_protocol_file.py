@@ -19,6 +19,7 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import build_world
 from grasp_refine_apps.commands.simulation_options import Simulation, ValidationOptions
 from gripper import around, ball, gripper
+from readme import ROOT
 from refusals import assert_names, refused
 
 TEXT = """
@@ -126,6 +127,16 @@ def test_what_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, text: str, 
     assert str(caught.value).startswith(f"{path}: ")
 
 
+def test_the_example_of_the_guide_is_a_protocol(tmp_path: Path) -> None:
+    guide = (ROOT / "docs" / "pages" / "guides" / "prove-it.md").read_text(encoding="utf-8")
+    (example,) = (
+        block.removeprefix("toml\n") for block in guide.split("```") if "based_on" in block and "[noise]" in block
+    )
+    heavy = load_protocol(written(tmp_path, example))
+    assert (heavy.name, heavy.friction, heavy.density, heavy.contact.cone) == ("heavy", 0.3, 1200.0, "pyramidal")
+    assert heavy.multiccd and heavy.directions == ("+z", "-z") and heavy.noise.count == 5
+
+
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with refused(GraspRefineError, "none.toml", "no such file"):
         load_protocol(str(tmp_path / "none.toml"))
@@ -134,4 +145,4 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
 def test_summaries_tell_the_numbers() -> None:
     assert_names(DEXGRASPBENCH.summary, "friction 0.6", "100 g", "1 N", "6 directions", "2 s")
     shaken = replace(DEXGRASPBENCH, noise=Noise(7, 0.004, radians(3)), required_label=0.6)
-    assert_names(shaken.rule, "60%", "7 trials", "4 mm", "3 degrees")
+    assert_names(shaken.rule, "60 %", "7 trials", "4 mm", "3 degrees")

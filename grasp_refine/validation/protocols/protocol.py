@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, inf, radians
+from math import ceil, degrees, inf, pi, radians
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
@@ -121,14 +121,24 @@ class Protocol:
     @property
     def _label_rule(self) -> str:
         """Number of trials with offsets that must hold, for people."""
-        return f"in at least {self.required_label:.0%} of {self.noise.count} trials"
+        return f"in at least {100 * self.required_label:g} % of {self.noise.count} trials"
 
     @property
     def label(self) -> str:
         """Name, with the rule unless it is that all directions must hold."""
+        return ", ".join([self.name, *self._concessions])
+
+    @property
+    def _concessions(self) -> list[str]:
+        """Parts of the rule other than that all directions must hold, for people."""
         least, count = self.required(len(self.directions)), len(self.directions)
-        share = [] if least == count else [f"at least {least} of {count} directions"]
-        return ", ".join([self.name, *share, *([f"{self._label_rule} elsewhere"] if self.noise.count else [])])
+        share = [] if least == count else [f"in at least {least} of {count} directions"]
+        return [*share, *([f"{self._label_rule} elsewhere"] if self.noise.count else [])]
+
+    def bounds(self, share: float = 1.0) -> tuple[str, ...]:
+        """Return displacement and rotation from which on the object is lost, times `share`, for people."""
+        turn = (f"{share * degrees(self.steepest):g} degrees",) if self.steepest <= pi else ()
+        return f"{share * self.farthest * 1e3:g} mm", *turn
 
     @property
     def seconds(self) -> float:
@@ -137,7 +147,7 @@ class Protocol:
 
     @property
     def summary(self) -> str:
-        """Friction, object and motion, for people."""
+        """Friction, object, motion and, unless all directions must hold, the rule, for people."""
         if self.density is None:
             weight, force = f"{self.mass * 1e3:g} g", f"{self.mass * self.acceleration:g} N"
         else:
@@ -148,7 +158,8 @@ class Protocol:
             motion = f"lifted off a table by {self.lift * 1e2:g} cm in {self.seconds:g} s"
         else:
             motion = f"pushed with {force} in {len(self.directions)} directions for {self.seconds:g} s each"
-        return f"friction {self.friction:g}, an object of {weight}, {motion}"
+        rule = [f"held {' and '.join(self._concessions)}"] if self._concessions else []
+        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *rule])
 
     @property
     def tabletop(self) -> bool:

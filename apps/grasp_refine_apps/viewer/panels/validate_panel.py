@@ -171,10 +171,8 @@ def notes_html(trial: TrialResult) -> str:
     """Return the conditions of the simulation as HTML."""
     notes = [trial.conditions]
     if not trial.protocol.tabletop:
-        farthest, steepest = trial.protocol.farthest * 1e3, degrees(trial.protocol.steepest)
-        notes.append(
-            f"an object is lost once it moved by {farthest:g} mm or turned by {steepest:g}°; axes are the object's"
-        )
+        bounds = " or turned by ".join(trial.protocol.bounds()).replace(" degrees", "°")
+        notes.append(f"an object is lost once it moved by {bounds}; axes are the object's")
     if trial.closed_by:
         notes.append(trial.closed_by)
     lines = "<br>".join(escape(_sentence(note)) for note in notes)
