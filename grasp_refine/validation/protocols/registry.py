@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.graspqp import GRASPQP
 from grasp_refine.validation.protocols.hugs import HUGS
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, HUGS)}
+    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, HUGS, GRASPQP)}
 )
 """Name -> protocol."""
 
