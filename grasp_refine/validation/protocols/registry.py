@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.validation.protocols.graspqp import GRASPQP
 from grasp_refine.validation.protocols.hugs import HUGS
 from grasp_refine.validation.protocols.protocol import Protocol
@@ -13,7 +14,7 @@ from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, HUGS, GRASPQP)}
+    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, HUGS, GRASPQP, GET_A_GRIP)}
 )
 """Name -> protocol."""
 
