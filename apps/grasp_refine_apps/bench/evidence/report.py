@@ -98,13 +98,13 @@ def failures(blocks: Sequence[Block], protocols: Sequence[str]) -> dict[str, lis
 
 def _varied(at: Sequence[tuple[Block, int]]) -> list[tuple[Block, int]]:
     """Choose grasps of hands and objects that were not chosen before, as far as there are."""
-    seen: Counter[str] = Counter()
+    seen: Counter[str | tuple[str, str]] = Counter()
     ranked = []
     for number, (block, _) in enumerate(at):
         names = block.case.hand.name, block.case.object.name
-        ranked.append((sum(seen[name] for name in names), number))
-        seen.update(names)
-    return [at[number] for _, number in sorted(ranked)[:PICTURES_PER_REASON]]
+        ranked.append((seen[names], sum(seen[name] for name in names), number))
+        seen.update((names, *names))
+    return [at[number] for *_, number in sorted(ranked)[:PICTURES_PER_REASON]]
 
 
 def _case(block: Block, i: int, reason: str) -> Case:
