@@ -101,6 +101,10 @@ class BenchEvidence:
         check_numbers(self)
         if not self.protocols:
             raise GraspRefineError(f"--protocols needs at least one of {', '.join(PROTOCOLS)}")
+        trials = [Trial(load_protocol(name)) for name in dict.fromkeys(self.protocols)]
+        names = [trial.label for trial in trials]
+        if len(set(names)) < len(names):
+            raise GraspRefineError(f"--protocols: two of them have one name: {', '.join(names)}")
         began, out = time.perf_counter(), self.out.absolute()
         written = [out / f"evidence.{suffix}" for suffix in ("md", "html", "json")]
         check_writable(*written, overwrite=True, inside=out)
@@ -118,10 +122,8 @@ class BenchEvidence:
             sessions[method] = self._batch(method, listing, out).refine().session
         console.print("4 of 4: trials", style="bold")
         refined = {method: sessions[method].complete_shards for method in (GEOMETRY, REFINED)}
-        trials = [Trial(load_protocol(name)) for name in dict.fromkeys(self.protocols)]
         shards = trials_shards(refined, trials, out)
         simulated = self._run(TrialsWork(self.seed), Session(tuple(shards), (), _complete(shards)), console)
-        names = [trial.label for trial in trials]
         blocks = read_blocks(cases, refined, simulated.complete_shards, trials, out)
         if not blocks:
             raise GraspRefineError("no grasps could be refined: " + _failed(cases, blocks, sessions)[0]["reason"])

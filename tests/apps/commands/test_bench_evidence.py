@@ -180,5 +180,8 @@ def test_bad_input_is_refused(assets: Path, capfd: pytest.CaptureFixture[str], t
     assert_names(refused(capfd, *command, "--objects", "spoon"), "--objects", "spoon", "ball")
     assert_names(refused(capfd, *command, "--protocols", "soft"), "soft", "strict")
     assert_names(refused(capfd, *command, "--protocols"), "--protocols")
+    for name in ("one", "two"):
+        Path(f"{name}.toml").write_text('name = "mine"')
+    assert_names(refused(capfd, *command, "--protocols", "one.toml", "two.toml"), "--protocols", "mine")
     for option in ("--grasps", "--generated", "--every", "--workers"):
         assert_names(refused(capfd, *command, option, "0"), option, "0")

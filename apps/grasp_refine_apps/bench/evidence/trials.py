@@ -14,13 +14,14 @@ import numpy as np
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.short_repr import labels
+from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.results.document import settings
 from grasp_refine.validation.motion import Motion, motion_of
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world
@@ -54,7 +55,7 @@ class Trial:
     @property
     def folder(self) -> Path:
         """Folder of its files in that of the evidence."""
-        return Path("trials", self.engine, self.protocol.name)
+        return Path("trials", self.engine, object_folder(self.protocol.name))
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,8 @@ class TrialsWork:
     def __call__(self, shard: Shard, heartbeat: Heartbeat) -> Done:
         """Work on a shard.
 
-        The file holds, for each of `METHODS` with hyphens for spaces, the `Reason` of the worst direction as text and
-        the CPU time in seconds of each grasp (N,), in the order of the result files.
+        The file holds, for each of `METHODS` as `key_of` writes it, the `Reason` of its outcome as text and the
+        CPU time in seconds of each grasp (N,), in the order of the result files.
 
         Raises:
             GraspRefineError: an input cannot be used, or the file cannot be written.
@@ -102,7 +103,7 @@ class TrialsWork:
             spent = time.process_time() - began
             held[method] = trials.success
             entries |= {
-                f"{key_of(method)}_reason": _reasons(trials),
+                f"{key_of(method)}_reason": labels(Reason, trials.outcome),
                 f"{key_of(method)}_cpu_s": np.full(len(trials), spent / len(trials)),
             }
         provenance = {"batch": {"stamp": shard.stamp, "job": task.task.job}, **settings(task.trial)}
@@ -170,12 +171,6 @@ def key_of(method: str) -> str:
     return method.replace(" ", "_")
 
 
-def _reasons(trials: Trials) -> np.ndarray:
-    """Reason of the worst direction of each grasp (N,) in words, "held" where it held."""
-    worst = labels(Reason, trials.reason[np.arange(len(trials)), trials.worst])
-    return np.where(trials.success, Reason.HELD.label, worst)
-
-
 def _motions(task: TrialsTask, problem: Problem, method: str) -> list[Motion]:
     """Motion of each group that closes the hand; as given, with the stages of the grasp file where it has them."""
     if method == GIVEN:
@@ -193,5 +188,5 @@ def _simulated(problem: Problem, motions: Sequence[Motion], protocol: Protocol, 
     for group, motion in zip(problem.groups, motions, strict=True):
         obj, table = group.scene.object, group.scene.table
         world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
-        parts.append(simulate(world, motion, threads=1, first_failure=True))
+        parts.append(judge(world, motion, numbers=group.rows, threads=1, first_failure=True))
     return Trials.join(parts).select(problem.order)
