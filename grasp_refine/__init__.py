@@ -101,17 +101,20 @@ if TYPE_CHECKING:
     from grasp_refine.objects.object import load_object as load_object
     from grasp_refine.pipeline.facade import Evaluation as Evaluation
     from grasp_refine.pipeline.facade import evaluate as evaluate
+    from grasp_refine.pipeline.facade import margins as margins
     from grasp_refine.pipeline.facade import problem_of as problem_of
     from grasp_refine.pipeline.facade import refine as refine
     from grasp_refine.pipeline.facade import simulate as simulate
     from grasp_refine.pipeline.facade import view as view
     from grasp_refine.pipeline.load import load_problem as load_problem
+    from grasp_refine.pipeline.margins import GraspMargins as GraspMargins
     from grasp_refine.pipeline.problem import Problem as Problem
     from grasp_refine.pipeline.refine import refine_problem as refine_problem
     from grasp_refine.pipeline.refined import RefinedGrasps as RefinedGrasps
     from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
+    from grasp_refine.validation.margins.factors import Factors as Factors
     from grasp_refine.validation.protocols.protocol import Protocol as Protocol
 
     __version__: str
@@ -121,14 +124,16 @@ _HOMES = {
     "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
     "hands.hand": ("Hand", "list_hands", "load_hand"),
     "objects.object": ("Object", "load_object"),
-    "pipeline.facade": ("Evaluation", "evaluate", "problem_of", "refine", "simulate", "view"),
+    "pipeline.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
     "pipeline.load": ("load_problem",),
+    "pipeline.margins": ("GraspMargins",),
     "pipeline.problem": ("Problem",),
     "pipeline.refine": ("refine_problem",),
     "pipeline.refined": ("RefinedGrasps",),
     "pipeline.spec": ("ProblemSpec",),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
+    "validation.margins.factors": ("Factors",),
     "validation.protocols.protocol": ("Protocol",),
 }
 """Modules of the names below, which are loaded when one of them is used (PEP 562)."""

@@ -34,6 +34,7 @@ ORDER = (
     "grasp_refine.pipeline",
     "grasp_refine",
     "grasp_refine_apps.report",
+    "grasp_refine_apps.margins",
     "grasp_refine_apps.authoring",
     "grasp_refine_apps.processes",
     "grasp_refine_apps.batch",

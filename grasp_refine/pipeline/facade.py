@@ -17,6 +17,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.pipeline.refined import RefinedGrasps
@@ -27,6 +28,7 @@ from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
@@ -150,6 +152,39 @@ def evaluate(
         labels: dict[str, Any] = {"name": group.object, "scale": group.scale, "rows": group.rows, "index": group.index}
         parts.append(validate(scene, **labels, world=world, motion=motion))
     return Evaluation(problem, chosen, Validated.join(parts).select(problem.order))
+
+
+def margins(
+    hand: Hand | Problem,
+    object: Object | None = None,
+    grasps: GraspSet | None = None,
+    protocol: str | Protocol = "dexgraspbench",
+    *,
+    factors: Factors | None = None,
+    draws: int = 32,
+    seed: int = 0,
+    with_limits: bool = True,
+    listener: Listener | None = None,
+) -> GraspMargins:
+    """Simulate each grasp in drawn worlds that differ from the protocol's, and search what it holds at most.
+
+    Args:
+        hand: The hand; or a problem of `load_problem`.
+        object: The object, in metres.
+        grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
+        protocol: Name of a protocol that pushes, or one of your own, for everything that is not drawn.
+        factors: Ranges of what is drawn; the defaults when None.
+        draws: Number of drawn worlds, the same for all grasps.
+        seed: Seed of the draws: with the same one, results of other grasps are compared in the same worlds.
+        with_limits: Whether lowest friction, largest force and largest torque are searched too.
+        listener: Callbacks of the progress.
+
+    Raises:
+        GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
+    """
+    check_kind("factors", factors, Factors | None)
+    problem, chosen = _problem(hand, object, grasps, None), _protocol(protocol)
+    return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 
 def view(grasps: RefinedGrasps | Problem) -> Any:

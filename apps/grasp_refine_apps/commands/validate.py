@@ -13,7 +13,7 @@ from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import check_no_input, check_writable, save_json
+from grasp_refine.core.json_files import check_no_input, check_writable, save_json, save_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Group, Problem
@@ -22,12 +22,21 @@ from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
 from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.results.validation_table import comparison_table, validation_table
+from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.commands.inputs import Sources
+from grasp_refine_apps.commands.margins_options import (
+    MarginsOptions,
+    MeasuredFile,
+    add_columns,
+    add_margins,
+    margins_page,
+    show_margins,
+)
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.commands.recording import Recording
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
@@ -67,6 +76,7 @@ class Validate:
     sources: Annotated[Sources, arg(name="")] = field(default_factory=Sources)
     simulation: Annotated[Simulation, arg(name="")] = field(default_factory=Simulation)
     robustness: Annotated[Robustness, arg(name="")] = field(default_factory=Robustness)
+    margins: Annotated[MarginsOptions, arg(name="")] = field(default_factory=MarginsOptions)
     recording: Annotated[Recording, arg(name="")] = field(default_factory=Recording)
     output: Annotated[Output, arg(name="")] = field(default_factory=Output)
 
@@ -130,9 +140,15 @@ class Validate:
         if self.output.compare is not None:
             before, after = examined
             console.print(comparison_table(before.validated, after.validated, before.problem.hand.name, protocol))
+        measured = _measured(files, examined)
+        if measured:
+            console.print()
+            compared, verbose = self.output.compare is not None, self.output.verbose
+            show_margins(console, measured, compared=compared, verbose=verbose)
         if protocol is not None:
             cost = np.concatenate([part.validated.cpu_s for part in examined])
             rest = times["cpu_s"] - times["compile_cpu_s"] - cost.sum()
+            rest -= sum(each.margins.cpu_s.sum() for each in measured)
             console.print(
                 f"CPU: {times['start_cpu_s']:.1f} s to load the program, {times['compile_cpu_s']:.2f} s to compile, "
                 f"{cost.sum():.1f} s to simulate ({cost.mean() * 1e3:.0f} ms a grasp), {rest:.1f} s for the rest"
@@ -145,11 +161,17 @@ class Validate:
             GraspRefineError: names them.
         """
         check_numbers(self.robustness)
+        check_numbers(self.margins)
+        self.margins.check(protocol)
         if self.output.compare is not None and self.files:
             raise GraspRefineError("--compare BEFORE AFTER replaces FILE: give one of them")
         if not files:
             raise GraspRefineError("name a grasp file: refine-grasp validate FILE, or --compare BEFORE AFTER")
-        if protocol is None and (self.simulation != Simulation(simulate=False) or self.robustness != Robustness()):
+        if protocol is None and (
+            self.simulation != Simulation(simulate=False)
+            or self.robustness != Robustness()
+            or self.margins != MarginsOptions()
+        ):
             raise GraspRefineError("with --no-simulate, options of the simulation have no effect: leave them out")
         if 0 in self.robustness.frictions:
             raise GraspRefineError("--frictions must be above 0")
@@ -159,10 +181,14 @@ class Validate:
             for option in ("noise_offset", "noise_degrees"):
                 if getattr(self.robustness, option) != getattr(Robustness, option):
                     raise GraspRefineError(f"{flag(option)} needs --noise N")
-        for path in filter(None, (self.output.json, self.output.rows)):
+        for path in filter(None, (self.output.json, self.output.rows, self.margins.html)):
             check_no_input(path, files, "would overwrite an input; give another name")
         check_writable(
-            self.output.json, self.output.rows, overwrite=self.output.overwrite, inside=self.recording.replays
+            self.output.json,
+            self.output.rows,
+            self.margins.html,
+            overwrite=self.output.overwrite,
+            inside=self.recording.replays,
         )
         if self.output.rows is not None:
             check_table(self.output.rows)
@@ -176,7 +202,9 @@ class Validate:
                 reporter.note(note)
         compiling += time.process_time()
         checks = self.robustness.checks(self.simulation.threads)
-        parts, trials = [], []
+        parts, trials, tried = [], [], []
+        drawn = self.margins.drawn(self.robustness.seed)
+        other = None if drawn is None else other_model_of(problem.hand)
         for group in problem.groups:
             scene = group.scene
             world = motion = None
@@ -197,10 +225,14 @@ class Validate:
                 progress=reporter.simulating(group),
             )
             parts.append(found)
+            if drawn is not None and world is not None and motion is not None:
+                worlds, progress = Worlds.of(world, scene.object, other), reporter.simulating(group)
+                tried.append(margins(worlds, motion, drawn, threads=checks.threads, progress=progress))
             if world is not None and motion is not None and found.trials is not None:
                 trials.append((group, world, motion, found.trials))
         validated = Validated.join(parts).select(problem.order)
-        return _Examined(problem, validated, tuple(trials), compiling)
+        joined = Margins.join(tried).select(problem.order) if tried else None
+        return _Examined(problem, validated, tuple(trials), compiling, joined)
 
     def _write(
         self,
@@ -212,6 +244,7 @@ class Validate:
         """Write the output files; return their paths."""
         frictions, written = self.robustness.frictions, []
         found = [part.validated for part in examined]
+        measured, drawn = _measured(files, examined), self.margins.drawn(self.robustness.seed)
         if self.output.json is not None:
             described = {
                 "files": [
@@ -220,6 +253,7 @@ class Validate:
                 ],
                 "inputs": settings(self.sources),
                 "simulation": settings(self.simulation),
+                "margins": settings(self.margins),
                 "robustness": settings(self.robustness),
                 "protocol": settings(protocol),
             }
@@ -232,11 +266,20 @@ class Validate:
                 seed=self.robustness.seed,
                 times=times,
             )
+            if drawn is not None:
+                add_margins(document, measured, drawn)
             save_json(self.output.json, document)
             written.append(self.output.json)
         if self.output.rows is not None:
-            save_table(self.output.rows, flat_rows(found, files, protocol, frictions))
+            rows = flat_rows(found, files, protocol, frictions)
+            if measured:
+                add_columns(rows, measured)
+            save_table(self.output.rows, rows)
             written.append(self.output.rows)
+        if self.margins.html is not None:
+            compared = self.output.compare is not None
+            save_text(self.margins.html, margins_page(measured, compared=compared, seed=self.robustness.seed))
+            written.append(self.margins.html)
         return written
 
 
@@ -252,6 +295,17 @@ class _Examined:
     """Grasps, simulated world, closing motion and trials, by object and scale."""
     compile_cpu_s: float
     """CPU time of compiling models for MuJoCo, seconds."""
+    margins: Margins | None
+    """Margins of all grasps, in the order of the input; None: not requested."""
+
+
+def _measured(files: Sequence[Path], examined: Sequence[_Examined]) -> list[MeasuredFile]:
+    """Return the margins of the files; none where they were not requested."""
+    return [
+        MeasuredFile(path, part.problem.hand.name, part.validated, part.margins)
+        for path, part in zip(files, examined, strict=True)
+        if part.margins is not None
+    ]
 
 
 def _check_comparable(before: Draft, after: Draft) -> None:

@@ -17,17 +17,17 @@ from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simula
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.world import World
 
-STEPS = 6
-"""Number of bisections; the result lies within the 64th part of the searched range, in its logarithm."""
+STEPS = 5
+"""Number of bisections; the result lies within the 32nd part of the searched range, in its logarithm."""
 
-FRICTION_RANGE = (1 / 32, 2.0)
-"""Searched coefficients of friction: six octaves, so that a result is within 7 %."""
+FRICTION_RANGE = (1 / 16, 2.0)
+"""Searched coefficients of friction: five octaves, so that a result is within 11 %."""
 
-FORCE_RANGE_N = (0.25, 64.0)
-"""Searched forces, newtons: eight octaves, so that a result is within 9 %."""
+FORCE_RANGE_N = (0.5, 32.0)
+"""Searched forces, newtons: six octaves, so that a result is within 14 %."""
 
-TORQUE_RANGE_NM = (0.005, 1.28)
-"""Searched torques, newton metres: eight octaves, so that a result is within 9 %."""
+TORQUE_RANGE_NM = (0.01, 0.64)
+"""Searched torques, newton metres: six octaves, so that a result is within 14 %."""
 
 
 @dataclass(frozen=True, eq=False)

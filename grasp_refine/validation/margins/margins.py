@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,9 @@ from grasp_refine.validation.world import World, build_world
 Progress = Callable[[str, float], None]
 """Called with the name of the present simulation, and the number of finished grasps, in fractions."""
 
+ALONE_SHARE = 4
+"""Draws of each factor alone are the first of all, one of so many: they cover one range instead of all."""
+
 NO_FACTOR = ""
 """Name of the worst factor of a grasp that every factor alone leaves as it is."""
 
@@ -47,6 +50,21 @@ class Worlds:
     middle: Float[np.ndarray, " 3"]
     """Centre of mass (3,) of the object, metres."""
 
+    @classmethod
+    def of(cls, usual: World, obj: Object, other: HandModel | None = None) -> Worlds:
+        """Return the worlds of an object.
+
+        Args:
+            usual: Hand, object and a protocol that pushes, which holds for everything that is not drawn.
+            obj: The object.
+            other: The other model of the hand, see `other_model_of`; None: there is none.
+
+        Raises:
+            GraspRefineError: a protocol that lifts, or MuJoCo cannot compile the other model with the object.
+        """
+        check_pushes(usual.protocol)
+        return cls(usual, None if other is None else build_world(other, obj, usual.protocol), center_of_mass(obj))
+
     def __repr__(self) -> str:
         return f"Worlds({self.usual!r}{', and with the other model of the hand' if self.other else ''})"
 
@@ -58,12 +76,11 @@ class Worlds:
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """Trials of N grasps in K draws, which are the same for all, and their limits."""
+    """Trials of N grasps in draws that are the same for all, and their limits."""
 
-    trials: tuple[str, ...]
-    """Names of the F kinds of trials: all factors drawn, the push alone, and each factor alone."""
-    held: Bool[np.ndarray, "N F K"]
-    """True (N, F, K) where a grasp held in a draw."""
+    held: Mapping[str, Bool[np.ndarray, "N K"]]
+    """True (N, K) where a grasp held in a draw, for each of F kinds of trials: all factors drawn, the push alone, and
+    each factor alone."""
     limits: Limits | None
     """What the grasps hold at most; None: not tried."""
     cpu_s: Float[np.ndarray, " N"]
@@ -71,30 +88,37 @@ class Margins:
 
     def __len__(self) -> int:
         """Return the number of grasps."""
-        return len(self.held)
+        return len(self.cpu_s)
 
     def __repr__(self) -> str:
-        mean, lower, upper = self.mean(JOINT)
-        grasps, draws = count_text(len(self), "grasp"), count_text(self.held.shape[2], "draw")
+        mean, lower, upper = self.mean(self.trials[0])
+        grasps, draws = count_text(len(self), "grasp"), count_text(self.draws, "draw")
         return f"Margins({grasps}, {draws}: held with {mean:.3f} [{lower:.3f}, {upper:.3f}])"
 
-    def of(self, trial: str) -> Bool[np.ndarray, "N K"]:
-        """Return True (N, K) where a grasp held in the trials of a name."""
-        return self.held[:, self.trials.index(trial)]
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the F kinds of trials."""
+        return tuple(self.held)
+
+    @property
+    def draws(self) -> int:
+        """Number of draws of the first kind of trials."""
+        return self.held[self.trials[0]].shape[1]
 
     @property
     def probability(self) -> Float[np.ndarray, "N F"]:
         """Share (N, F) of the draws in which a grasp held."""
-        return self.held.mean(axis=2)
+        return np.stack([held.mean(axis=1) for held in self.held.values()], axis=1)
 
     @property
     def interval(self) -> Float[np.ndarray, "N F 2"]:
         """Interval (N, F, 2) of 95 % of the probability."""
-        return np.stack(wilson(self.held.sum(axis=2), self.held.shape[2]), axis=-1)
+        pairs = [np.stack(wilson(held.sum(axis=1), held.shape[1]), axis=-1) for held in self.held.values()]
+        return np.stack(pairs, axis=1)
 
     def mean(self, trial: str) -> tuple[float, float, float]:
         """Return the mean probability of these grasps with its interval, see `mean_interval`."""
-        return mean_interval(self.of(trial))
+        return mean_interval(self.held[trial])
 
     @property
     def worst(self) -> np.ndarray:
@@ -131,22 +155,14 @@ def other_model_of(hand: Hand) -> HandModel | None:
     return urdf_model(hand) if hand.collision == "mjcf" else mjcf_model(hand, hand.mjcf)
 
 
-def build_worlds(model: HandModel, other: HandModel | None, obj: Object, protocol: Protocol) -> Worlds:
-    """Return the worlds of an object for `margins`.
-
-    Args:
-        model: The hand.
-        other: Its other model, see `other_model_of`.
-        obj: The object.
-        protocol: Protocol that holds for everything that is not drawn; it pushes.
+def check_pushes(protocol: Protocol) -> None:
+    """Refuse a protocol without pushes.
 
     Raises:
-        GraspRefineError: a protocol that lifts, or MuJoCo cannot compile the hand with the object.
+        GraspRefineError: it lifts the object.
     """
     if protocol.tabletop:
         raise GraspRefineError(f"margins push the object, and protocol {protocol.name} lifts it: choose another one")
-    other_world = None if other is None else build_world(other, obj, protocol)
-    return Worlds(build_world(model, obj, protocol), other_world, center_of_mass(obj))
 
 
 def margins(
@@ -167,7 +183,7 @@ def margins(
     Args:
         worlds: Hand, object and protocol.
         motion: Motion that closes the hand to N grasps.
-        draws: K worlds.
+        draws: K worlds; with one factor alone, and with the push alone, only the first quarter of them is tried.
         trials: Names of the trials, out of `Worlds.trials`; None: all of them.
         with_limits: Whether the limits are searched too, which takes about as long as 50 draws of one kind.
         threads: CPU threads; by default as many as there are. The result does not depend on it.
@@ -184,8 +200,9 @@ def margins(
     names = worlds.trials if trials is None else tuple(trials)
     if not names or not set(names) <= set(worlds.trials):
         raise GraspRefineError(f"trials are among {', '.join(worlds.trials)}, got {', '.join(names) or 'none'}")
-    kinds = [draws.only(name, protocol) for name in names]
-    flat = kinds[0] if len(kinds) == 1 else join(*kinds)
+    first = draws.select(np.arange(-(-len(draws) // ALONE_SHARE)))
+    kinds = [draws if name == JOINT else first.only(name, protocol) for name in names]
+    flat = join(*kinds)
     conditions = flat.conditions(protocol, worlds.middle)
     other = flat.other_model & (worlds.other is not None)
     held = np.zeros((count, len(flat)), dtype=bool)
@@ -203,8 +220,8 @@ def margins(
     if with_limits:
         found = limits(worlds.usual, motion, threads=threads, progress=lambda grasps: progress("limits", grasps))
     cpu = time.process_time() - start
-    shape = (count, len(names), len(draws))
-    return Margins(names, held.reshape(shape), found, np.full(count, cpu / max(count, 1)))
+    parts = np.split(held, np.cumsum([len(kind) for kind in kinds])[:-1], axis=1)
+    return Margins(dict(zip(names, parts, strict=True)), found, np.full(count, cpu / max(count, 1)))
 
 
 def _held(

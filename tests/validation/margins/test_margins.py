@@ -12,7 +12,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.validation.margins.draws import draw
 from grasp_refine.validation.margins.factors import JOINT, PUSH, Factors
 from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, limits
-from grasp_refine.validation.margins.margins import NO_FACTOR, Margins, Worlds, build_worlds, margins
+from grasp_refine.validation.margins.margins import ALONE_SHARE, NO_FACTOR, Margins, Worlds, margins
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.tabletop import TABLETOP
@@ -24,11 +24,12 @@ from gripper import KP, RADIUS, around, ball, gripper, two_balls
 
 WEIGHT = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
 ACROSS = np.array([0.0, 1.0, 0.0])
+ALONE = (PUSH, "pose", "friction", "softness", "servos", "thickness")
 
 
 @pytest.fixture(scope="module")
 def worlds() -> Worlds:
-    return build_worlds(gripper(), None, ball(), DEXGRASPBENCH)
+    return Worlds.of(build_world(gripper(), ball(), DEXGRASPBENCH), ball())
 
 
 def pressing(*forces: float) -> Motion:
@@ -52,23 +53,23 @@ def plates(world: World, closed: Closed) -> np.ndarray:
 
 
 def test_the_share_under_friction_alone_is_that_of_the_frictions_that_carry_the_weight(worlds: Worlds) -> None:
-    draws = replace(draw(Factors(), 32), direction=np.tile(ACROSS, (32, 1)))
+    draws = replace(draw(Factors(), 32 * ALONE_SHARE), direction=np.tile(ACROSS, (32 * ALONE_SHARE, 1)))
     motion = pressing(0.8, 1.2, 3.5)
     found = margins(worlds, motion, draws, trials=("friction",), with_limits=False)
     # Friction is uniform from 0.2 to 1, and both plates carry the weight up to friction x normal force.
     least = WEIGHT / (2 * normal_force(worlds, motion))
     expected = np.clip((1.0 - least) / 0.8, 0.0, 1.0)
     assert 0.2 < expected[0] < 0.6 < expected[1] < 0.9 and expected[2] == 1.0
-    share = found.of("friction").mean(axis=1)
+    share = found.held["friction"].mean(axis=1)
     assert share == pytest.approx(expected, abs=0.1)
     low, high = found.interval[:, 0].T
     assert ((low <= expected) & (expected <= high)).all()
 
 
 def test_each_draw_holds_where_friction_carries_the_weight_across(worlds: Worlds) -> None:
-    draws = draw(Factors(), 32)
-    motion = pressing(1.6)
+    draws, motion = draw(Factors(), 32 * ALONE_SHARE), pressing(1.6)
     found = margins(worlds, motion, draws, trials=(PUSH, "friction", "mass"), with_limits=False)
+    draws = draws.select(np.arange(32))
     along = np.abs(draws.direction[:, 0])
     across, normal = np.sqrt(1 - along**2), normal_force(worlds, motion)
     for factor, friction, mass in (
@@ -81,33 +82,35 @@ def test_each_draw_holds_where_friction_carries_the_weight_across(worlds: Worlds
         share = (weight * across / 2) / (friction * np.maximum(normal - weight * along / 2, 1e-9))
         clear = (share < 0.8) | (share > 1.2)
         assert clear.sum() > 15, factor
-        np.testing.assert_array_equal(found.of(factor)[0, clear], share[clear] < 1)
+        np.testing.assert_array_equal(found.held[factor][0, clear], share[clear] < 1)
 
 
 def test_a_factor_that_cannot_matter_costs_nothing(worlds: Worlds) -> None:
-    found = margins(worlds, pressing(8.0), draw(Factors(), 8), with_limits=False)
+    found = margins(worlds, pressing(8.0), draw(Factors(), 8 * ALONE_SHARE), trials=ALONE, with_limits=False)
     # The plates are wider than any shift of a ball, and press eight times as firmly as the weight needs.
-    for factor in ("pose", "friction", "softness", "servos", "thickness"):
-        assert found.of(factor).all(), factor
-    assert found.of(PUSH).all()
+    for factor in ALONE:
+        assert found.held[factor].all(), factor
     narrow = Factors(0.0, 0.0, (0.6, 0.6), (0.1, 0.1), (1.0, 1.0), 0.0, (1.0, 1.0), (1.0, 1.0), (0.0, 0.0))
-    same = margins(worlds, pressing(0.9), draw(narrow, 8), with_limits=False)
+    same = margins(worlds, pressing(0.9), draw(narrow, 16), with_limits=False)
     for trial in same.trials:
-        np.testing.assert_array_equal(same.of(trial), same.of(PUSH))
-    assert same.worst.tolist() == [PUSH] and 0 < same.of(JOINT).mean() < 1
+        np.testing.assert_array_equal(same.held[trial][:, :4], same.held[PUSH])
+    assert same.worst.tolist() == [PUSH] and 0 < same.held[JOINT].mean() < 1
 
 
 def test_trials_depend_neither_on_other_grasps_nor_on_threads_nor_on_other_draws(worlds: Worlds) -> None:
-    draws, motion, trials = draw(Factors(), 6), pressing(1.0, 1.5), (JOINT, "friction")
+    draws, motion, trials = draw(Factors(), 8), pressing(1.0, 1.5), (JOINT, "friction")
     together = margins(worlds, motion, draws, trials=trials, threads=2)
     apart = [margins(worlds, motion.select(np.array([row])), draws, trials=trials, threads=1) for row in (1, 0)]
     joined = Margins.join(apart)
-    np.testing.assert_array_equal(joined.held, together.held[::-1])
+    for name in trials:
+        np.testing.assert_array_equal(joined.held[name], together.held[name][::-1])
     assert together.limits is not None and joined.limits is not None
     for name in ("friction", "force", "torque"):
         np.testing.assert_array_equal(getattr(joined.limits, name), getattr(together.limits, name)[::-1])
     fewer = margins(worlds, motion, draw(Factors(), 4), trials=trials, with_limits=False)
-    np.testing.assert_array_equal(fewer.held, together.held[:, :, :4])
+    np.testing.assert_array_equal(fewer.held[JOINT], together.held[JOINT][:, :4])
+    np.testing.assert_array_equal(fewer.held["friction"], together.held["friction"][:, :1])
+    assert together.held["friction"].shape == (2, 8 // ALONE_SHARE) and together.draws == 8
     assert joined.trials == trials and len(joined) == 2
     assert joined.select(np.array([1])).worst_of(np.ones(2)) == NO_FACTOR
 
@@ -116,25 +119,25 @@ def test_a_grasp_that_is_no_grasp_is_lost_in_every_draw(worlds: Worlds) -> None:
     motion = around(4.0, count=2)
     motion.q[1, 1] = np.nan
     found = margins(worlds, motion, draw(Factors(), 4), trials=(JOINT,))
-    assert not found.held[1].any() and found.held[0].any()
+    assert not found.held[JOINT][1].any() and found.held[JOINT][0].any()
     assert found.limits is not None
     assert np.isnan(found.limits.friction[1]) and found.limits.force[1] == found.limits.torque[1] == 0.0
 
 
 def test_an_object_that_closing_loses_is_lost(worlds: Worlds) -> None:
     # Shifted by 10 cm, the ball is not between the plates, where it would lie still without being pushed.
-    far = replace(draw(Factors(), 4), shift=np.tile([0.0, 0.1, 0.0], (4, 1)))
+    far = replace(draw(Factors(), 8), shift=np.tile([0.0, 0.1, 0.0], (8, 1)))
     found = margins(worlds, pressing(4.0), far, trials=(PUSH, "pose"), with_limits=False)
-    assert not found.of("pose").any() and found.of(PUSH).all()
+    assert not found.held["pose"].any() and found.held[PUSH].all()
     assert found.worst.tolist() == ["pose"]
 
 
 def test_the_other_model_is_used_in_its_draws_alone(worlds: Worlds) -> None:
-    weak = build_worlds(gripper(), gripper(kp=0.05 * KP), ball(), DEXGRASPBENCH)
-    draws = draw(Factors(), 8)
+    weak = Worlds.of(worlds.usual, ball(), gripper(kp=0.05 * KP))
+    draws = draw(Factors(), 8 * ALONE_SHARE)
     found = margins(weak, pressing(4.0), draws, trials=(PUSH, "model"), with_limits=False)
-    np.testing.assert_array_equal(found.of("model")[0], ~draws.other_model)
-    assert found.of(PUSH).all() and found.worst.tolist() == ["model"]
+    np.testing.assert_array_equal(found.held["model"][0], ~draws.other_model[:8])
+    assert found.held[PUSH].all() and found.worst.tolist() == ["model"]
     assert "model" not in worlds.trials
 
 
@@ -195,4 +198,4 @@ def test_trials_that_are_none_are_refused(worlds: Worlds) -> None:
 
 def test_protocols_that_lift_are_refused() -> None:
     with pytest.raises(GraspRefineError, match="tabletop"):
-        build_worlds(gripper(), None, ball(), TABLETOP)
+        Worlds.of(build_world(gripper(), ball(), TABLETOP), ball())

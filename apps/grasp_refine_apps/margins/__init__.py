@@ -1,0 +1,1 @@
+"""Charts of the margins of grasps, as a page."""
