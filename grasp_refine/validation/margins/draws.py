@@ -58,17 +58,18 @@ class Draws:
         """Return the draws `rows`."""
         return take(self, rows)
 
-    def only(self, factor: str, protocol: Protocol) -> Draws:
+    def only(self, factor: str, protocol: Protocol, mass: float) -> Draws:
         """Return these draws with everything but one factor, and the direction of the push, as in the protocol.
 
         Args:
             factor: A key of `FIELDS`; `JOINT` for all of them, `PUSH` for none.
             protocol: The protocol.
+            mass: Mass that it gives the object, kg.
         """
         if factor == JOINT:
             return self
         kept = () if factor == PUSH else FIELDS[factor]
-        others = {name: value for name, value in nominal(len(self), protocol).items() if name not in kept}
+        others = {name: value for name, value in nominal(len(self), protocol, mass).items() if name not in kept}
         return replace(self, **others)
 
     def conditions(self, protocol: Protocol, middle: Float[np.ndarray, " 3"]) -> Conditions:
@@ -124,14 +125,14 @@ def draw(factors: Factors, count: int, seed: int = 0) -> Draws:
     )
 
 
-def nominal(count: int, protocol: Protocol) -> dict[str, np.ndarray]:
-    """Return the fields of `Draws` but the direction, as the protocol has them."""
+def nominal(count: int, protocol: Protocol, mass: float) -> dict[str, np.ndarray]:
+    """Return the fields of `Draws` but the direction, as the protocol has them, with the mass (kg) of the object."""
     one, no = np.ones(count), np.zeros(count, dtype=bool)
     values = {
         "shift": np.zeros((count, 3)),
         "turn": np.zeros((count, 3)),
         "friction": protocol.friction * one,
-        "mass": protocol.mass * one,
+        "mass": mass * one,
         "contact_time": one,
         "default_contact": no,
         "gain": one,

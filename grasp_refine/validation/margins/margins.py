@@ -201,7 +201,7 @@ def margins(
     if not names or not set(names) <= set(worlds.trials):
         raise GraspRefineError(f"trials are among {', '.join(worlds.trials)}, got {', '.join(names) or 'none'}")
     first = draws.select(np.arange(-(-len(draws) // ALONE_SHARE)))
-    kinds = [draws if name == JOINT else first.only(name, protocol) for name in names]
+    kinds = [draws if name == JOINT else first.only(name, protocol, worlds.usual.mass) for name in names]
     flat = join(*kinds)
     conditions = flat.conditions(protocol, worlds.middle)
     other = flat.other_model & (worlds.other is not None)

@@ -62,13 +62,13 @@ def test_factors_do_not_go_together(many: Draws) -> None:
 
 @pytest.mark.parametrize("factor", FIELDS)
 def test_one_factor_alone_leaves_all_others_as_in_the_protocol(many: Draws, factor: str) -> None:
-    alone = many.only(factor, STRICT)
-    for name, value in nominal(len(many), STRICT).items():
+    alone = many.only(factor, STRICT, 0.3)
+    for name, value in nominal(len(many), STRICT, 0.3).items():
         drawn = getattr(many, name) if name in FIELDS[factor] else value
         np.testing.assert_array_equal(getattr(alone, name), drawn)
     np.testing.assert_array_equal(alone.direction, many.direction)
-    np.testing.assert_array_equal(many.only(PUSH, STRICT).friction, STRICT.friction)
-    assert many.only(JOINT, STRICT) is many
+    np.testing.assert_array_equal(many.only(PUSH, STRICT, 0.3).mass, 0.3)
+    assert many.only(JOINT, STRICT, 0.3) is many
 
 
 def test_every_drawn_field_belongs_to_one_factor() -> None:

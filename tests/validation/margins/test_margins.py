@@ -11,7 +11,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import Object
 from grasp_refine.validation.margins.draws import draw
 from grasp_refine.validation.margins.factors import JOINT, PUSH, Factors
-from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, limits
+from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, TORQUE_RANGE_NM, limits
 from grasp_refine.validation.margins.margins import ALONE_SHARE, NO_FACTOR, Margins, Worlds, margins
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
@@ -162,14 +162,15 @@ def test_a_limit_held_and_the_next_step_did_not(worlds: Worlds) -> None:
     assert simulate(worlds.usual, motion, replace(nominal, friction=found.friction)).success.all()
     assert not simulate(worlds.usual, motion, replace(nominal, friction=found.friction / step)).success.any()
     closed = close(worlds.usual, motion, nominal)
-    for first, values, factor in ((0, found.force, 1.0), (3, found.torque, 1.0)):
+    for first, values, (low, high) in ((0, found.force, FORCE_RANGE_N), (3, found.torque, TORQUE_RANGE_NM)):
         wrench = np.zeros((2, 6, 6))
         for axis in range(3):
-            for sign in (0, 1):
-                wrench[:, 2 * axis + sign, first + axis] = (1 - 2 * sign) * values * factor
+            for side in (0, 1):
+                wrench[:, 2 * axis + side, first + axis] = (1 - 2 * side) * values
         held = push(worlds.usual, replace(closed, conditions=replace(nominal, wrench=wrench)))
         assert held.success.all()
-        lost = push(worlds.usual, replace(closed, conditions=replace(nominal, wrench=1.1 * wrench)))
+        more = (high / low) ** (0.5**STEPS) * wrench
+        lost = push(worlds.usual, replace(closed, conditions=replace(nominal, wrench=more)))
         assert not lost.success.any()
 
 
