@@ -142,3 +142,22 @@ def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
     assert set(gr.__all__) <= set(dir(gr))
     with pytest.raises(AttributeError, match="nonsense"):
         gr.nonsense  # noqa: B018
+
+
+def test_margins_are_those_of_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box = gr.load_object("box:0.05,0.06,0.07")
+    protocol, factors = gr.Protocol(checks=1), gr.Factors(friction=(0.5, 0.9))
+    found = gr.margins(gripper, box, refined.after, protocol, factors=factors, draws=4, seed=2, with_limits=False)
+    assert len(found) == 3 and found.margins.limits is None and found.margins.draws == 4
+    assert found.draws.friction.min() >= 0.5 and found.draws.friction.max() <= 0.9
+    np.testing.assert_array_equal(found.probability, found.margins.held["all"].mean(axis=1))
+    assert "3 grasps in 4 drawn worlds" in str(found) and "friction" in found._repr_html_()
+    assert "GraspMargins(3 grasps of gripper" in repr(found)
+    turned = gr.margins(
+        gripper, box, refined.after.select([2, 0]), protocol, factors=factors, draws=4, seed=2, with_limits=False
+    )
+    np.testing.assert_array_equal(turned.margins.held["all"], found.margins.held["all"][[2, 0]])
+    with refused(gr.GraspRefineError, "tabletop"):
+        gr.margins(gripper, box, refined.after, "tabletop")
+    with refused(gr.GraspRefineError, "Factors"):
+        gr.margins(gripper, box, refined.after, factors=0.5)  # type: ignore[arg-type]

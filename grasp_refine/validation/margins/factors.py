@@ -33,15 +33,15 @@ FIELDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 MEANING: Mapping[str, str] = MappingProxyType(
     {
         JOINT: "all of these at once",
-        PUSH: "the weight in any direction, all else as in the protocol",
-        "pose": "object shifted and turned before the hand closes",
+        PUSH: "only the push's direction",
+        "pose": "object shifted and turned",
         "friction": "coefficient of friction",
         "mass": "mass of the object",
         "softness": "time constant of contacts",
-        "cone": "MuJoCo's default contact in half of the draws",
-        "servos": "stiffness and force limits of the servos",
-        "thickness": "surface of the object inside or outside of where it should be",
-        "model": "the hand's other model, from its MJCF or its URDF, in half of the draws",
+        "cone": "MuJoCo's default contact",
+        "servos": "their stiffness and limits",
+        "thickness": "surface out or in",
+        "model": "the hand's other model",
     }
 )
 """Name of trials -> explanation."""
