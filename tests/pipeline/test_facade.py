@@ -159,5 +159,3 @@ def test_margins_are_those_of_the_library_in_the_order_of_the_grasps(gripper: gr
     np.testing.assert_array_equal(turned.margins.held["all"], found.margins.held["all"][[2, 0]])
     with refused(gr.GraspRefineError, "tabletop"):
         gr.margins(gripper, box, refined.after, "tabletop")
-    with refused(gr.GraspRefineError, "Factors"):
-        gr.margins(gripper, box, refined.after, factors=0.5)  # type: ignore[arg-type]
