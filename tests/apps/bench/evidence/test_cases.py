@@ -33,9 +33,10 @@ def assets(tmp_path: Path) -> Path:
 
 
 def test_each_hand_has_sampled_grasps_on_each_object_and_generators_have_their_own_hand(assets: Path, tmp_path: Path):
-    cases = Cases(assets, hands=("allegro", "allegro_mjcf/right", "embedded/leap"), sampled=3).write(tmp_path / "out")
+    hands = ("allegro", "plates", "allegro_mjcf/right", "embedded/leap")
+    cases = Cases(assets, hands, sampled=3).write(tmp_path / "out")
     sampled = [(case.hand.name, case.object.name) for case in cases if case.is_sampled]
-    assert sampled == [(hand, name) for hand in ("allegro", "embedded/leap") for name in sorted(OBJECTS)]
+    assert sampled == [(hand, name) for hand in ("allegro", "embedded/leap", "plates") for name in sorted(OBJECTS)]
     made = [(case.hand.name, case.object.name, case.count) for case in cases if case.generator == "made"]
     assert made == [("allegro", "my_rounded_box", 4), ("allegro_mjcf/right", "my_rounded_box", 4)]
     assert {case.count for case in cases if case.is_sampled} == {3}
@@ -80,6 +81,8 @@ def test_grasps_that_scale_the_mesh_are_not_scaled_again(assets: Path, tmp_path:
     file = assets / "grasps/normalised/made.npz"
     with np.load(file) as entries:
         np.savez(file, **{**entries, "scale": np.full(4, 0.5)})
+    table = assets / "objects.csv"
+    table.write_text(table.read_text().replace("my_rounded_box,1.0", "my_rounded_box,0.7"))
     (case,) = Cases(assets, ("allegro",), generators=("made",)).write(tmp_path / "out")
     assert case.scale == 1.0
 
