@@ -69,7 +69,7 @@ class BenchEvidence:
     settings are computed again. The exit code is 0 on success, 1 when something failed, 130 when interrupted.
     """
 
-    assets: Path
+    assets: Path = Path("assets")
     """Folder of hands, objects and grasps."""
     out: Path = Path("grasp-refine-evidence")
     """Folder of the results, and of evidence.md, evidence.html and evidence.json."""

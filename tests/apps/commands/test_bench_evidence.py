@@ -174,7 +174,7 @@ def test_an_interruption_leaves_what_the_next_call_continues(copy: Path, assets:
 def test_bad_input_is_refused(assets: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any):
     monkeypatch.chdir(tmp_path)
     command = ("bench", "evidence", "--assets", assets)
-    assert_names(refused(capfd, "bench", "evidence"), "--assets")
+    assert_names(refused(capfd, "bench", "evidence"), "assets", "hands")
     assert_names(refused(capfd, "bench", "evidence", "--assets", "nowhere"), "nowhere", "hands")
     assert_names(refused(capfd, *command, "--hands", "claw"), "--hands", "claw", "allegro", "embedded/leap")
     assert_names(refused(capfd, *command, "--objects", "spoon"), "--objects", "spoon", "ball")
