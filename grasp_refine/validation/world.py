@@ -187,7 +187,7 @@ def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
     normal = np.asarray(plane.normal)
     geom = spec.worldbody.add_geom(name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.05])
     geom.pos = plane.offset * normal
-    geom.alt.zaxis = normal
+    geom.alt.type, geom.alt.zaxis = mujoco.mjtOrientation.mjORIENTATION_ZAXIS, normal
     geom.contype = geom.conaffinity = ALL_COLLISION_BITS
 
 

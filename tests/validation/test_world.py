@@ -11,6 +11,7 @@ from mujoco.batch import Batch
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.objects.object import load_object
+from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.tabletop import TABLETOP
@@ -66,6 +67,16 @@ def test_the_protocol_says_in_how_many_points_pieces_touch(multiccd: bool) -> No
 
     close(world, around(4.0), Conditions.nominal(world, 1), on_step=count)
     assert points[-1] == (8 if multiccd else 2)
+
+
+def test_a_table_is_as_steep_as_it_is_said() -> None:
+    """A table with another normal than z once lay level, through the same point."""
+    normal = np.array([0.6, 0.0, 0.8])
+    model = build_world(gripper(), ball(), TABLETOP, Plane(tuple(normal), offset=-0.05)).model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    np.testing.assert_allclose(data.geom(TABLE).xmat.reshape(3, 3)[:, 2], normal, atol=1e-12)
+    assert data.geom(TABLE).xpos @ normal == pytest.approx(-0.05)
 
 
 def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
