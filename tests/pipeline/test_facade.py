@@ -83,7 +83,10 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
     grasps = gr.load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
     save_npz(tmp_path / "two.npz", replace(grasps, scale=np.where(np.arange(len(grasps)) % 2, 1.1, 1.0)).arrays())
 
-    def place(world: World, motion: Motion, **others: object) -> Trials:
+    numbered: list[np.ndarray] = []
+
+    def place(world: World, motion: Motion, *, numbers: np.ndarray, **others: object) -> Trials:
+        numbered.append(numbers)
         x, number = motion.T_world_root[:, 1, 0, 3], np.zeros((len(motion), 1))
         none = np.zeros((len(motion), 0), dtype=bool)
         return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x, x == x)
@@ -93,6 +96,8 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
     assert len(problem.groups) == 2
     refined = gr.refine(problem, config=gr.Config(starts=1, solver=LevenbergMarquardt(iterations=1)))
     trials = gr.simulate(refined)
+    # Offsets of a protocol depend on the row of the file, before and after alike.
+    assert [rows.tolist() for rows in numbered] == [[0, 2], [0, 2], [1], [1]]
     for found, wanted in ((trials.before, refined.before), (trials.after, refined.after)):
         np.testing.assert_allclose(found.closing_m, wanted.hand_pose[:, 0], atol=1e-12)
 

@@ -8,10 +8,12 @@ import pytest
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
 from grasp_refine.results.simulated import reason_lines, simulation_entry
+from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.stepping import Conditions
@@ -20,6 +22,7 @@ from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.viewer.validated import TrialResult
 from gripper import RADIUS, around, ball, gripper
 from refusals import assert_names, refused
+from validation.test_protocol import lever
 
 EDGE, HALF_PLATE = 0.002, 0.04
 """How far from the plates' lower edge the ball is touched, and half of the height of the plates, in metres."""
@@ -108,6 +111,28 @@ def test_a_grasp_that_holds_only_where_the_object_should_be_says_so(world: World
     seen = TrialResult.of(trials, 0, strict, {}, None)
     assert not seen.held
     assert_names(seen.verdict, "Does not hold", f"{trials.label[0]:.0%} of 24", "all 6 directions")
+
+
+def test_offsets_stay_on_the_table_and_turn_the_object_about_its_middle(monkeypatch: pytest.MonkeyPatch):
+    """About the centre of mass of two balls of which one is far aside, on a table that is not level."""
+    seen: list[Conditions] = []
+
+    def spy(world: World, motion: Motion, conditions: Conditions | None, **others: object) -> Trials:
+        seen.extend([] if conditions is None else [conditions])
+        return simulate(world, motion, conditions, **others)
+
+    monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
+    thing, arm = lever()
+    normal = (0.6, 0.0, 0.8)
+    middle = np.array([0.0, arm, 0.0])
+    for offset, turn in ((0.01, 0.0), (0.0, 0.3)):
+        protocol = replace(TABLETOP, noise=Noise(count=4, offset=offset, turn=turn))
+        judge(build_world(gripper(), thing, protocol, Plane(normal, offset=-0.05)), around(8.0))
+    shifted, turned = (conditions.T_world_object for conditions in seen)
+    assert np.abs(shifted[:, :3, 3] @ normal).max() < 1e-12 and np.abs(shifted[:, :3, 3]).max() > 1e-4
+    np.testing.assert_allclose(turned[:, :3, :3] @ normal, np.tile(normal, (4, 1)), atol=1e-12)
+    np.testing.assert_allclose(turned[:, :3, :3] @ middle + turned[:, :3, 3], np.tile(middle, (4, 1)), atol=1e-6)
+    assert np.abs(turned[:, :3, 3]).max() > 1e-4
 
 
 def test_progress_counts_grasps(world: World):

@@ -9,6 +9,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import load_object
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import build_world
@@ -64,6 +65,13 @@ def test_the_force_that_holds_grows_with_density(density: float):
     across = ["xyz".index(name[1]) > 0 for name in protocol.directions]
     assert (simulate(world, around(1.15 * limit)).reason[:, across] == Reason.HELD).all()
     assert (simulate(world, around(0.85 * limit)).reason[:, across] == Reason.MOVED).all()
+
+
+def test_a_replay_tells_the_force_that_acted():
+    world = build_world(gripper(), ball(), replace(DEXGRASPBENCH, density=1000.0, checks=1))
+    replay = record(world, around(8.0), "+y", name="ball", hand="gripper")
+    assert replay is not None
+    np.testing.assert_allclose(replay.force, [0.0, 10.0 * 1000.0 * 4 / 3 * np.pi * RADIUS**3, 0.0], rtol=1e-6)
 
 
 def test_a_given_mass_replaces_a_density():

@@ -12,7 +12,7 @@ from grasp_refine.core.errors import GraspRefineError, quote_value
 from grasp_refine.core.names import expand_user
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS
 
 SUFFIX = ".toml"
 """Suffix of the file of a protocol."""
@@ -44,7 +44,7 @@ def load_protocol(name: str) -> Protocol:
         raise GraspRefineError(f"{path}: no such file") from None
     except UNREADABLE as error:
         raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
-    base = given.pop(BASE_KEY, "dexgraspbench")
+    base = given.pop(BASE_KEY, DEFAULT)
     if base not in list(PROTOCOLS):
         raise GraspRefineError(f"{path}: {BASE_KEY} must be among {', '.join(PROTOCOLS)}, got {quote_value(base)}")
     found = protocol_of({"name": path.stem, **given}, PROTOCOLS[base], where=f"{path}: ")
@@ -53,7 +53,7 @@ def load_protocol(name: str) -> Protocol:
     return found
 
 
-def protocol_of(given: Mapping[str, Any], base: Protocol = PROTOCOLS["dexgraspbench"], *, where: str = "") -> Protocol:
+def protocol_of(given: Mapping[str, Any], base: Protocol = PROTOCOLS[DEFAULT], *, where: str = "") -> Protocol:
     """Return a protocol with the given fields, and those of another where nothing is given.
 
     Args:

@@ -9,6 +9,8 @@ import pytest
 from rich.console import Console
 
 from batch_rows import document, failure, made_up_rows
+from grasp_refine.results.document import settings
+from grasp_refine.validation.protocols.graspqp import GRASPQP
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.table import batch_table
 
@@ -44,6 +46,11 @@ def test_a_line_for_each_object_and_one_for_all():
     assert before.endswith("2 of 8, all of which held; 2 of the 6 others held")
     assert after.endswith("5 of 8, all of which held; 0 of the 3 others held")
     assert lines[-1] == "12.0 grasps/s, at most 512 MiB a process"
+
+
+def test_a_rule_other_than_all_directions_is_told():
+    lines = printed(document(config={"protocol": settings(GRASPQP)}), some(1))
+    assert any(line.startswith("held in simulation (graspqp, in at least 3 of 6 directions): ") for line in lines)
 
 
 def test_without_simulation_it_is_told_what_converged():

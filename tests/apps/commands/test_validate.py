@@ -15,9 +15,12 @@ import pytest
 from command_line import refused
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
+from grasp_refine.hands.inertia import Inertia
+from grasp_refine.objects.object import load_object
 from grasp_refine.results.validation_document import save_table
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine.validation.protocols.protocol import AXES
+from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
@@ -103,6 +106,55 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
     assert document["totals"]["good_before"] is None and document["totals"]["good_after"] == good
     assert f"(an estimate): {good} of 2" in out
     assert rows[0]["success"] == str(document["grasps"][0]["simulation"]["after"]["success"])
+
+
+LENIENT = """
+based_on = "graspqp"
+density = 400.0
+[noise]
+count = 2
+"""
+
+
+def test_a_protocol_of_a_file_is_told_with_its_rule_mass_and_labels(
+    workplace: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Offsets depend on the row of the grasp only, so that labels are those of any other selection."""
+    Path("lenient.toml").write_text(LENIENT)
+    mass = Inertia.of(load_object("rounded_box").body.pieces, density=400.0).mass
+    both = validate(EXAMPLE, "--index", "1", "3", "--protocol", "lenient.toml", "--rows", "rows.csv")
+    out = " ".join(capfd.readouterr().out.split())
+    found = [grasp["simulation"]["after"] for grasp in both["grasps"]]
+    for one in found:
+        assert one["protocol"] == "lenient" and one["label"] in (0.0, 0.5, 1.0)
+        assert one["success"] == (one["label"] >= 0.5)
+        assert_names(one["rule"], "at least 3 of +x", "50 % of 2 trials", "5 mm and 5 degrees")
+        assert one["mass_kg"] == pytest.approx(mass)
+    assert f"mean label {np.mean([one['label'] for one in found]):.3f}" in out
+    assert f"lenient, friction 1, {1e3 * found[0]['mass_kg']:.0f} g, pushes of 0.5 s" in out
+    with open("rows.csv") as stream:
+        assert [float(row["label"]) for row in csv.DictReader(stream)] == [one["label"] for one in found]
+    (alone,) = validate(EXAMPLE, "--index", "3", "--protocol", "lenient.toml")["grasps"]
+    assert alone["simulation"]["after"] == found[1]
+    heavy = validate(EXAMPLE, "--index", "3", "--protocol", "lenient.toml", "--mass", "0.3")
+    assert heavy["grasps"][0]["simulation"]["after"]["mass_kg"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("command", ["validate", "run", "batch"])
+def test_a_protocol_that_is_none_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
+    Path("wrong.toml").write_text("frictoin = 0.5")
+    options = {"run": ["--validate"], "batch": ["--validate", "--out", "out"]}.get(command, [])
+    for name, named in (("soft", PROTOCOLS), ("wrong.toml", ("frictoin", "friction")), ("none.toml", ("none.toml",))):
+        assert main([command, *([] if command == "run" else [str(EXAMPLE)]), "--protocol", name, *options]) == 2
+        assert_names(capfd.readouterr().err, name, *named)
+
+
+def test_help_lists_all_protocols(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["validate", "--help"])
+    out = " ".join(capfd.readouterr().out.replace("│", " ").split())
+    for name, protocol in PROTOCOLS.items():
+        assert f"{name}: {protocol.summary}" in out
 
 
 def test_no_text_of_the_rows_is_run_by_a_spreadsheet(workplace: Path) -> None:

@@ -24,8 +24,10 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
+from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Sources
@@ -111,6 +113,20 @@ def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, sc
     parts = [what for what, _ in groupby(what for _, what in told)]
     assert len(parts) == len(set(parts)) == 5
     assert_names(parts[3], "6")
+
+
+def test_offsets_of_the_object_are_those_of_validate(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
+    """Those of the row of the grasp; the verdict is that of the label."""
+    protocol = replace(protocol_of("dexgraspbench", 0.2), checks=2, noise=Noise(4, 0.01), required_label=1.0)
+    told: list[str] = []
+    control = Control(lambda share, what: told.append(what))
+    trial = run_trial(make_world, replace(grasp, row=7), protocol, control)
+    assert trial.motion is not None
+    world, motion, rows = make_world(scene, protocol), trial.motion, np.array([7, 0, 1, 2])
+    expected = judge(world, motion.select(np.zeros(4, dtype=int)), numbers=rows)
+    assert expected.label is not None and len(set(expected.label)) > 1, "another row, another label"
+    assert (trial.label, trial.held) == (expected.label[0], expected.success[0])
+    assert "elsewhere" in told[-2] and f"{trial.label:.0%} of 4" in trial.verdict
 
 
 def test_the_watched_motion_ends_as_the_trial_says(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
