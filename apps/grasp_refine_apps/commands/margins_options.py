@@ -34,7 +34,7 @@ class MarginsOptions:
     margins: bool = False
     """Try each grasp again in worlds drawn at random, with all factors at once and with each alone (pose of the object,
     friction, mass and its direction, contacts, servos, thickness), and search the lowest friction and the largest force
-    and torque that it holds. About 60 times the time of the simulation."""
+    and torque that it holds. About 40 times the time of the simulation."""
     draws: int = 32
     """Number of drawn worlds, the same for all grasps; best a power of 2. Only with --margins."""
     html: OptionalFile = None

@@ -185,7 +185,7 @@ def margins(
         motion: Motion that closes the hand to N grasps.
         draws: K worlds; with one factor alone, and with the push alone, only the first quarter of them is tried.
         trials: Names of the trials, out of `Worlds.trials`; None: all of them.
-        with_limits: Whether the limits are searched too, which takes about as long as 50 draws of one kind.
+        with_limits: Whether the limits are searched too, which takes about as long as 50 trials.
         threads: CPU threads; by default as many as there are. The result does not depend on it.
         progress: Called with the progress.
 
