@@ -97,7 +97,7 @@ class TrialsWork:
         held: dict[str, np.ndarray] = {}
         entries: dict[str, np.ndarray] = {}
         for number, method in enumerate(METHODS):
-            heartbeat(f"{task.trial.label}, {method}", number / len(METHODS), number * len(problem))
+            heartbeat(f"{task.trial.label}, {method}", number / len(METHODS))
             began = time.process_time()
             trials = _simulated(problem, _motions(task, problem, method), task.trial.protocol, cache)
             spent = time.process_time() - began
