@@ -101,7 +101,7 @@ def refine_group(
     return compare(
         scene,
         refinement,
-        closing_motion(after, prepared, on_opening),
+        closing_motion(after, prepared, on_opening, pressure=config.pressure),
         margin=config.margin,
         name=group.object,
         scale=group.scale,

@@ -6,6 +6,7 @@ from typing import Literal
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
@@ -39,6 +40,8 @@ class Config:
     """Number of starts from which, without targets, Levenberg-Marquardt tries a grasp that may not hold."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep from the object."""
+    pressure: float = TOTAL_PRESSURE_N
+    """Sum of the pressures of all contacts in newtons with which the squeeze presses."""
     tolerance: float = 1e-10
     """A grasp has converged when its loss (m^2) is below this; 1e-10 is a hundredth of a millimetre."""
     seconds: float = inf
@@ -63,7 +66,7 @@ class Config:
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("margin", "tolerance", "seed"):
+        for name in ("margin", "pressure", "tolerance", "seed"):
             if not 0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not self.seconds > 0.0:

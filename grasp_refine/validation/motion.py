@@ -12,7 +12,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.squeeze import squeezed
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeezed
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.pregrasp import open_hand
@@ -44,13 +44,20 @@ class Motion:
         return take(self, rows)
 
 
-def closing_motion(scene: Scene, prepared: HandObject | None = None, progress: Progress | None = None) -> Motion:
+def closing_motion(
+    scene: Scene,
+    prepared: HandObject | None = None,
+    progress: Progress | None = None,
+    *,
+    pressure: float = TOTAL_PRESSURE_N,
+) -> Motion:
     """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
     Args:
         scene: Hand, object and grasps.
         prepared: Geometry of this hand and object; None: built here.
         progress: As for `open_hand`.
+        pressure: Sum of the pressures of all contacts in newtons.
 
     Raises:
         GraspRefineError: an argument of another type.
@@ -62,7 +69,9 @@ def closing_motion(scene: Scene, prepared: HandObject | None = None, progress: P
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = open_hand(scene, prepared, progress)
     q = np.where(posed[:, None], scene.q, np.nan)
-    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared)], axis=1))
+    return Motion(
+        np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared, total=pressure)], axis=1)
+    )
 
 
 def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:

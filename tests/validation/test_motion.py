@@ -12,7 +12,11 @@ from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.facade import problem_of
+from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.pregrasp import open_hand
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import STAGES, closing_motion, motion_of
 from refusals import refused
@@ -66,3 +70,17 @@ def test_a_file_without_a_stage_has_no_motion(hand: Hand, grasps: GraspSet, lack
     with refused(GraspFileError, *lacking) as caught:
         motion_of(some, hand)
     assert [name for name in ("pregrasp", "squeeze") if name in str(caught.value)] == list(lacking)
+
+
+def test_squeezes_press_as_much_as_the_settings_say(hand: Hand, grasps: GraspSet) -> None:
+    """Twice the pressure is twice the offset of the set points, where no actuator is at its limit."""
+    box = load_object("rounded_box", scale=float(grasps.scale[0]), candidates=16)
+    strong = replace(hand, actuator=replace(hand.actuator, force_limit=np.full(len(hand.lower), np.inf)))
+    problem = problem_of(strong, box, grasps)
+    single, double = (
+        refine_problem(problem, Config(solver=LevenbergMarquardt(iterations=1), starts=1, pressure=pressure)).outcome
+        for pressure in (10.0, 20.0)
+    )
+    ahead = [outcome.stage_q[:, 2] - outcome.stage_q[:, 1] for outcome in (single, double)]
+    assert np.abs(ahead[0]).max() > 0.05
+    np.testing.assert_allclose(ahead[1], 2.0 * ahead[0], atol=1e-9)

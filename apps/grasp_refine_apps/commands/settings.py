@@ -175,6 +175,9 @@ class Settings:
     """Loss (m^2) below which a grasp is converged; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
     margin: float = Config.margin
     """Gap that contact links should keep, metres."""
+    pressure: float = Config.pressure
+    """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
+    heavier objects, and loses more of those in soft contacts."""
     reach: float = ContactSelection.reach
     """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
     other_link_distance: float = ContactSelection.other_link_distance
@@ -260,6 +263,7 @@ class Settings:
             max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
             starts=self.starts,
             margin=self.margin,
+            pressure=self.pressure,
             tolerance=tolerance,
             seconds=inf if self.seconds is None else self.seconds,
             width=self.width,
