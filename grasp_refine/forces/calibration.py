@@ -1,8 +1,7 @@
 """Calibration of the quality: probability that a grasp holds, from its shortcomings.
 
-A logistic regression on grasps that were simulated under the protocol `dexgraspbench`; its coefficients are those that
-`python -m grasp_refine_apps.authoring.calibrate_quality` prints, with the reliability on hands and generators that were
-left out of the fit.
+A logistic regression on grasps that were simulated under the protocol `dexgraspbench`. The authoring script
+`calibrate_quality` prints its coefficients, and the reliability on hands and generators that were left out of the fit.
 """
 
 from __future__ import annotations
