@@ -1,8 +1,8 @@
 """Search for force closure: grasps whose contacts touch and whose forces balance, from one start or several.
 
-Each attempt goes through `PHASES`, which choose the contact links anew. The best attempt by `quality.score` counts,
-without any simulation: first the input grasp with its contacts closed, then with forces that balance, and then, where
-it is still not good, from starts nearby.
+Each attempt goes through `PHASES`, which choose the contact links anew. The best attempt by its score counts, without
+any simulation: first the input grasp with its contacts closed, then with forces that balance, and then, where it is
+still not good, from starts nearby. The score is `quality.score` plus the residual under strong pushes.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.collision.query import query
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP, quality
 from grasp_refine.forces.squeeze import CONTACTS
+from grasp_refine.forces.strong_pushes import strong_push_residual
+from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
@@ -30,7 +33,7 @@ from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-GOOD_QUALITY = 0.05
+GOOD_SCORE = 0.1
 """A grasp with at most this score is not tried from another start."""
 
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
@@ -100,6 +103,19 @@ class _Attempt:
     """Score (M,), lower is better; infinite where the attempt failed."""
 
 
+def score_of(prepared: HandObject, frames: Frames) -> Float[np.ndarray, " N"]:
+    """Return the score (N,) of grasps whose links meet nothing but the object, lower is better; inf without forces.
+
+    The residual under the worst of the strong pushes, which counts as much as the shortcomings of `Quality` together,
+    tells which of several attempts holds a heavy object, or one in a simulation whose contacts creep.
+    """
+    T = frames.T_world_link
+    cutoff = CONTACTS.cutoff(prepared.hand, prepared.chain.links)
+    witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
+    grasps = prepared.hand, prepared.object, prepared.chain, frames, witness
+    return quality(*grasps).score + np.nan_to_num(strong_push_residual(*grasps), nan=np.inf)
+
+
 def most_iterations(config: Config) -> int:
     """Return the largest number of iterations of a grasp, over all its starts."""
     most = config.solver.iterations
@@ -142,7 +158,7 @@ def search(
         found = search.attempt(member, search.perturb(member, np.repeat(first, each) + place), PHASES)
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
-            at = at[search.best.score[member[at]] > GOOD_QUALITY]
+            at = at[search.best.score[member[at]] > GOOD_SCORE]
             search.take(member[at], take(found, at))
             search.starts[member[at]] += 1
     return search.result()
@@ -197,7 +213,7 @@ class _Search:
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows of grasps that are not good yet and have CPU time left."""
-        return rows[(self.best.score[rows] > GOOD_QUALITY) & (self.cpu[rows] < self.config.seconds)]
+        return rows[(self.best.score[rows] > GOOD_SCORE) & (self.cpu[rows] < self.config.seconds)]
 
     def take(self, rows: np.ndarray, found: _Attempt) -> None:
         """Keep attempts at different grasps that are better than the best so far."""
@@ -216,12 +232,7 @@ class _Search:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = self.free.evaluate(rows, point, None)
-        T = known.T_link
-        witness = query(
-            prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=CONTACTS.cutoff(scene.hand, scene.links)
-        )
-        score = quality(scene.hand, scene.object, prepared.chain, known.frames, witness).score
-        score += self.free.other_depth(known) / DEEP
+        score = score_of(prepared, known.frames) + self.free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 
@@ -262,7 +273,7 @@ class _Search:
         """Report progress; which grasps are good is known after an attempt only."""
         self.ticks += 1
         if self.progress is not None:
-            self.progress(int((self.best.score <= GOOD_QUALITY).sum()), self.ticks, loss)
+            self.progress(int((self.best.score <= GOOD_SCORE).sum()), self.ticks, loss)
 
     def _scene(self, rows: np.ndarray) -> Scene:
         scene = self.scene

@@ -12,7 +12,7 @@ from grasp_refine.forces.quality import DEEP, Quality, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_QUALITY
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_SCORE, score_of
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
@@ -69,6 +69,10 @@ def judged(scene: Scene, prepared: HandObject, T: np.ndarray, q: np.ndarray) -> 
     return quality(scene.hand, scene.object, prepared.chain, frames, witness)
 
 
+def score(prepared: HandObject, found: Refinement) -> np.ndarray:
+    return score_of(prepared, prepared.chain(found.T_world_root, found.q))
+
+
 def rows(scene: Scene, index: list[int]) -> Scene:
     direction = None if scene.direction is None else scene.direction[index]
     return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index], direction=direction)
@@ -97,7 +101,7 @@ def test_forces_that_balance_are_never_worse_than_closed_contacts(
     hard: Scene, held: Refinement, by_geometry: Refinement, prepared: HandObject
 ) -> None:
     """The attempt by geometry alone is one of those of which the best counts."""
-    closed, balanced = (judged(hard, prepared, found.T_world_root, found.q).score for found in (by_geometry, held))
+    closed, balanced = (score(prepared, found) for found in (by_geometry, held))
     assert (balanced <= closed + 1e-6).all() and (balanced < closed - 0.01).any()
 
 
@@ -137,19 +141,19 @@ def test_links_below_the_table_count_like_those_in_the_object(scene: Scene, prep
 
 
 def test_good_grasps_are_not_tried_again(hard: Scene, held: Refinement, prepared: HandObject) -> None:
-    score = judged(hard, prepared, held.T_world_root, held.q).score
+    found = score(prepared, held)
     assert (held.starts >= 1).all() and (held.starts <= CONFIG.starts + 1).all()
-    assert (held.starts[score > GOOD_QUALITY] >= CONFIG.starts).all()
+    assert (held.starts[found > GOOD_SCORE] >= CONFIG.starts).all()
 
 
 def test_more_starts_are_never_worse(hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch) -> None:
     """None is good enough here, so that all are tried; the first starts are the same ones."""
-    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", -1.0)
+    monkeypatch.setattr(force_closure_search, "GOOD_SCORE", -1.0)
     scores, starts = [], []
     two = rows(hard, [0, 2])
     for count in (1, 2):
         found = refine(two, replace(CONFIG, starts=count), prepared=prepared)
-        scores.append(judged(two, prepared, found.T_world_root, found.q).score)
+        scores.append(score(prepared, found))
         starts.append(found.starts)
     assert (scores[1] <= scores[0] + 1e-6).all()
     np.testing.assert_array_equal(starts[1] - starts[0], 1)
@@ -158,7 +162,7 @@ def test_more_starts_are_never_worse(hard: Scene, prepared: HandObject, monkeypa
 def test_a_grasp_that_is_good_at_once_takes_one_start(
     hard: Scene, by_geometry: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", np.inf)
+    monkeypatch.setattr(force_closure_search, "GOOD_SCORE", np.inf)
     found = refine(hard, CONFIG, prepared=prepared)
     np.testing.assert_array_equal(found.starts, 1)
     np.testing.assert_allclose(found.q, by_geometry.q, atol=0.05)
@@ -168,8 +172,8 @@ def test_a_grasp_alone_is_the_same_grasp(
     hard: Scene, held: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone, several of its starts are tried at once; together, one after the other. Half of them are good enough."""
-    score = judged(hard, prepared, held.T_world_root, held.q).score
-    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", float(np.median(score)))
+    found = score(prepared, held)
+    monkeypatch.setattr(force_closure_search, "GOOD_SCORE", float(np.median(found)))
     together = refine(hard, CONFIG, prepared=prepared)
     tried = int(np.argmax(together.starts))
     assert together.starts[tried] > 1 and together.starts.min() < together.starts.max()
@@ -181,7 +185,7 @@ def test_a_grasp_alone_is_the_same_grasp(
 def test_same_seed_same_result_and_another_seed_another(
     hard: Scene, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(force_closure_search, "GOOD_QUALITY", -1.0)
+    monkeypatch.setattr(force_closure_search, "GOOD_SCORE", -1.0)
     config = Config(starts=2, solver=LevenbergMarquardt(iterations=5))
     two = rows(hard, [0, 2])
     one, again, other = (refine(two, replace(config, seed=seed), prepared=prepared) for seed in (3, 3, 4))

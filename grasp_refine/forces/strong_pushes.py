@@ -1,0 +1,39 @@
+"""Strong pushes: whether the contacts of grasps can balance the weight of a heavy object, whatever its direction."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.collision.query import Witness
+from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.wrench import center_of_mass, contact_forces_under, turn_loads
+from grasp_refine.hands.chain import Chain, Frames
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+
+STRONG_PUSH_SHARE = 0.33
+"""Outer force per unit of total pressure: about the weight of 1 kg for a squeeze of `TOTAL_PRESSURE_N`."""
+
+STRONG_PUSH_FRICTION = 0.3
+"""Friction against strong pushes: that of slippery objects, more than forces are planned with."""
+
+_CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3) / np.sqrt(3.0)
+
+STRONG_PUSHES = STRONG_PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6), np.pad(_CORNERS, ((0, 0), (0, 3)))])
+"""Outer forces (14, 6) towards the faces and corners of a cube, as loads of `contact_forces` in the axes of the
+hand."""
+
+
+def strong_push_residual(
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness
+) -> Float[np.ndarray, " N"]:
+    """Largest wrench residual (N,) under any of `STRONG_PUSHES`, with `STRONG_PUSH_FRICTION`; NaN without forces.
+
+    The arguments are those of `quality.quality`.
+    """
+    point, normal = contacts(hand, chain.links, witness)
+    axes = frames.T_world_root[:, :3, :3]
+    loads = turn_loads(STRONG_PUSHES, axes)
+    found = contact_forces_under(loads, point, normal, center_of_mass(obj), friction=STRONG_PUSH_FRICTION, axes=axes)
+    return found.residual.max(axis=1)
