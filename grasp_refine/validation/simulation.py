@@ -16,6 +16,7 @@ from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transfo
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
+from grasp_refine.validation.simulations import UP, Engine, Simulations
 from grasp_refine.validation.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World
@@ -26,8 +27,6 @@ CHUNK_GRASPS = 32
 LIFT = ("lift",)
 """Directions of protocols that lift the object off a table."""
 
-_UP = np.array([0.0, 0.0, 1.0])
-
 
 @dataclass(frozen=True, eq=False)
 class Closed:
@@ -36,7 +35,7 @@ class Closed:
     conditions: Conditions
     """Conditions under which the hand closed."""
     state: Float[np.ndarray, "N s"]
-    """State of MuJoCo (N, s), warm starts included."""
+    """State of the engine (N, s), warm starts included."""
     reason: Int[np.ndarray, " N"]
     """A `Reason` (N,) of trials that have failed already; HELD elsewhere."""
     contacts_grasp: Bool[np.ndarray, "N L"]
@@ -62,6 +61,7 @@ def simulate(
     threads: int | None = None,
     first_failure: bool = False,
     progress: Callable[[float], None] | None = None,
+    engine: Engine = Rows,
 ) -> Trials:
     """Simulate N grasps; a bad one fails with a reason and does not affect the others.
 
@@ -73,6 +73,7 @@ def simulate(
         first_failure: A grasp that failed in so many directions that it does not hold is not simulated further in
             the others, for which the worst reason is then given.
         progress: Called with the number of finished grasps, in fractions.
+        engine: Simulations of the world; by default those of MuJoCo.
 
     Raises:
         GraspRefineError: an argument of another type, a motion of other shapes than the hand's, or no grasp at all.
@@ -96,8 +97,10 @@ def simulate(
             if progress is not None:
                 progress(start + share * count)
 
-        closed = close(world, motion.select(rows), conditions.select(rows), threads=threads, progress=report)
-        parts.append(push(world, closed, threads=threads, progress=report, first_failure=first_failure))
+        closed = close(
+            world, motion.select(rows), conditions.select(rows), threads=threads, progress=report, engine=engine
+        )
+        parts.append(push(world, closed, threads=threads, progress=report, first_failure=first_failure, engine=engine))
     return Trials.join(parts)
 
 
@@ -109,6 +112,7 @@ def close(
     threads: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
     on_step: StepCallback | None = None,
+    engine: Engine = Rows,
 ) -> Closed:
     """Close the hands of N grasps, from the pregrasp over the grasp to the squeeze.
 
@@ -118,31 +122,26 @@ def close(
         conditions: What differs between the grasps.
         threads: CPU threads; by default as many as there are.
         progress: Called with the finished share of the whole trial.
-        on_step: Called at the start, if any grasp can start, and after every simulation step.
+        on_step: Called at the start, if any grasp can start, and after every simulation step of MuJoCo.
+        engine: As for `simulate`.
     """
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
     finite &= conditions.finite
     start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
     course = _Course.of(world, motion, finite)
-    rows = Rows(world, conditions, finite, _threads(threads), on_step)
-    batch = rows.batch
-    batch.qpos[:, world.root_at : world.root_at + 7] = course.root(0, 0.0)
-    batch.qpos[:, world.joints_at] = course.joints[:, 0]
-    batch.qpos[:, world.object_at : world.object_at + 7] = pose_from_transform(start)
+    rows = engine(world, conditions, finite, _threads(threads), on_step)
+    rows.place(course.root(0, 0.0), course.joints[:, 0], pose_from_transform(start))
     start_touch = rows.touching(np.flatnonzero(finite))
     deep = finite & (start_touch.depth > protocol.deepest)
     in_table = finite & (start_touch.depth_table > protocol.deepest)
     rows.running &= ~(deep | in_table)
-    if on_step is not None and rows.running.any():
-        on_step(batch)
+    rows.begin()
     contacts, steps = [], 0
     for stage in (0, 1):
         for move in range(1, protocol.moves + 1):
             share = move / protocol.moves
-            batch.ctrl[:] = course.set_points(stage, share)
-            pose = course.root(stage, share)
-            batch.mocap_pos[:, 0], batch.mocap_quat[:, 0] = pose[:, :3], pose[:, 3:]
+            rows.drive(course.root(stage, share), course.set_points(stage, share))
             rows.step(protocol.steps_per_move)
             steps += protocol.steps_per_move
             progress(steps / _steps(protocol))
@@ -152,7 +151,7 @@ def close(
     thrown = (moved >= protocol.farthest) | (turned >= protocol.steepest)
     return Closed(
         conditions=conditions,
-        state=batch.state.copy(),
+        state=rows.state(),
         reason=np.select(
             [~finite, deep, in_table, rows.unstable, thrown],
             [Reason.NOT_FINITE, Reason.PENETRATES, Reason.IN_TABLE, Reason.UNSTABLE, Reason.THROWN],
@@ -176,6 +175,7 @@ def push(
     to_the_end: bool = False,
     progress: Callable[[float], None] = lambda share: None,
     on_step: StepCallback | None = None,
+    engine: Engine = Rows,
 ) -> Trials:
     """Push the object of closed grasps in each direction, or lift it.
 
@@ -187,7 +187,8 @@ def push(
         first_failure: As for `simulate`.
         to_the_end: Failed trials continue, to be watched; their results are the same as if they did not.
         progress: Called with the finished share of the whole trial.
-        on_step: Called after every simulation step.
+        on_step: Called after every simulation step of MuJoCo.
+        engine: That of the closed grasps.
     """
     protocol, count = world.protocol, len(closed.reason)
     names = directions or _directions(world, closed.conditions)
@@ -196,21 +197,20 @@ def push(
     start = closed.conditions.T_world_object[grasp]
     reason = closed.reason[grasp]
     undecided = reason == Reason.HELD
-    rows = Rows(world, closed.conditions.select(grasp), undecided, _threads(threads), on_step)
-    rows.batch.state[:] = closed.state[grasp]
-    held_at = rows.batch.mocap_pos.copy()
+    rows = engine(world, closed.conditions.select(grasp), undecided, _threads(threads), on_step)
+    rows.resume(closed.state[grasp])
     if closed.conditions.wrench is not None:
-        rows.batch.xfrc_applied[:, world.object_body] = closed.conditions.wrench.reshape(-1, 6)
+        rows.push(closed.conditions.wrench.reshape(-1, 6))
     elif not protocol.tabletop:
         forces = world.mass * protocol.acceleration * np.array([AXES[name] for name in names])
-        rows.batch.xfrc_applied[:, world.object_body, :3] = np.tile(forces, (count, 1))
+        rows.push(np.pad(np.tile(forces, (count, 1)), ((0, 0), (0, 3))))
     required = protocol.required(len(names))
     time, displacement, angle, peak, steepest = (np.full(len(grasp), np.nan) for _ in range(5))
     contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
     for check in range(1, protocol.checks + 1):
         wanted = start.copy()
         if protocol.tabletop:
-            wanted[:, :3, 3] += _lift(rows, held_at, protocol, check) * _UP
+            wanted[:, :3, 3] += _lift(rows, protocol, check) * UP
         else:
             rows.step(protocol.steps_per_check)
         moved, turned = distances(wanted, rows.object_poses())
@@ -262,13 +262,13 @@ def _directions(world: World, conditions: Conditions) -> tuple[str, ...]:
     return tuple(f"wrench {number + 1}" for number in range(conditions.wrench.shape[1]))
 
 
-def _lift(rows: Rows, held_at: np.ndarray, protocol: Protocol, check: int) -> float:
-    """Raise the hands from their positions `held_at` to their height at a check; return that height in metres."""
+def _lift(rows: Simulations, protocol: Protocol, check: int) -> float:
+    """Raise the hands to their height at a check; return that height in metres."""
     # In steps as small as those in which the hand closes.
     parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
     for part in range(1, parts + 1):
         height = protocol.lift * (check - 1 + part / parts) / protocol.checks
-        rows.batch.mocap_pos[:] = held_at + height * _UP
+        rows.raise_to(height)
         rows.step(protocol.steps_per_check // parts)
     return height
 

@@ -15,6 +15,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.mujoco_messages import unlogged
 from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
+from grasp_refine.validation.simulations import UP, Simulations, Touch
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 
 DIVERGED = [
@@ -82,22 +83,8 @@ class Conditions:
         return take(self, rows)
 
 
-@dataclass(frozen=True, eq=False)
-class Touch:
-    """Contacts of the hands of N simulations."""
-
-    links: Bool[np.ndarray, "N L"]
-    """True (N, L) where a link touches the object."""
-    depth: Float[np.ndarray, " N"]
-    """Largest penetration of the links in the object (N,), metres."""
-    depth_table: Float[np.ndarray, " N"]
-    """Largest penetration of the links in the table (N,), metres."""
-
-    __repr__ = brief
-
-
-class Rows:
-    """N simulations of a world; the result of each depends neither on the others nor on the number of threads."""
+class Rows(Simulations):
+    """Simulations in MuJoCo, as the engine of `Simulations`."""
 
     def __init__(
         self,
@@ -152,6 +139,40 @@ class Rows:
             self.batch.expand("opt.cone")[at] = MUJOCO_CONTACT.mujoco_cone
             self.batch.expand("opt.impratio")[at] = MUJOCO_CONTACT.impratio
             self.batch.expand("opt.noslip_iterations")[at] = MUJOCO_CONTACT.noslip_iterations
+
+    def place(self, root: np.ndarray, joints: np.ndarray, object: np.ndarray) -> None:
+        """Place the hands' root bodies (N, 7), joints (N, m) and objects (N, 7), all at rest."""
+        world, qpos = self.world, self.batch.qpos
+        qpos[:, world.root_at : world.root_at + 7] = root
+        qpos[:, world.joints_at] = joints
+        qpos[:, world.object_at : world.object_at + 7] = object
+
+    def begin(self) -> None:
+        """Show the placed simulations to the callback, if any runs."""
+        if self._on_step is not None and self.running.any():
+            self._on_step(self.batch)
+
+    def drive(self, root: np.ndarray, set_points: np.ndarray) -> None:
+        """Set where the hands' root bodies (N, 7) and the actuators (N, u) are to go."""
+        self.batch.ctrl[:] = set_points
+        self.batch.mocap_pos[:, 0], self.batch.mocap_quat[:, 0] = root[:, :3], root[:, 3:]
+
+    def raise_to(self, height: float) -> None:
+        """Set where the root bodies are to go: `height` metres above where `resume` found them to go."""
+        self.batch.mocap_pos[:] = self._held_at + height * UP
+
+    def push(self, wrench: np.ndarray) -> None:
+        """Set force and torque (N, 6) at the objects' centres of mass, world axes."""
+        self.batch.xfrc_applied[:, self.world.object_body] = wrench
+
+    def state(self) -> Float[np.ndarray, "N s"]:
+        """Return the states of MuJoCo, warm starts included."""
+        return self.batch.state.copy()
+
+    def resume(self, state: np.ndarray) -> None:
+        """Resume from states (N, s) of simulations under the same conditions."""
+        self.batch.state[:] = state
+        self._held_at = self.batch.mocap_pos.copy()
 
     def step(self, count: int) -> None:
         """Advance running simulations by `count` steps; those that diverge stop."""

@@ -1,0 +1,87 @@
+"""Engines that simulate grasps: what the protocol of a trial asks of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.core.short_repr import brief
+
+UP = np.array([0.0, 0.0, 1.0])
+"""Direction in which an object is lifted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Contacts of the hands of N simulations."""
+
+    links: Bool[np.ndarray, "N L"]
+    """True (N, L) where a link touches the object."""
+    depth: Float[np.ndarray, " N"]
+    """Largest penetration of the links in the object (N,), metres."""
+    depth_table: Float[np.ndarray, " N"]
+    """Largest penetration of the links in the table (N,), metres."""
+
+    __repr__ = brief
+
+
+class Simulations(ABC):
+    """N simulations of a world; the result of each depends neither on the others nor on the number of threads."""
+
+    running: Bool[np.ndarray, " N"]
+    """True (N,) where `step` advances the simulation."""
+    unstable: Bool[np.ndarray, " N"]
+    """True (N,) where the simulation diverged."""
+
+    @abstractmethod
+    def place(
+        self,
+        root: Float[np.ndarray, "N 7"],
+        joints: Float[np.ndarray, "N m"],
+        object: Float[np.ndarray, "N 7"],
+    ) -> None:
+        """Place the hands' root bodies, joints in the order of `HandModel.joints`, and objects, all at rest."""
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Take note that all is placed, and the hands are about to close."""
+
+    @abstractmethod
+    def drive(self, root: Float[np.ndarray, "N 7"], set_points: Float[np.ndarray, "N u"]) -> None:
+        """Set where the hands' root bodies and the actuators are to go."""
+
+    @abstractmethod
+    def raise_to(self, height: float) -> None:
+        """Set where the root bodies are to go: `height` metres above where `resume` found them to go."""
+
+    @abstractmethod
+    def push(self, wrench: Float[np.ndarray, "N 6"]) -> None:
+        """Set force and torque at the objects' centres of mass, world axes."""
+
+    @abstractmethod
+    def step(self, count: int) -> None:
+        """Advance running simulations by `count` steps; those that diverge stop."""
+
+    @abstractmethod
+    def touching(self, rows: np.ndarray) -> Touch:
+        """Return the contacts in the simulations `rows`; none in the others."""
+
+    @abstractmethod
+    def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
+        """Return the poses of the objects."""
+
+    @abstractmethod
+    def state(self) -> Float[np.ndarray, "N s"]:
+        """Return all from which the simulations can be resumed."""
+
+    @abstractmethod
+    def resume(self, state: Float[np.ndarray, "N s"]) -> None:
+        """Resume from states of simulations under the same conditions."""
+
+
+Engine = Callable[..., Simulations]
+"""Maker of simulations: called with world, conditions, (N,) True for those that run, threads, and a callback."""
