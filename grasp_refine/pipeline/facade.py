@@ -28,6 +28,7 @@ from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.engines import EngineName
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
@@ -104,20 +105,25 @@ def refine(
 
 
 def simulate(
-    refined: RefinedGrasps, protocol: str | Path | Protocol = "dexgraspbench", *, listener: Listener | None = None
+    refined: RefinedGrasps,
+    protocol: str | Path | Protocol = "dexgraspbench",
+    *,
+    engine: EngineName = "mujoco",
+    listener: Listener | None = None,
 ) -> SimulatedGrasps:
-    """Simulate refined grasps in MuJoCo, before and after their refinement.
+    """Simulate refined grasps, before and after their refinement.
 
     Args:
         refined: Result of `refine`.
         protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own.
+        engine: "mujoco", or "drake", which needs the extra `drake`.
         listener: Callbacks of the progress.
 
     Raises:
-        GraspRefineError: there is no such protocol, or MuJoCo cannot compile the hand or the world.
+        GraspRefineError: there is no such protocol or engine, or MuJoCo cannot compile the hand or the world.
     """
     check_kind("refined", refined, RefinedGrasps)
-    return simulate_refined(refined, _protocol(protocol), listener=listener)
+    return simulate_refined(refined, _protocol(protocol), listener=listener, engine=engine)
 
 
 def evaluate(

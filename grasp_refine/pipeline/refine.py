@@ -17,6 +17,7 @@ from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.validation.engines import EngineName
 from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
@@ -117,14 +118,15 @@ def simulate_refined(
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
+    engine: EngineName = "mujoco",
 ) -> SimulatedGrasps:
     """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
 
     Raises:
-        GraspRefineError: MuJoCo cannot compile the hand or the world.
+        GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.
     """
     parts = [refined.outcome.select(group.place) for group in refined.problem.groups]
-    return _simulate(refined.problem, parts, protocol, listener or Listener(), cache or NoCache(), threads)
+    return _simulate(refined.problem, parts, protocol, listener or Listener(), cache or NoCache(), threads, engine)
 
 
 def _simulate(
@@ -134,8 +136,10 @@ def _simulate(
     listener: Listener,
     cache: InputCache,
     threads: int | None,
+    engine: EngineName = "mujoco",
 ) -> SimulatedGrasps:
     """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
+    from grasp_refine.validation.engines import engine_of
     from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.validate import model_of
     from grasp_refine.validation.world import build_world
@@ -149,11 +153,14 @@ def _simulate(
     for group, part in zip(problem.groups, parts, strict=True):
         obj, table = group.scene.object, group.scene.table
         world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
+        simulations = engine_of(engine, world)
         tell = listener.simulating(group)
         refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
             progress = partial(tell, f"simulating, {when}")
-            trials.append(judge(world, motion, numbers=group.rows, threads=threads, progress=progress))
+            trials.append(
+                judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=simulations)
+            )
     order = problem.order
     return SimulatedGrasps(
         protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)

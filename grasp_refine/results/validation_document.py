@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import Validated
@@ -74,6 +76,7 @@ def validate_document(
             else {f"{f:g}": int(n) for f, n in zip(frictions, validated.frictions.sum(axis=0), strict=True)},
             "moved_m": _quantiles(validated, "peak_m"),
             "turned_rad": _quantiles(validated, "peak_rad"),
+            "engine_agreement": _engine_agreement(validated),
             "simulation_cpu_s": float(validated.cpu_s.sum()) if simulated else None,
             **times,
         },
@@ -110,6 +113,14 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
     }
 
 
+def _engine_agreement(validated: Validated) -> dict[str, Any] | None:
+    """Return how far both engines agree; None where one alone simulated."""
+    if validated.drake is None:
+        return None
+    agreement = EngineAgreement.of(validated.success, validated.drake.success)
+    return {**asdict(agreement), "share": agreement.share, "kappa": agreement.kappa}
+
+
 def _simulation(
     validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]
 ) -> dict[str, Any] | None:
@@ -119,6 +130,7 @@ def _simulation(
     return {
         **simulation_entry(validated.trials, i, protocol),
         "mass_kg": None if validated.mass is None else validated.mass[i],
+        "drake": None if validated.drake is None else simulation_entry(validated.drake, i, protocol),
         "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},
         "without_squeeze": None if validated.unsqueezed is None else validated.unsqueezed[i],
         "noise_score": None if validated.noise is None else validated.noise[i],
@@ -142,7 +154,10 @@ def flat_rows(
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
         row = {key: value for key, value in row.items() if key not in REFINEMENT_KEYS}
         simulation = row.pop("simulation") or {}
+        drake = simulation.pop("drake", None)
         simulation.pop("directions", None)
+        if drake is not None:
+            simulation["drake"] = {key: drake[key] for key in ("success", "reason")}
         for key, value in simulation.items():
             nested = value if isinstance(value, dict) else {"": value}
             for name, part in nested.items():

@@ -22,10 +22,11 @@ from grasp_refine.results.table import (
 )
 from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
+from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.formulas import CONTACT_DISTANCE_M
 from grasp_refine.validation.measures import VALIDATED
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.trials import Reason
+from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 
 _MAX_DIRECTIONS = 3
@@ -43,7 +44,7 @@ def validation_table(
         parts += [_object_table(of_object, f"{hand} on {name}", protocol, verbose), ""]
     if len(names) > 1 and protocol is not None:
         parts += [_by_object(validated, names), ""]
-    return Group(*parts, *_verdict(validated, protocol, frictions))
+    return Group(*parts, *_verdict(validated, protocol, frictions), *_engines(validated))
 
 
 def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
@@ -239,6 +240,38 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
         lines.append(Text(f"held by friction: {', '.join(shares)}"))
     return lines
+
+
+def _engines(validated: Validated) -> list[RenderableType]:
+    """Return how far both engines agree, and the grasps on which they do not, with each one's reason."""
+    mujoco, drake = validated.trials, validated.drake
+    if mujoco is None or drake is None:
+        return []
+    agreement = EngineAgreement.of(mujoco.success, drake.success)
+    counts = plain_table("MuJoCo and Drake")
+    for column in ("", "held in Drake", "lost in Drake"):
+        counts.add_column(column, justify="right", no_wrap=True)
+    counts.add_row("held in MuJoCo", str(agreement.both), str(agreement.mujoco_only))
+    counts.add_row("lost in MuJoCo", str(agreement.drake_only), str(agreement.neither))
+    beyond = "" if np.isnan(agreement.kappa) else f", Cohen's kappa {agreement.kappa:.2f}"
+    parts: list[RenderableType] = ["", counts, Text(f"they agree on {100 * agreement.share:.1f} %{beyond}")]
+    unlike = np.flatnonzero(mujoco.success != drake.success)
+    if len(unlike):
+        table = plain_table("grasps on which they do not")
+        for column in ("object", "grasp", "MuJoCo", "Drake"):
+            table.add_column(column, justify="right" if column == "grasp" else "left")
+        for i in unlike:
+            reasons = (_lost_text(trials, int(i)) for trials in (mujoco, drake))
+            table.add_row(escape(str(validated.object[i])), str(validated.index[i]), *reasons)
+        parts += ["", table]
+    return parts
+
+
+def _lost_text(trials: Trials, i: int) -> str:
+    """Return the verdict on a grasp, and the directions in which it was lost."""
+    reason = Reason(trials.reason[i, trials.worst[i]])
+    lost = [name for name, each in zip(trials.directions, trials.reason[i], strict=True) if each != Reason.HELD]
+    return reason.label if not lost else f"{reason.label} {' '.join(lost)}"
 
 
 def _by_squeeze(validated: Validated) -> str:

@@ -12,7 +12,8 @@ from grasp_refine.core.se3 import matrix_from_quaternion
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.simulation import simulate
-from grasp_refine.validation.stepping import Conditions
+from grasp_refine.validation.simulations import Engine
+from grasp_refine.validation.stepping import Conditions, Rows
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.world import TABLE, World
 
@@ -32,6 +33,7 @@ def judge(
     threads: int | None = None,
     first_failure: bool = False,
     progress: Progress | None = None,
+    engine: Engine = Rows,
 ) -> Trials:
     """Return the trials of N grasps as by `simulate`, with the verdict of the whole protocol.
 
@@ -46,6 +48,7 @@ def judge(
         threads: CPU threads.
         first_failure: As for `simulate`.
         progress: Called with the number of finished grasps, in fractions.
+        engine: As for `simulate`.
     """
     total = 1 + world.protocol.noise.count
 
@@ -53,11 +56,19 @@ def judge(
         if progress is not None:
             progress(done / total)
 
-    trials = simulate(world, motion, conditions, threads=threads, first_failure=first_failure, progress=report)
+    trials = simulate(
+        world, motion, conditions, threads=threads, first_failure=first_failure, progress=report, engine=engine
+    )
     if not world.protocol.noise.count:
         return trials
     label = offset_labels(
-        world, motion, conditions, numbers=numbers, threads=threads, progress=lambda done: report(len(motion) + done)
+        world,
+        motion,
+        conditions,
+        numbers=numbers,
+        threads=threads,
+        progress=lambda done: report(len(motion) + done),
+        engine=engine,
     )
     return replace(trials, label=label, success=label >= world.protocol.required_label)
 
@@ -70,6 +81,7 @@ def offset_labels(
     numbers: Int[np.ndarray, " N"] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    engine: Engine = Rows,
 ) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the protocol's offsets of the object at which a grasp holds; arguments as of `judge`.
 
@@ -85,7 +97,15 @@ def offset_labels(
         seed=SEED,
     ).reshape(-1, 4, 4)
     elsewhere = replace(elsewhere, T_world_object=elsewhere.T_world_object @ T)
-    trials = simulate(world, motion.select(each), elsewhere, threads=threads, first_failure=True, progress=progress)
+    trials = simulate(
+        world,
+        motion.select(each),
+        elsewhere,
+        threads=threads,
+        first_failure=True,
+        progress=progress,
+        engine=engine,
+    )
     return trials.success.reshape(count, noise.count).mean(axis=1)
 
 
@@ -100,6 +120,7 @@ def noise_score(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
+    engine: Engine = Rows,
 ) -> Float[np.ndarray, " N"]:
     """Return the share (N,) of the offsets of the object at which a grasp still holds by the rule for directions.
 
@@ -113,12 +134,20 @@ def noise_score(
         seed: Seed of the offsets.
         threads: CPU threads.
         progress: Called with finished trials, of N x `noise.count`.
+        engine: As for `simulate`.
     """
     each = np.repeat(np.arange(len(motion)), noise.count)
     T = noise.poses(numbers, middle=middle, upright=upright, seed=seed).reshape(-1, 4, 4)
     friction = np.full(len(each), world.protocol.friction)
+    conditions = Conditions(T, friction)
     trials = simulate(
-        world, motion.select(each), Conditions(T, friction), threads=threads, first_failure=True, progress=progress
+        world,
+        motion.select(each),
+        conditions,
+        threads=threads,
+        first_failure=True,
+        progress=progress,
+        engine=engine,
     )
     return trials.success.reshape(len(motion), noise.count).mean(axis=1)
 
@@ -131,6 +160,7 @@ def holds_at(
     numbers: Int[np.ndarray, " N"] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    engine: Engine = Rows,
 ) -> Bool[np.ndarray, "N F"]:
     """Return True (N, F) where a grasp holds with a coefficient of sliding friction; arguments as of `judge`."""
     each, at = np.repeat(np.arange(len(motion)), len(frictions)), np.tile(frictions, len(motion))
@@ -144,6 +174,7 @@ def holds_at(
         threads=threads,
         first_failure=True,
         progress=progress,
+        engine=engine,
     )
     return trials.success.reshape(len(motion), len(frictions))
 
@@ -155,12 +186,16 @@ def holds_without_squeeze(
     numbers: Int[np.ndarray, " N"] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    engine: Engine = Rows,
 ) -> Bool[np.ndarray, " N"]:
     """Return True (N,) where a grasp holds when the hand stops closing at the grasp; arguments as of `judge`."""
     grasp, squeeze = STAGES.index("grasp"), STAGES.index("squeeze")
     T, q = motion.T_world_root.copy(), motion.q.copy()
     T[:, squeeze], q[:, squeeze] = T[:, grasp], q[:, grasp]
-    return judge(world, Motion(T, q), numbers=numbers, threads=threads, first_failure=True, progress=progress).success
+    trials = judge(
+        world, Motion(T, q), numbers=numbers, threads=threads, first_failure=True, progress=progress, engine=engine
+    )
+    return trials.success
 
 
 def _normal(world: World) -> Float[np.ndarray, " 3"] | None:

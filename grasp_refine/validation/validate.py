@@ -17,6 +17,7 @@ from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.engines import EngineChoice, engine_of
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine.validation.mjcf_model import mjcf_model
@@ -24,6 +25,7 @@ from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
+from grasp_refine.validation.simulations import Engine
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.world import World
@@ -82,6 +84,8 @@ class Validated:
     """True (N, F) where the grasp held with a coefficient of friction."""
     unsqueezed: Bool[np.ndarray, " N"] | None = None
     """True (N,) where the grasp held without the squeeze."""
+    drake: Trials | None = None
+    """Trials in Drake, where the others are in MuJoCo."""
 
     __repr__ = brief
 
@@ -146,6 +150,7 @@ def validate(
     world: World | None = None,
     motion: Motion | None = None,
     checks: Checks | None = None,
+    engine: EngineChoice = "mujoco",
     progress: Progress = lambda what, done: None,
 ) -> Validated:
     """Measure N grasps on one object and, with a world, simulate them.
@@ -159,6 +164,7 @@ def validate(
         world: Hand and object for MuJoCo; None: nothing is simulated.
         motion: Motion that closes the hand to the grasps; needed for simulation.
         checks: Further trials beside the protocol; by default none.
+        engine: Engine of the simulation; both: Drake's trials beside those in MuJoCo.
         progress: Called with the progress of the simulation.
 
     Raises:
@@ -181,9 +187,15 @@ def validate(
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))
     wall, cpu = time.perf_counter(), time.process_time()
-    trials = judge(
-        world, motion, numbers=rows, threads=checks.threads, progress=lambda done: progress("simulating", done)
-    )
+    first = engine_of("drake" if engine == "drake" else "mujoco", world)
+    second = engine_of("drake", world) if engine == "both" else None
+    of_all: dict[str, Any] = {"numbers": rows, "threads": checks.threads}
+    trials = judge(world, motion, **of_all, progress=lambda done: progress("simulating", done), engine=first)
+    drake = None
+    if second is not None:
+        drake = judge(
+            world, motion, **of_all, progress=lambda done: progress("simulating in Drake", done), engine=second
+        )
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return Validated(
         **labels,
@@ -191,12 +203,19 @@ def validate(
         cpu_s=np.full(count, cpu / max(count, 1)),
         trials=trials,
         mass=np.full(count, world.mass),
-        **_further(world, scene, motion, rows, checks, progress),
+        drake=drake,
+        **_further(world, scene, motion, rows, checks, first, progress),
     )
 
 
 def _further(
-    world: World, scene: Scene, motion: Motion, rows: np.ndarray, checks: Checks, progress: Progress
+    world: World,
+    scene: Scene,
+    motion: Motion,
+    rows: np.ndarray,
+    checks: Checks,
+    engine: Engine,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Return the further trials that were requested."""
     found = {}
@@ -211,6 +230,7 @@ def _further(
             seed=checks.seed,
             threads=checks.threads,
             progress=lambda done: progress("object elsewhere", done / checks.noise.count),
+            engine=engine,
         )
     if checks.frictions:
         found["frictions"] = holds_at(
@@ -220,6 +240,7 @@ def _further(
             numbers=rows,
             threads=checks.threads,
             progress=lambda done: progress("other friction", done / len(checks.frictions)),
+            engine=engine,
         )
     if checks.without_squeeze:
         found["unsqueezed"] = holds_without_squeeze(
@@ -228,6 +249,7 @@ def _further(
             numbers=rows,
             threads=checks.threads,
             progress=lambda done: progress("without squeeze", done),
+            engine=engine,
         )
     return found
 

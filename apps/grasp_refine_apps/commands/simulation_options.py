@@ -10,6 +10,7 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.pipeline.problem import StageSource
+from grasp_refine.validation.engines import EngineChoice
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
@@ -47,6 +48,10 @@ class Simulation:
     third of the time."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
+    engine: EngineChoice = "mujoco"
+    """Engine that simulates: mujoco; drake, of another contact model, for a second opinion (pip install
+    'grasp-refine[drake]'); or both, and how far they agree. --noise, --frictions and --without-squeeze of both are
+    those of mujoco."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 

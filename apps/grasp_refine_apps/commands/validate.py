@@ -222,6 +222,7 @@ class Validate:
                 world=world,
                 motion=motion,
                 checks=checks,
+                engine=self.simulation.engine,
                 progress=reporter.simulating(group),
             )
             parts.append(found)

@@ -187,6 +187,28 @@ def test_further_trials_are_told(workplace: Path, capfd: pytest.CaptureFixture[s
     assert "held by friction: 0.02: 0.0 %, 0.9: 100.0 %" in out
 
 
+def test_both_engines_tell_how_far_they_agree(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document = validate(EXAMPLE, "--index", "1", "3", "--engine", "both", "--seconds", "0.2", "--rows", "rows.csv")
+    said = " ".join(capfd.readouterr().out.split())
+    entries = [grasp["simulation"]["after"] for grasp in document["grasps"]]
+    pairs = [(entry["success"], entry["drake"]["success"]) for entry in entries]
+    agreement = document["totals"]["engine_agreement"]
+    assert agreement["both"] == pairs.count((True, True)) and agreement["neither"] == pairs.count((False, False))
+    assert f"they agree on {100 * agreement['share']:.1f} %" in said
+    for entry in entries:
+        # Two engines, not one twice.
+        assert entry["drake"]["protocol"] == entry["protocol"]
+        assert entry["drake"]["closing"]["displacement_m"] != entry["closing"]["displacement_m"]
+    with open("rows.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["drake_success"] for row in rows] == [str(drake).lower() for _, drake in pairs]
+    alone = validate(EXAMPLE, "--index", "1", "3", "--engine", "drake", "--seconds", "0.2")
+    assert alone["totals"]["engine_agreement"] is None
+    for grasp, entry in zip(alone["grasps"], entries, strict=True):
+        mine = grasp["simulation"]["after"]
+        assert mine["drake"] is None and mine["closing"] == entry["drake"]["closing"]
+
+
 def test_the_same_seed_gives_the_same_document(workplace: Path) -> None:
     first, second = (
         validate(EXAMPLE, "--index", "3", "--noise", "2", "--threads", threads)["grasps"] for threads in ("1", "2")

@@ -1,0 +1,96 @@
+"""Collision geometry of a MuJoCo model in Drake, its material, and the pairs of geoms that can touch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    CollisionFilterDeclaration,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    GeometrySet,
+    HalfSpace,
+    ProximityProperties,
+    SceneGraph,
+    Shape,
+    Sphere,
+)
+from pydrake.multibody.plant import CoulombFriction
+
+from grasp_refine.core.errors import GraspRefineError
+
+CONTACT_STIFFNESS_N_M = 5e4
+"""Stiffness of a contact of two bodies in N/m: a fingertip that presses with 5 N sinks in by 0.1 mm, as in MuJoCo."""
+
+CONTACT_DISSIPATION_S_M = 10.0
+"""Dissipation of Hunt and Crossley, in s/m, of a contact."""
+
+
+def material(friction: float, contact_time: float) -> ProximityProperties:
+    """Return the material of all geometry: sliding friction, and stiffness divided by the square of `contact_time`."""
+    properties = ProximityProperties()
+    # Two springs in series.
+    stiffness = 2 * CONTACT_STIFFNESS_N_M / contact_time**2
+    properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
+    properties.AddProperty("material", "point_contact_stiffness", stiffness)
+    properties.AddProperty("material", "hunt_crossley_dissipation", CONTACT_DISSIPATION_S_M)
+    return properties
+
+
+def shape_of(model: mujoco.MjModel, geom: int) -> Shape:
+    """Return the shape of a geom in its own frame; of a mesh, the hull of its vertices, as MuJoCo collides it.
+
+    Raises:
+        GraspRefineError: a kind of geom that Drake has no counterpart of.
+    """
+    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        return Convex(points=model.mesh_vert[start : start + count].T.astype(float), label=model.geom(geom).name)
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return Box(2 * size)
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return Sphere(size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return Capsule(size[0], 2 * size[1])
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return Cylinder(size[0], 2 * size[1])
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return Ellipsoid(*size)
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return HalfSpace()
+    raise GraspRefineError(f"engine drake has no geometry like geom '{model.geom(geom).name}' of MuJoCo: {kind.name}")
+
+
+def touching_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Return the pairs of geoms that MuJoCo lets collide.
+
+    These are pairs of which one has a bit in `contype` that the other has in `conaffinity`, unless their bodies are
+    welded together, or are child and parent, or are excluded; and those of the model's own list.
+    """
+    excluded = set(model.exclude_signature.tolist())
+    weld, parent = model.body_weldid, model.body_weldid[model.body_parentid[model.body_weldid]]
+
+    def collide(a: int, b: int) -> bool:
+        bits = model.geom_contype[a] & model.geom_conaffinity[b] or model.geom_contype[b] & model.geom_conaffinity[a]
+        first, second = sorted((model.geom_bodyid[a], model.geom_bodyid[b]))
+        w, v = weld[first], weld[second]
+        related = w != 0 and v != 0 and (parent[first] == v or parent[second] == w)
+        return bool(bits) and w != v and not related and (int(first) << 16) + int(second) not in excluded
+
+    pairs = [(a, b) for a in range(model.ngeom) for b in range(a + 1, model.ngeom) if collide(a, b)]
+    return pairs + list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))
+
+
+def let_collide(scene: SceneGraph, geoms: Mapping[int, GeometryId], pairs: list[tuple[int, int]]) -> None:
+    """Let those pairs of geoms collide, and no others."""
+    rule = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(geoms.values())))
+    for a, b in pairs:
+        rule.AllowBetween(GeometrySet(geoms[a]), GeometrySet(geoms[b]))
+    scene.collision_filter_manager().Apply(rule)

@@ -1,0 +1,51 @@
+"""Agreement of two engines on which grasps hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+
+@dataclass(frozen=True)
+class EngineAgreement:
+    """Numbers of grasps that held in MuJoCo and in Drake."""
+
+    both: int
+    """Number of grasps that held in both."""
+    mujoco_only: int
+    """Number of grasps that held in MuJoCo alone."""
+    drake_only: int
+    """Number of grasps that held in Drake alone."""
+    neither: int
+    """Number of grasps that held in none."""
+
+    @staticmethod
+    def of(mujoco: Bool[np.ndarray, " N"], drake: Bool[np.ndarray, " N"]) -> EngineAgreement:
+        """Return the agreement on N grasps, given which held in each."""
+        counts = (mujoco & drake, mujoco & ~drake, ~mujoco & drake, ~mujoco & ~drake)
+        return EngineAgreement(*(int(count.sum()) for count in counts))
+
+    @property
+    def count(self) -> int:
+        """Number of grasps."""
+        return self.both + self.mujoco_only + self.drake_only + self.neither
+
+    @property
+    def share(self) -> float:
+        """Share of grasps with the same verdict in both; NaN without grasps."""
+        return (self.both + self.neither) / self.count if self.count else np.nan
+
+    @property
+    def kappa(self) -> float:
+        """Agreement beyond chance: Cohen's (1960) kappa.
+
+        It is (p - e) / (1 - e), with the share p of equal verdicts and the share e that two engines would have by
+        chance that hold as many grasps each. NaN where e is 1: all grasps have one verdict, and chance agrees too.
+        """
+        if not self.count:
+            return np.nan
+        mujoco, drake = (self.both + self.mujoco_only) / self.count, (self.both + self.drake_only) / self.count
+        chance = mujoco * drake + (1 - mujoco) * (1 - drake)
+        return (self.share - chance) / (1 - chance) if chance < 1 else np.nan

@@ -1,0 +1,35 @@
+"""Engines that simulate grasps, by name."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.simulations import Engine
+from grasp_refine.validation.stepping import Rows
+from grasp_refine.validation.world import World
+
+EngineName = Literal["mujoco", "drake"]
+"""Names of the engines."""
+
+EngineChoice = Literal["mujoco", "drake", "both"]
+"""An engine, or both, one after the other."""
+
+
+def engine_of(name: str, world: World) -> Engine:
+    """Return an engine for simulations of a world.
+
+    Raises:
+        GraspRefineError: there is no such engine, or its package is not installed.
+    """
+    if name == "mujoco":
+        return Rows
+    if name != "drake":
+        raise GraspRefineError(f"engine is {' or '.join(get_args(EngineName))}, got {name!r}")
+    try:
+        from grasp_refine.validation.drake.rows import Plants
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "pydrake":
+            raise
+        raise GraspRefineError("engine drake needs Drake: pip install 'grasp-refine[drake]'") from None
+    return Plants(world).simulations

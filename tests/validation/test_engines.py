@@ -1,0 +1,50 @@
+"""Engines by name, and how far two agree."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.engine_agreement import EngineAgreement
+from grasp_refine.validation.engines import engine_of
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.world import World, build_world
+from gripper import ball, gripper
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return build_world(gripper(), ball(), DEXGRASPBENCH)
+
+
+def test_without_drake_its_engine_says_how_to_install_it(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("grasp_refine.validation.drake")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in {"pydrake", *(name for name in sys.modules if name.startswith("pydrake"))}:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(GraspRefineError, match=r"grasp-refine\[drake\]"):
+        engine_of("drake", world)
+
+
+def test_an_unknown_engine_is_refused_with_the_choices(world: World) -> None:
+    with pytest.raises(GraspRefineError, match="mujoco or drake"):
+        engine_of("bullet", world)
+
+
+def test_agreement_counts_grasps_and_kappa_is_what_chance_leaves() -> None:
+    mujoco = np.repeat([True, True, False, False], [20, 5, 10, 15])
+    drake = np.repeat([True, False, True, False], [20, 5, 10, 15])
+    agreement = EngineAgreement.of(mujoco, drake)
+    assert agreement == EngineAgreement(20, 5, 10, 15)
+    # The example of Cohen's kappa in textbooks: 0.7 observed, 0.5 by chance.
+    assert agreement.share == pytest.approx(0.7) and agreement.kappa == pytest.approx(0.4)
+
+
+def test_independent_verdicts_have_no_kappa_and_equal_ones_have_one() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.uniform(size=(2, 20000)) < 0.8
+    assert EngineAgreement.of(first, second).kappa == pytest.approx(0.0, abs=0.02)
+    assert EngineAgreement.of(first, first).kappa == pytest.approx(1.0)
+    every = np.ones(3, dtype=bool)
+    assert np.isnan(EngineAgreement.of(every, every).kappa) and EngineAgreement.of(every, every).share == 1.0
