@@ -20,7 +20,7 @@ def brief(record: Any) -> str:
     parts: list[str] = []
     for field in fields(record):
         value = getattr(record, field.name)
-        if field.default is not MISSING and (value is None or value == ()):
+        if field.default is not MISSING and (value is None or (isinstance(value, tuple) and not value)):
             continue
         if sum(map(len, parts)) > MAX_REPR_CHARACTERS:
             parts.append("...")

@@ -9,6 +9,7 @@ from math import atan, sin, sqrt
 import numpy as np
 import pytest
 
+from grasp_refine.core.se3 import exp_so3
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
@@ -157,6 +158,18 @@ def test_graspqp_does_not_mind_how_far_the_object_turns() -> None:
     assert turned.angle_rad[0, 0] > np.radians(15) and (turned.reason == Reason.HELD).all()
     minded = simulate(build_world(gripper(), thing, replace(light, steepest=DEXGRASPBENCH.steepest)), motion)
     assert (minded.reason == Reason.TURNED).all()
+
+
+@pytest.mark.parametrize(("turn", "reason"), [(0.6, Reason.HELD), (0.9, Reason.THROWN)])
+def test_get_a_grip_minds_turns_from_45_degrees_on(turn: float, reason: Reason) -> None:
+    """Plates that turn about their own axis as they press turn the ball by 34 or 52 degrees."""
+    motion = around(8.0)
+    T, q = motion.T_world_root.copy(), motion.q.copy()
+    T[:, 2, :3, :3] = exp_so3(np.array([turn, 0.0, 0.0]))
+    T[:, 2, :3, 3] = T[:, 2, :3, :3] @ motion.T_world_root[0, 2, :3, 3]
+    q[:, 1] = q[:, 2]
+    without_table = replace(centred(GET_A_GRIP), directions=("+x",))
+    assert (simulate(build_world(gripper(), ball(), without_table), Motion(T, q)).reason == reason).all()
 
 
 EDGE, HALF_PLATE = 0.0005, 0.04
