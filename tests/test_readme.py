@@ -14,6 +14,8 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, l
 from grasp_refine.hands.hand import HAND_TOML, load_hand
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.metrics import metrics
+from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
@@ -76,7 +78,7 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 PYTHON = ("refine(scene", "simulate(", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
 """What tells apart the blocks of Python; a test runs each."""
 
-TOML = ("rest_pose", "[[job]]")
+TOML = ("rest_pose", "[[job]]", "based_on")
 """The same of TOML."""
 
 
@@ -119,6 +121,13 @@ def test_the_job_list_can_be_read(tmp_path: Path):
     jobs = read_jobs([str(path)], Inputs())
     assert [job.name for job in jobs] == ["right hand/a", "right hand/b", "sample_1000"]
     assert [job.inputs.objects for job in jobs] == [tmp_path / "meshes"] * 3
+
+
+def test_the_protocol_can_be_read(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "based_on" in block)
+    (tmp_path / "heavy.toml").write_text(block)
+    protocol = load_protocol(str(tmp_path / "heavy.toml"))
+    assert protocol.name == "heavy" and protocol.friction == STRICT.friction and protocol.contact.cone == "pyramidal"
 
 
 def test_the_table_of_grasp_files_is_complete():
