@@ -82,7 +82,7 @@ def touching_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
         first, second = sorted((model.geom_bodyid[a], model.geom_bodyid[b]))
         w, v = weld[first], weld[second]
         related = w != 0 and v != 0 and (parent[first] == v or parent[second] == w)
-        return bool(bits) and w != v and not related and (int(first) << 16) + int(second) not in excluded
+        return bool(bits and w != v and not related and (int(first) << 16) + int(second) not in excluded)
 
     pairs = [(a, b) for a in range(model.ngeom) for b in range(a + 1, model.ngeom) if collide(a, b)]
     return pairs + list(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True))

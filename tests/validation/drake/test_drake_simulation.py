@@ -10,6 +10,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.defaults import Actuator
 from grasp_refine.validation.drake.build import build_plant
+from grasp_refine.validation.drake.contacts import touching_pairs
 from grasp_refine.validation.drake.plant import Parameters
 from grasp_refine.validation.drake.rows import Plants, Rows
 from grasp_refine.validation.drake.simulation import simulate
@@ -32,6 +33,7 @@ FINGER = """
   <worldbody>
     <body name="palm">
       <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      {palm}
       <body name="first" pos="0 0 0.1">
         <joint name="first" axis="0 1 0" damping="0.05" range="-90 40" {first}/>
         <geom type="capsule" size="0.005" fromto="0.01 0 0 0.03 0 0" mass="0.05"/>
@@ -48,9 +50,9 @@ FINGER = """
 """A finger of two joints; angles in degrees."""
 
 
-def finger(extra: str, first: str = "") -> World:
+def finger(extra: str, first: str = "", palm: str = "") -> World:
     """World of the finger, with a ball far from it."""
-    spec = mujoco.MjSpec.from_string(FINGER.format(extra=extra, first=first))
+    spec = mujoco.MjSpec.from_string(FINGER.format(extra=extra, first=first, palm=palm))
     none = np.zeros(2)
     model = HandModel(
         spec=spec,
@@ -251,6 +253,24 @@ def test_masses_and_inertias_are_those_of_mujoco(world: World) -> None:
         mujoco.mj_mulM(world.model, data, column, unit)
     # Two sliding joints come last in both.
     np.testing.assert_allclose(plant.plant.CalcMassMatrix(context)[-2:, -2:], moving[-2:, -2:], rtol=1e-9)
+
+
+def test_the_pairs_that_may_touch_are_those_of_mujoco() -> None:
+    servos = '<actuator><position joint="first" kp="1"/></actuator>'
+    excluded = '<contact><exclude body1="palm" body2="second"/></contact>'
+    palm = '<geom name="palm" type="sphere" size="0.01" contype="{bits}" conaffinity="{bits}"/>'
+    found = []
+    for extra, bits in ((servos, 1), (servos + excluded, 1), (servos, 2), (servos, 0)):
+        model = finger(extra, palm=palm.format(bits=bits)).model
+        # Within so large a margin all pairs are contacts, but for those that are never tried.
+        model.geom_margin[:] = 10.0
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        pairs = {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}
+        assert pairs == {tuple(sorted(pair)) for pair in touching_pairs(model)}
+        found.append(len(pairs))
+    # Palm and second link touch, and each the ball; the first link is the parent of one and the child of the other.
+    assert found == [4, 3, 3, 2]
 
 
 def test_a_deep_start_and_numbers_that_are_not_finite_fail_with_mujocos_reasons(world: World) -> None:
