@@ -29,7 +29,7 @@ def test_each_grasp_has_its_probability_worst_factor_and_limits() -> None:
     assert "claw on mug: 2 grasps" in text and "claw on bowl: 1 grasp" in text
     low, high = wilson(np.array([2, 6]), 8)
     assert cells(text, "4")[:6] == ["4", "0.25", f"{low[0]:.2f}", f"{high[0]:.2f}", "friction", "0.50"]
-    assert " ".join(cells(text, "4")[6:]) == "none < 0.5 < 0.01"
+    assert " ".join(cells(text, "4")[6:]) == "none < 0.5 < 0.02"
     assert cells(text, "7")[4:] == ["mass", "0.25", "0.4", "2", "0.1"]
     # What every factor leaves as it is has no worst one.
     assert cells(text, "0")[4:] == ["-", "-", "0.1", "5", "0.3"]

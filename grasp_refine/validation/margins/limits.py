@@ -26,7 +26,7 @@ FRICTION_RANGE = (1 / 16, 2.0)
 FORCE_RANGE_N = (0.5, 32.0)
 """Searched forces, newtons: six octaves, so that a result is within 14 %."""
 
-TORQUE_RANGE_NM = (0.01, 0.64)
+TORQUE_RANGE_NM = (0.02, 1.28)
 """Searched torques, newton metres: six octaves, so that a result is within 14 %."""
 
 
