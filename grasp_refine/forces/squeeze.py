@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
-from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, center_of_mass, contact_forces
+from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
@@ -23,22 +23,16 @@ SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
 
 
-SQUEEZE_FRICTION = 0.05
-"""Friction that squeezes are planned with: forces along the surfaces last as long as a grasp, so that soft contacts of
-a simulator creep under them, and a surface that is smoother than expected does not bear them."""
-
-
 def squeezed(
     scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N
 ) -> Float[np.ndarray, "N n"]:
     """Set points (N, n) of the joints that squeeze the grasps, q + J^T f / kp; the root stays.
 
-    The forces f on the object are those that balance best, with pressures that sum to `total`: with hardly any friction
-    (`SQUEEZE_FRICTION`), or, where that asks more of an actuator than it can make, with `PLANNING_FRICTION`. A position
-    actuator whose link is stopped by the object presses with kp times its position error, up to its limit, and the
-    torques J^T f make these forces. The values may lie beyond the limits of the joints, which they do not move there:
-    they press all the same. Grasps without contacts, or whose forces are not known, are kept; those with an invalid
-    pose (`Scene.posed`) become NaN.
+    The forces f on the object are those that balance best, with pressures that sum to `total`. A position actuator
+    whose link is stopped by the object presses with kp times its position error, up to its limit, and the torques J^T f
+    make these forces. The values may lie beyond the limits of the joints, which they do not move there: they press all
+    the same. Grasps without contacts, or whose forces are not known, are kept; those with an invalid pose
+    (`Scene.posed`) become NaN.
 
     Args:
         scene: Hand, object and grasps. The hand's `actuator` must be the one that moves it: in a simulation with
@@ -55,18 +49,10 @@ def squeezed(
     T_link = frames.T_world_link
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
-
-    def torques(friction: float) -> np.ndarray:
-        found = grasp_forces(hand, scene.object, scene.links, witness, T, friction=friction, ridge=SQUEEZE_RIDGE)
-        force = total * found.force
-        # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
-        covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
-        return chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
-
-    torque = torques(SQUEEZE_FRICTION)
-    weak = saturation(hand, torque) > 1.0
-    if weak.any():
-        torque = np.where(weak[:, None], torques(PLANNING_FRICTION), torque)
+    force = total * grasp_forces(hand, scene.object, scene.links, witness, T, ridge=SQUEEZE_RIDGE).force
+    # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
+    covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
+    torque = chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
     return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
 
 
@@ -77,7 +63,6 @@ def grasp_forces(
     witness: Witness,
     T_world_root: Float[np.ndarray, "N 4 4"],
     *,
-    friction: float = PLANNING_FRICTION,
     ridge: float = RIDGE,
 ) -> ContactForces:
     """Best contact forces of N grasps, torques taken about the object's centre of mass.
@@ -88,12 +73,10 @@ def grasp_forces(
         links: As for `contacts`.
         witness: As for `contacts`.
         T_world_root: Poses of the hand, to whose axes friction pyramids are aligned.
-        friction: As for `contact_forces`.
         ridge: As for `contact_forces`.
     """
     point, normal = contacts(hand, links, witness)
-    axes = T_world_root[:, :3, :3]
-    return contact_forces(point, normal, center_of_mass(obj), friction=friction, ridge=ridge, axes=axes)
+    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge, axes=T_world_root[:, :3, :3])
 
 
 def contacts(
@@ -108,22 +91,6 @@ def contacts(
     """
     touching = CONTACTS.choose(hand, links, witness)[..., None]
     return np.where(touching, witness.point_b, np.nan), np.where(touching, witness.normal, np.nan)
-
-
-def saturation(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, " N"]:
-    """Largest share (N,) of its limit that an actuator has to make for torques (N, n); above 1 it cannot.
-
-    Actuators without a limit or without stiffness, which make any torque or none, do not count.
-    """
-    kp, limit = hand.actuator.kp, hand.actuator.force_limit
-    bounded = (kp > 0.0) & (limit > 0.0) & np.isfinite(limit)
-    share = np.where(bounded, np.abs(torque) / np.where(bounded, limit, 1.0), 0.0)
-    for group in hand.coupled:
-        joints = [hand.joint_names.index(name) for name in group.joints]
-        ratio, first = np.array(group.ratio), joints[0]
-        tension = np.abs(torque[:, joints] @ ratio) / (ratio @ ratio)
-        share[:, joints] = (tension / limit[first] if bounded[first] else np.zeros_like(tension))[:, None]
-    return share.max(axis=1, initial=0.0)
 
 
 def set_point_offsets(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:

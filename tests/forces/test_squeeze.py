@@ -9,16 +9,8 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
-from grasp_refine.forces.squeeze import (
-    SQUEEZE_FRICTION,
-    SQUEEZE_RIDGE,
-    TOTAL_PRESSURE_N,
-    contacts,
-    saturation,
-    set_point_offsets,
-    squeezed,
-)
-from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass, contact_forces
+from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL_PRESSURE_N, contacts, set_point_offsets, squeezed
+from grasp_refine.forces.wrench import center_of_mass, contact_forces
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
@@ -65,17 +57,15 @@ def limitless(hand: Hand) -> Hand:
     return replace(hand, actuator=replace(hand.actuator, force_limit=np.full(len(hand.lower), np.inf)))
 
 
-def forces_of(scene: Scene, friction: float = SQUEEZE_FRICTION) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Forces on the object and where links touch it (N, L, 3), as `squeezed` should have them."""
     known = HandObject.of(scene)
     T = known.chain(scene.T_world_root, scene.q).T_world_link
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     point, normal = contacts(scene.hand, scene.links, witness)
     axes = scene.T_world_root[:, :3, :3]
-    found = contact_forces(
-        point, normal, center_of_mass(scene.object), friction=friction, ridge=SQUEEZE_RIDGE, axes=axes
-    )
-    return TOTAL_PRESSURE_N * found.force, witness.point_a
+    force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE, axes=axes).force
+    return TOTAL_PRESSURE_N * force, witness.point_a
 
 
 def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Object) -> None:
@@ -95,24 +85,16 @@ def test_set_points_are_those_of_the_actuators_that_pull(clamp: Hand, ball: Obje
     np.testing.assert_allclose(found, [[0.002 - 15.0 / 500.0, 0.5]], atol=1e-6)
 
 
-@pytest.mark.parametrize("strong", [True, False])
-def test_torques_do_the_work_of_the_forces(mugs: Scene, strong: bool) -> None:
-    """Virtual work: tau . dq is the sum of f . dx of the points of the links, for any dq.
-
-    Forces hardly need friction, unless an actuator is too weak for them.
-    """
-    n, weak = mugs.q.shape[1], int(np.abs(squeezed(mugs) - mugs.q).min(axis=0).argmax())
-    if not strong:
-        limit = np.where(np.arange(n) == weak, 1e-3, np.inf)
-        mugs = replace(mugs, hand=replace(mugs.hand, actuator=replace(mugs.hand.actuator, force_limit=limit)))
-    force, on_link = forces_of(mugs, SQUEEZE_FRICTION if strong else PLANNING_FRICTION)
+def test_torques_do_the_work_of_the_forces(mugs: Scene) -> None:
+    """Virtual work: tau . dq is the sum of f . dx of the points of the links, for any dq."""
+    force, on_link = forces_of(mugs)
     assert (np.abs(force).sum(axis=-1) > 0).sum(axis=1).min() >= 2
     torque = (squeezed(mugs) - mugs.q) * mugs.hand.actuator.kp
     chain = Chain(mugs.hand, mugs.links)
     material = transform_points(inverse(chain(mugs.T_world_root, mugs.q).T_world_link), on_link)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        dq = rng.normal(size=mugs.q.shape) * (strong | (np.arange(n) != weak))
+        dq = rng.normal(size=mugs.q.shape)
         ahead, behind = (
             transform_points(chain(mugs.T_world_root, mugs.q + step * dq).T_world_link, material)
             for step in (1e-6, -1e-6)
@@ -197,18 +179,6 @@ def test_no_actuator_is_asked_for_more_than_it_can(mugs: Scene) -> None:
     single = np.delete(ahead, [2, 3], axis=1)
     np.testing.assert_allclose(np.abs(single), 0.5 / 4.0)
     np.testing.assert_array_equal(np.sign(single), np.sign(np.delete(torque, [2, 3], axis=1)))
-
-
-def test_saturation_is_the_share_of_the_weakest_actuator(mugs: Scene) -> None:
-    group = Coupled(mugs.hand.joint_names[2:4], (1.0, -2.0))
-    hand = tendons(mugs.hand, (group,), 0.5)
-    torque = np.zeros((3, 16))
-    torque[0, 5], torque[1, [2, 3]] = -1.5, [0.2, -0.4]
-    # The tendon makes 0.2 and -0.4 by a tension of 0.2; what opposes its ratio it does not make at all.
-    torque[2, [2, 3]] = [0.2, 0.1]
-    np.testing.assert_allclose(saturation(hand, torque), [3.0, 0.4, 0.0], atol=1e-12)
-    for limit in (0.0, np.inf):
-        np.testing.assert_array_equal(saturation(tendons(mugs.hand, (group,), limit), torque), 0.0)
 
 
 def test_actuators_without_stiffness_are_not_moved(mugs: Scene) -> None:
