@@ -28,6 +28,7 @@ ORDER = (
     "grasp_refine.refinement",
     "grasp_refine.validation.protocols",
     "grasp_refine.validation",
+    "grasp_refine.validation.drake",
     "grasp_refine.validation.margins",
     "grasp_refine.validation.replay",
     "grasp_refine.results",

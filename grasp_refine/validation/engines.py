@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from importlib import import_module
+from typing import Any, Literal, get_args
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.simulations import Engine
@@ -27,9 +28,11 @@ def engine_of(name: str, world: World) -> Engine:
     if name != "drake":
         raise GraspRefineError(f"engine is {' or '.join(get_args(EngineName))}, got {name!r}")
     try:
-        from grasp_refine.validation.drake.rows import Plants
+        # An engine is a plug-in: it knows worlds and trials, which do not know it.
+        plants: Any = import_module("grasp_refine.validation.drake.rows").Plants
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "pydrake":
             raise
         raise GraspRefineError("engine drake needs Drake: pip install 'grasp-refine[drake]'") from None
-    return Plants(world).simulations
+    engine: Engine = plants(world).simulations
+    return engine

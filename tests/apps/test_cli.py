@@ -110,7 +110,7 @@ def test_each_command_explains_its_options(command: str, capsys: pytest.CaptureF
         main([*command.split(), "--help"])
     assert not end.value.code
     out = capsys.readouterr().out
-    assert f"refine-grasp {command}" in out and "--json FILE" in out
+    assert f"refine-grasp {command}" in out and ("--json FILE" in out or "evidence.json" in out)
 
 
 def test_hands_and_doctor_need_no_torch_to_start():
@@ -249,9 +249,8 @@ def test_index_counts_the_grasps_of_the_object(grasp_file: Callable[..., Path]):
     assert main([*QUICK, *chosen, "--json", "report.json"]) == 0
     report = json.loads(Path("report.json").read_text())["grasps"]
     assert [(grasp["index"], grasp["row"]) for grasp in report] == [(1, 3), (0, 1)]
-    result = load_grasps("grasp-refine-results/allegro_rounded_box.npz")
-    asked = load_grasps(grasps).select([3, 1])
-    assert np.linalg.norm(result.hand_pose[:, :3] - asked.hand_pose[:, :3], axis=1).max() < 0.03
+    with np.load("grasp-refine-results/allegro_rounded_box.npz") as result:
+        np.testing.assert_allclose(result["initial_pose"], load_grasps(grasps).select([3, 1]).hand_pose)
 
 
 def test_several_objects_and_scales_are_refined_together(grasp_file: Callable[..., Path], inputs: Path):

@@ -87,7 +87,7 @@ def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
         ("--count 0", ("--count", "1", "0")),
         ("--width 0", ("--width", "1", "0")),
         ("--threads 0", ("--threads", "1", "0")),
-        ("--protocols upside-down", ("--protocols", "upside-down")),
+        ("--protocols upside-down", ("upside-down", "strict")),
         ("--targets nearest", ("--targets",)),
         ("--object teapot", ("'allegro'", "'teapot'")),
         ("--json same --html same", ("same",)),

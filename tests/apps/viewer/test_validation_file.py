@@ -63,7 +63,7 @@ def test_what_validate_wrote_is_what_a_trial_finds(folder: Path) -> None:
     assert table[HELD.key].values.tolist() == [*said, ""]
     reasons = [next((t.reason.label for t in found[n].results if not t.held), "") for n in (0, 1)]
     assert table[REASON.key].values.tolist() == [*reasons, ""]
-    assert "turned" in reasons
+    assert any(reasons)
 
 
 def test_what_run_wrote_is_of_its_input_before_and_of_its_output_after(folder: Path) -> None:
