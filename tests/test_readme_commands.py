@@ -165,7 +165,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
 
 # what commands print
 
-PRINTED = ("$ refine-grasp run\n", "$ refine-grasp validate", "held in simulation (dexgraspbench): ")
+PRINTED = ("$ refine-grasp run\n", "validate geometry", "held in simulation (dexgraspbench): ", "--margins")
 """What tells apart the blocks of text; a test compares each."""
 
 
@@ -229,3 +229,21 @@ def test_what_simulation_says_of_a_run_is_what_is_shown(
     (block,) = (block for block in blocks("text") if PRINTED[2] in block)
     assert main(["run", "--validate"]) == 0
     assert " ".join(block.split()) in " ".join(capfd.readouterr().out.split())
+
+
+@pytest.mark.slow
+def test_the_margins_that_are_shown_are_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (block,) = (block for block in blocks("text") if PRINTED[3] in block)
+    ((command, shown),) = sessions(block)
+    for first in (["run"], ["run", "--geometry-only", "--out", "geometry"], command):
+        assert main(first) == 0
+        printed = capfd.readouterr().out
+    wanted, found = (
+        [line.split() for line in text.splitlines() if re.match(r" {5}\d  |   all  ", line)]
+        for text in (shown, printed)
+    )
+    # Of the second file the table of drawn worlds comes last.
+    assert len(wanted) == 5 and [row[1:4] for row in wanted] == [row[1:4] for row in found[-5:]]
