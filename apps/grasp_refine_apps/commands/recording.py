@@ -37,7 +37,7 @@ class Recording:
     in MuJoCo 3.3 and later; with several FILEs, each into its own subfolder. At most 20 grasps: choose them with
     --index."""
     direction: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the worst)")] = None
-    """Record this direction: +x, -x, +y, -y, +z, -z; with --setting tabletop, lift."""
+    """Record this direction: +x, -x, +y, -y, +z, -z; with a protocol that lifts, lift."""
     film: bool = False
     """Write a short film (.gif) beside each replay, which takes some ten seconds."""
 

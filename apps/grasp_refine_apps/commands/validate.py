@@ -173,6 +173,9 @@ class Validate:
             or self.margins != MarginsOptions()
         ):
             raise GraspRefineError("with --no-simulate, options of the simulation have no effect: leave them out")
+        if self.simulation.engine == "drake" and (self.recording.replays is not None or self.margins.margins):
+            option = "--margins" if self.margins.margins else "--replays"
+            raise GraspRefineError(f"{option} simulates in MuJoCo: give --engine mujoco, or both, with it")
         if 0 in self.robustness.frictions:
             raise GraspRefineError("--frictions must be above 0")
         if len(set(self.robustness.frictions)) < len(self.robustness.frictions):

@@ -288,6 +288,8 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         ((*quick, "--threads", "0"), "--threads", "1", "0"),
         ((*quick, "--noise-offset", "0.01"), "--noise-offset", "--noise N"),
         ((*quick, "--no-simulate", "--noise", "2"), "--no-simulate"),
+        ((*quick, "--engine", "drake", "--replays", "replays"), "--replays"),
+        ((*quick, "--engine", "drake", "--margins"), "--margins"),
         ((*quick, "--closing", "file"), "pregrasp", "squeeze"),
         ((*quick, "--seconds", "1e9"), "--seconds", "0.2", "60", "1e+09"),
         ((*quick, "--frictions", "0.6", "0.6"), "--frictions"),
