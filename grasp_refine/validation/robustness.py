@@ -87,32 +87,26 @@ def offset_labels(
 
     Progress is that of all N x `protocol.noise.count` trials.
     """
-    noise, count = world.protocol.noise, len(motion)
-    each = np.repeat(np.arange(count), noise.count)
-    elsewhere = (Conditions.nominal(world, count) if conditions is None else conditions).select(each)
-    T = noise.poses(
-        np.arange(count) if numbers is None else numbers,
+    return noise_score(
+        world,
+        motion,
+        world.protocol.noise,
+        conditions,
         middle=world.model.body_ipos[world.object_body],
+        numbers=np.arange(len(motion)) if numbers is None else numbers,
         upright=_normal(world),
         seed=SEED,
-    ).reshape(-1, 4, 4)
-    elsewhere = replace(elsewhere, T_world_object=elsewhere.T_world_object @ T)
-    trials = simulate(
-        world,
-        motion.select(each),
-        elsewhere,
         threads=threads,
-        first_failure=True,
         progress=progress,
         engine=engine,
     )
-    return trials.success.reshape(count, noise.count).mean(axis=1)
 
 
 def noise_score(
     world: World,
     motion: Motion,
     noise: Noise,
+    conditions: Conditions | None = None,
     *,
     middle: Float[np.ndarray, " 3"],
     numbers: Int[np.ndarray, " N"],
@@ -128,6 +122,7 @@ def noise_score(
         world: Hand, object and protocol.
         motion: N grasps.
         noise: The offsets.
+        conditions: What differs between the grasps, with poses that the offsets are added to; by default as of `judge`.
         middle: Centre of the rotations (3,), metres, object frame.
         numbers: Number (N,) of each grasp: its offsets depend on this and on the seed only.
         upright: Unit normal (3,) of the table, where there is one: objects then stay on it, shifted and turned.
@@ -137,13 +132,13 @@ def noise_score(
         engine: As for `simulate`.
     """
     each = np.repeat(np.arange(len(motion)), noise.count)
+    elsewhere = (Conditions.nominal(world, len(motion)) if conditions is None else conditions).select(each)
     T = noise.poses(numbers, middle=middle, upright=upright, seed=seed).reshape(-1, 4, 4)
-    friction = np.full(len(each), world.protocol.friction)
-    conditions = Conditions(T, friction)
+    elsewhere = replace(elsewhere, T_world_object=elsewhere.T_world_object @ T)
     trials = simulate(
         world,
         motion.select(each),
-        conditions,
+        elsewhere,
         threads=threads,
         first_failure=True,
         progress=progress,
