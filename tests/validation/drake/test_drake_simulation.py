@@ -9,17 +9,17 @@ import pytest
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.defaults import Actuator
+from grasp_refine.validation import simulation
 from grasp_refine.validation.drake.build import build_plant
 from grasp_refine.validation.drake.contacts import touching_pairs
 from grasp_refine.validation.drake.plant import Parameters
 from grasp_refine.validation.drake.rows import Plants, Rows
-from grasp_refine.validation.drake.simulation import simulate
+from grasp_refine.validation.engines import engine_of
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.protocols.tabletop import TABLETOP
-from grasp_refine.validation.simulation import simulate as simulate_in_mujoco
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world
@@ -48,6 +48,11 @@ FINGER = """
 </mujoco>
 """
 """A finger of two joints; angles in degrees."""
+
+
+def simulate(world: World, motion: Motion, conditions: Conditions | None = None, *, threads: int = 1) -> Trials:
+    """Trials in Drake."""
+    return simulation.simulate(world, motion, conditions, threads=threads, engine=engine_of("drake", world))
 
 
 def finger(extra: str, first: str = "", palm: str = "") -> World:
@@ -279,7 +284,7 @@ def test_a_deep_start_and_numbers_that_are_not_finite_fail_with_mujocos_reasons(
     q[1, 2] = np.nan
     q[2, 0] = 2 * RADIUS - 0.03
     trials = simulate(world, Motion(motion.T_world_root, q), threads=1)
-    other = simulate_in_mujoco(world, Motion(motion.T_world_root, q))
+    other = simulation.simulate(world, Motion(motion.T_world_root, q))
     assert trials.success.tolist() == [True, False, False, True]
     np.testing.assert_array_equal(trials.reason, other.reason)
     assert (trials.reason[1] == Reason.NOT_FINITE).all() and (trials.reason[2] == Reason.PENETRATES).all()
