@@ -27,7 +27,6 @@ DEEP = 0.01
 PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
 """Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces` in the axes of the hand."""
 
-
 SHORTCOMINGS = ("slippery", "pushed", "deep", "open")
 """Fields of `Quality` that its score and its probability are made of."""
 

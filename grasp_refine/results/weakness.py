@@ -27,7 +27,7 @@ def weaknesses(quality: Quality, links: tuple[str, ...]) -> list[str]:
     found = []
     for i, which in enumerate(worst):
         if not known[i]:
-            found.append("no forces of its contacts balance" if not np.isnan(costs[i]).all() else "it has no contacts")
+            found.append("no forces of its contacts balance")
         elif costs[i, which] < NEGLIGIBLE_COST:
             found.append("")
         else:
