@@ -199,6 +199,20 @@ def cylinder(radius: float, length: float, T: np.ndarray | None = None, sides: i
     return hull(_transform(np.concatenate([ring, ring * [1, 1, -1]]), T), name="cylinder")
 
 
+def ellipsoid(semi_axes: ArrayLike) -> Piece:
+    """A polyhedron of 642 vertices inscribed in the ellipsoid with `semi_axes` (3,) in metres, about the origin.
+
+    Its surface lies within 0.4 % of the largest semi-axis of the ellipsoid's.
+
+    Raises:
+        MeshError: a semi-axis is not positive and finite.
+    """
+    import trimesh
+
+    semi_axes = _check_positive(semi_axes, "ellipsoid: semi-axes")
+    return hull(semi_axes * trimesh.creation.icosphere(subdivisions=3).vertices, name="ellipsoid")
+
+
 def convex_pieces(
     mesh: trimesh.Trimesh,
     config: Decomposition | None = None,

@@ -1,4 +1,4 @@
-"""Alignment of an MJCF of a hand with its URDF: base pose and signs of the joints, from joint anchors and axes."""
+"""Alignment of an MJCF with a hand: base pose and signs of the joints, from joint anchors and axes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import inverse, transform
 from grasp_refine.hands.mimics import mimic_map
 from grasp_refine.hands.tree import Joint
 
@@ -50,6 +51,8 @@ class Mechanism:
 
     name: str
     """Name of the hand, for messages."""
+    path: Path
+    """File that the joints come from."""
     base_link: str
     """Link whose pose is the hand's pose."""
     joints: Sequence[Joint]
@@ -62,7 +65,8 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
     """Align `model` with a hand by anchors and axes of the joints that are `matched`.
 
     The base pose is the least-squares fit of the anchors (and of axes, where these are on one line) with all joints at
-    0, the signs are those of the axes then. Both are checked at random joint values within the hand's limits.
+    0, the signs are those of the axes then. Both are checked at random joint values within the hand's limits. The file
+    that the hand comes from is aligned as it is.
 
     Args:
         mechanism: Joints of the hand.
@@ -73,6 +77,8 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
     Raises:
         HandError: the joints do not move alike, or anchors and axes do not determine the pose.
     """
+    if path.samefile(mechanism.path):
+        return Alignment(inverse(body_pose(model, mechanism.base_link)), np.ones(len(matched)), 0.0, 0.0, ())
     joints, named = list(matched), list(matched.values())
     matrix, offset, movable = mimic_map(mechanism.joints, mechanism.independent)
     rows = [movable.index(name) for name in joints]
@@ -113,6 +119,13 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
     return Alignment(T, sign, float(distance.max()), float(angle.max()), tuple(notes))
 
 
+def body_pose(model: mujoco.MjModel, body: str) -> Float[np.ndarray, "4 4"]:
+    """Return the pose (4, 4) of a body in the world at the reference positions of all joints."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return transform(data.body(body).xmat.reshape(3, 3).copy(), data.body(body).xpos.copy())
+
+
 def _hand_joints(
     mechanism: Mechanism, values: Mapping[str, np.ndarray], joints: Sequence[str]
 ) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
@@ -138,11 +151,14 @@ def _model_joints(
     """Return anchors and axes of the joints `named` (batch, m, 3) in the world of `model`."""
     data = mujoco.MjData(model)
     rows = [model.joint(name).id for name in named]
+    slides = model.jnt_type[rows] == mujoco.mjtJoint.mjJNT_SLIDE
     anchors, axes = np.empty((2, *values.shape, 3))
     for number, value in enumerate(values):
         data.qpos[model.jnt_qposadr[rows]] = value
         mujoco.mj_kinematics(model, data)
         anchors[number], axes[number] = data.xanchor[rows], data.xaxis[rows]
+        # MuJoCo has the anchor of a slide where it is at its reference, not at 0.
+        anchors[number] -= (slides * model.qpos0[model.jnt_qposadr[rows]])[:, None] * data.xaxis[rows]
     return anchors, axes
 
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from grasp_refine.hands.tree import Tree
-
-if TYPE_CHECKING:
-    import yourdfpy
+from grasp_refine.hands.tree import JointEntry, Tree
 
 
 @dataclass(frozen=True)
@@ -35,7 +31,7 @@ def guess_base(tree: Tree) -> Base:
     branches that something solid is fixed to. A robot that is one chain has no palm and begins at its root; so does
     one with a joint below the palm that mimics one above it.
     """
-    leaving: dict[str, list[yourdfpy.Joint]] = {name: [] for name in tree.links}
+    leaving: dict[str, list[JointEntry]] = {name: [] for name in tree.links}
     for joint in tree.joints.values():
         leaving[joint.parent].append(joint)
     solid = {name for name, link in tree.links.items() if link.collisions}
@@ -43,7 +39,7 @@ def guess_base(tree: Tree) -> Base:
     first, above = tree.root, []
     while True:
         part = list(_below(first, leaving, fixed=True))
-        branches = [joint for link in part for joint in leaving[link] if joint.type != "fixed"]
+        branches = [joint for link in part for joint in leaving[link] if joint.kind != "fixed"]
         branches = [joint for joint in branches if joint.child in carries]
         if len(branches) != 1:
             break
@@ -67,13 +63,13 @@ def guess_base(tree: Tree) -> Base:
 
 
 def _palms(
-    firsts: list[str], leaving: dict[str, list[yourdfpy.Joint]], carries: set[str], solid: set[str]
+    firsts: list[str], leaving: dict[str, list[JointEntry]], carries: set[str], solid: set[str]
 ) -> tuple[str, ...]:
     """The palms of the parts at or below some links that several moving branches with something solid leave."""
     palms = []
     for first in firsts:
         part = list(_below(first, leaving, fixed=True))
-        moving = [joint for link in part for joint in leaving[link] if joint.type != "fixed"]
+        moving = [joint for link in part for joint in leaving[link] if joint.kind != "fixed"]
         branches = [joint for joint in moving if joint.child in carries]
         if len(branches) > 1:
             palms.append(_lowest(first, part, {joint.parent for joint in branches}, solid, leaving))
@@ -81,16 +77,16 @@ def _palms(
     return tuple(palms)
 
 
-def _below(link: str, leaving: dict[str, list[yourdfpy.Joint]], *, fixed: bool = False) -> Iterator[str]:
+def _below(link: str, leaving: dict[str, list[JointEntry]], *, fixed: bool = False) -> Iterator[str]:
     """`link` and all links below it, or only those that fixed joints connect to it; parents before children."""
     waiting = [link]
     while waiting:
         yield waiting[-1]
-        waiting += [j.child for j in leaving[waiting.pop()][::-1] if j.type == "fixed" or not fixed]
+        waiting += [j.child for j in leaving[waiting.pop()][::-1] if j.kind == "fixed" or not fixed]
 
 
 def _lowest(
-    first: str, part: list[str], parents: set[str], solid: set[str], leaving: dict[str, list[yourdfpy.Joint]]
+    first: str, part: list[str], parents: set[str], solid: set[str], leaving: dict[str, list[JointEntry]]
 ) -> str:
     """The lowest link of `part`, which begins at `first`, that is above all `parents` and has something solid."""
     base = first

@@ -1,4 +1,4 @@
-"""Settings that a hand.toml leaves open, filled in from the URDF, and lookup of the names in it."""
+"""Settings that a hand.toml leaves open, filled in from the file of the hand, and lookup of the names in it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def contacts(
     if guessed:
         named = _guess_contacts(solid, joints)
         guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
-        notes.append(f"contact links guessed from the URDF, a hand.toml can name others: {guess}")
+        notes.append(f"contact links guessed, a hand.toml can name others: {guess}")
     return tuple(named), guessed, notes
 
 
@@ -143,7 +143,7 @@ def mjcf_joints(toml: HandToml, movable: Collection[str], outside: Collection[st
 
 
 def _valid(name: str, what: str, valid: Collection[str], outside: Collection[str], where: str) -> bool:
-    """Return True if `name` is valid, False if it is in the part of the URDF that the hand leaves out."""
+    """Return True if `name` is valid, False if it is in the part of the file that the hand leaves out."""
     if name not in valid and name not in outside:
         raise HandError(f"{where}: no {what} '{name}'; valid: {', '.join(valid)}")
     return name in valid

@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 FINGER_PATTERNS = {
-    "thumb": r"thumb|^th(?=distal|tip|base|hub|middle|proximal|j?\d)",
-    "index": r"index|fore_?finger|^(ff|if)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
-    "ring": r"(?<![a-z])ring|^rf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
-    "little": r"little|pinky|^(lf|pf)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
-    "middle": r"middle|^mf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
+    "thumb": r"thumb|(?:^|^[lr]h_)th(?=distal|tip|base|hub|middle|proximal|_|j?\d)",
+    "index": r"index|fore_?finger|(?:^|^[lr]h_)(ff|if)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
+    "ring": r"(?<![a-z])ring|(?:^|^[lr]h_)rf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
+    "little": r"little|pinky|(?:^|^[lr]h_)(lf|pf)(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
+    "middle": r"middle|(?:^|^[lr]h_)mf(?=distal|tip|knuckle|middle|proximal|_|j?\d)",
 }
 """Finger -> pattern of its links' and joints' names. The middle one is last: every finger has a middle phalanx."""
 

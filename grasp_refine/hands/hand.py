@@ -1,4 +1,4 @@
-"""Hands: a URDF, with a hand.toml or without, as links with bodies, joints with limits, and contact links."""
+"""Hands: a URDF or MJCF, with a hand.toml or without, as links with bodies, joints with limits, and contact links."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
-from grasp_refine.hands.hand_toml import Contact, Coupled
+from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
 from grasp_refine.hands.mimics import limit_by_followers, mimic_map
-from grasp_refine.hands.source import HAND_TOML, hand_files, list_hands, needs_urdf
-from grasp_refine.hands.tree import Joint, Mimic, Tree, read_tree
+from grasp_refine.hands.mjcf_xml import is_mjcf
+from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
+from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree
 
 if TYPE_CHECKING:
-    import yourdfpy
-
+    from grasp_refine.hands.alignment import Mechanism
     from grasp_refine.hands.mjcf_couplings import Couplings
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
@@ -77,7 +78,7 @@ class Hand:
     name: str
     """Name in results and in grasp files."""
     urdf: Path
-    """The file that it comes from."""
+    """The file that it comes from, a URDF or an MJCF."""
     base_link: str
     """The link whose pose is the hand's pose."""
     links: tuple[Link, ...]
@@ -100,8 +101,10 @@ class Hand:
     """Position actuators of the independent joints."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
+    excluded: tuple[LinkPair, ...] = ()
+    """Pairs of links that never collide, by the file."""
     mjcf: Path | None = None
-    """MJCF file of the same hand, where there is one."""
+    """MJCF file of the same hand, where there is one; `urdf`, where that is an MJCF and no other is given."""
     mjcf_joints: Mapping[str, str] = field(default_factory=dict)
     """Joint -> its name in that file, where hand.toml gives it."""
     collision: Literal["urdf", "mjcf"] = "urdf"
@@ -162,10 +165,11 @@ def load_hand(
     hull_limit: float = HULL_LIMIT,
     progress: Callable[[str], None] | None = None,
 ) -> Hand:
-    """The hand that `source` names: one of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset.
+    """The hand that `source` names: one of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, or an asset.
 
-    A folder holds a hand.toml or exactly one .urdf file. The hand.toml beside a .urdf file is used if it
-    names that file.
+    A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one .xml file. The hand.toml beside a
+    URDF or MJCF is used if it names that file. An MJCF is read as MuJoCo compiles it, with its couplings and actuators,
+    and is what is simulated.
 
     Args:
         source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
@@ -198,11 +202,15 @@ def load_hand(
         None if mjcf is None else Path(mjcf),
         progress or (lambda line: None),
     )
-    if toml.collision == "mjcf" and toml.mjcf is None:
+    assert toml.file is not None  # `hand_files` gives one
+    from_mjcf = is_mjcf(toml.file)
+    mjcf_file, collision = toml.mjcf, toml.collision
+    if from_mjcf:
+        mjcf_file, collision = toml.mjcf or toml.file, "mjcf"
+    if collision == "mjcf" and mjcf_file is None:
         raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
-    assert toml.urdf is not None  # `hand_files` gives one
-    tree = read_tree(toml.urdf)
-    notes: list[str] = []
+    tree = read_tree(toml.file)
+    notes = list(tree.notes)
     base, why = (base_link, "given by --base-link") if base_link else (toml.base_link, f"given by {HAND_TOML}")
     if base is None:
         guess = guess_base(tree)
@@ -220,7 +228,11 @@ def load_hand(
     raw_links, joints = tree.below(base)
     outside = tree.joints.keys() - {joint.name for joint in joints}
     names_there = mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside)
-    couplings = None if toml.mjcf is None else _couplings(toml.mjcf, toml.name or name, base, tree, joints, names_there)
+    couplings = None
+    if mjcf_file is not None:
+        # Those of the hand's own file count, even where another MJCF is simulated.
+        theirs, named = (tree.path, {}) if from_mjcf else (mjcf_file, names_there)
+        couplings = _couplings(theirs, toml.name or name, base, tree, joints, named)
     if couplings is not None:
         joints, tied = couplings.with_mimics(joints, toml.joints_with_settings)
         notes += [*couplings.notes, *tied]
@@ -235,6 +247,9 @@ def load_hand(
     if couplings is not None:
         groups, shared = couplings.with_tendons(groups, joints)
         notes += shared
+    driven = actuator(toml, independent, outside)
+    if from_mjcf:
+        driven = _own_actuator(toml.name or name, base, tree, joints, groups, driven)
     touching, guessed, about_contacts = contacts(
         toml,
         solids,
@@ -256,12 +271,13 @@ def load_hand(
         contacts=touching,
         contacts_guessed=guessed,
         notes=tuple(notes),
-        actuator=actuator(toml, independent, outside),
+        actuator=driven,
         coupled=groups,
-        mjcf=toml.mjcf,
+        excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}),
+        mjcf=mjcf_file,
         mjcf_joints=names_there,
-        collision=toml.collision,
-        toml=None if toml.path == toml.urdf else toml.path,
+        collision=collision,
+        toml=None if toml.path == toml.file else toml.path,
         base_why=why,
     )
 
@@ -270,26 +286,35 @@ def _couplings(
     mjcf: Path, name: str, base_link: str, tree: Tree, joints: Sequence[Joint], named: Mapping[str, str]
 ) -> Couplings:
     """The couplings that an MJCF of the hand tells."""
-    # Both load MuJoCo, which reading a URDF does without.
-    from grasp_refine.hands.alignment import Mechanism
+    # This loads MuJoCo, which reading a URDF does without.
     from grasp_refine.hands.mjcf_couplings import mjcf_couplings
+
+    return mjcf_couplings(mjcf, _mechanism(name, base_link, tree, joints), named)
+
+
+def _own_actuator(
+    name: str, base_link: str, tree: Tree, joints: Sequence[Joint], groups: Sequence[Coupled], given: Actuator
+) -> Actuator:
+    """The actuators of the MJCF that the hand comes from; `given` where it has none."""
+    from grasp_refine.hands.servos import own_actuator
+
+    return own_actuator(_mechanism(name, base_link, tree, joints), groups, given)
+
+
+def _mechanism(name: str, base_link: str, tree: Tree, joints: Sequence[Joint]) -> Mechanism:
+    from grasp_refine.hands.alignment import Mechanism
 
     moving = {joint.name for joint in joints if joint.movable and joint.mimic is None}
     independent = [joint for joint in tree.joints if joint in moving]
-    return mjcf_couplings(mjcf, Mechanism(name, base_link, joints, independent), named)
+    return Mechanism(name, tree.path, base_link, joints, independent)
 
 
-def _link(raw: yourdfpy.Link, meshes: LinkMeshes, candidates: int) -> Link:
+def _link(raw: LinkEntry, meshes: LinkMeshes, candidates: int) -> Link:
     pieces = link_pieces(raw, meshes)
-    inertial = raw.inertial
-    mass = inertial.mass if inertial is not None else None
-    if mass is not None and mass < 0:
-        raise HandError(f"{meshes.urdf}: link '{raw.name}' has the mass {mass:g} kg")
-    inertia = None
-    if mass is not None and inertial.inertia is not None:
-        inertia = Inertia.about(mass, np.eye(4) if inertial.origin is None else inertial.origin, inertial.inertia)
+    if raw.mass is not None and raw.mass < 0:
+        raise HandError(f"{meshes.path}: link '{raw.name}' has the mass {raw.mass:g} kg")
     try:
         body = build_body(raw.name, pieces, candidates=candidates) if pieces else None
     except MeshError as error:
-        raise HandError(f"{meshes.urdf}: link {error}") from None
-    return Link(raw.name, body, mass, inertia)
+        raise HandError(f"{meshes.path}: link {error}") from None
+    return Link(raw.name, body, raw.mass, raw.inertia)

@@ -1,4 +1,4 @@
-"""The file hand.toml: properties of a hand that its URDF does not hold. Every key may be left out."""
+"""The file hand.toml: properties of a hand that its URDF or MJCF does not hold. Every key may be left out."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 T = TypeVar("T")
 
+HAND_TOML = "hand.toml"
+"""Name of the file beside a URDF or MJCF that adds what that does not hold."""
+
 TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text"}
 """TOML's names of the required types."""
 
@@ -23,7 +26,7 @@ KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_p
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
 """Keys of [actuator], and defaults for revolute joints; prismatic joints are driven by default as by a lever of 0.1 m
-on such a joint. The force limit is the URDF's effort."""
+on such a joint. The force limit is the effort of the joint."""
 
 MAX_MAGNITUDE = 1e100
 """Largest magnitude of a number: squares of larger ones overflow."""
@@ -59,18 +62,19 @@ class HandToml:
 
     path: Path
     """The file."""
-    urdf: Path | None
-    """The URDF that it describes; None where there is none beside it, and the user has to give it."""
+    file: Path | None
+    """The URDF that it describes, or the MJCF where there is no URDF; None where there is neither, and the user has to
+    give it."""
     base_link: str | None = None
     """Link that the hand starts at; None: it is guessed."""
     name: str | None = None
     """Name of the hand in results and in grasp files; None: that of the folder."""
     mjcf: Path | None = None
-    """MJCF file of the same hand, for simulation."""
+    """MJCF file of the same hand, for simulation; None: `file`, where that is one."""
     mjcf_joints: dict[str, str] = field(default_factory=dict)
-    """Joint in the URDF -> its name in the MJCF; the others are found by their names."""
+    """Joint of the hand -> its name in the MJCF; the others are found by their names."""
     collision: Literal["urdf", "mjcf"] = "urdf"
-    """File that is simulated when a grasp is validated; refinement uses the URDF's geometry."""
+    """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`."""
     rest_pose: dict[str, float] = field(default_factory=dict)
     """Joint values in rad or m; joints that are not named rest in the middle of their range."""
     contacts: tuple[Contact, ...] = ()
@@ -106,12 +110,15 @@ def read_hand_toml(path: Path) -> HandToml:
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
+    mjcf = _file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None
+    file = _file(raw["urdf"], path, "urdf") if "urdf" in raw else _beside(path.parent, ".urdf")
+    file = file or mjcf or _beside(path.parent, ".xml")
     return HandToml(
         path=path,
-        urdf=_urdf(raw, path),
+        file=file,
         base_link=None if base_link is None else _typed(base_link, str, f"{path}: base_link"),
         name=None if name is None else _typed(name, str, f"{path}: name"),
-        mjcf=_file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None,
+        mjcf=mjcf,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
@@ -121,28 +128,29 @@ def read_hand_toml(path: Path) -> HandToml:
     )
 
 
-def _urdf(raw: dict[str, Any], path: Path) -> Path | None:
-    """The file that is named, else the only one beside the hand.toml, else None."""
-    if "urdf" in raw:
-        return _file(raw["urdf"], path, "urdf")
-    return only_urdf(path.parent) if _urdfs(path.parent) else None
-
-
-def only_urdf(folder: Path) -> Path:
-    """The one .urdf file in `folder`.
+def only_file(folder: Path) -> Path:
+    """The one .urdf file in `folder`, or the one .xml file where there is no .urdf.
 
     Raises:
         HandError: there is none, or several (lists them).
     """
-    found = _urdfs(folder)
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        raise HandError(f"{folder}: one .urdf file is needed, or a hand.toml that names one; here: {names}")
-    return found[0]
+    found = _beside(folder, ".urdf") or _beside(folder, ".xml")
+    if found is None:
+        raise HandError(f"{folder}: one .urdf or .xml file is needed, or a {HAND_TOML} that names one; here: none")
+    return found
 
 
-def _urdfs(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() == ".urdf")
+def _beside(folder: Path, suffix: str) -> Path | None:
+    """The only file in a folder with a suffix; None if there is none.
+
+    Raises:
+        HandError: there are several (lists them).
+    """
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() == suffix)
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise HandError(f"{folder}: one {suffix} file is needed, or a {HAND_TOML} that names one; here: {names}")
+    return found[0] if found else None
 
 
 def _contact(raw: dict[str, Any], where: str) -> Contact:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,12 +11,13 @@ import numpy as np
 
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.geometry.covering import Covering, covering
-from grasp_refine.geometry.pieces import Piece, box, cylinder, sphere
+from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.mesh_files import read_mesh, resolve_mesh
+from grasp_refine.hands.shape import Geometry, MeshFile, Scale, Surface
+from grasp_refine.hands.tree import LinkEntry
 
 if TYPE_CHECKING:
     import trimesh
-    import yourdfpy
 
 HULL_LIMIT = 5e-3
 """Greatest distance in metres by which the hull of a link's mesh may stand out of it; beyond, more pieces are used.
@@ -26,16 +27,13 @@ by 1 to 4 mm, but in sockets and behind nails: by less than 0.05 mm where object
 contact. Palms and forearms of several bodies stand out by 6 to 30 mm.
 """
 
-Scale = tuple[float, float, float]
-"""Factors along x, y and z; negative ones mirror."""
-
 
 @dataclass(eq=False)
 class LinkMeshes:
-    """The meshes of the links of one URDF as convex pieces, each file read once and each size of it cut once."""
+    """The mesh files of the links of one hand as convex pieces, each read once and each size of it cut once."""
 
-    urdf: Path
-    """The file that names the meshes."""
+    path: Path
+    """The file that names them."""
     limit: float = HULL_LIMIT
     """Greatest distance in metres by which a hull may stand out of its mesh; infinite: only hulls."""
     cache: Path | None = None
@@ -46,16 +44,15 @@ class LinkMeshes:
     _cut: dict[tuple[Path, Scale], Covering] = field(default_factory=dict)
     _users: dict[tuple[Path, Scale], list[str]] = field(default_factory=dict)
 
-    def pieces(self, filename: str, scale: Iterable[float], link: str) -> tuple[Piece, ...]:
-        """The pieces of the mesh that the URDF calls `filename`, times `scale`, for `link`.
+    def pieces(self, mesh: MeshFile, link: str) -> tuple[Piece, ...]:
+        """The pieces of a mesh file, for `link`.
 
         Raises:
             HandError: there is no such file.
             MeshError: it cannot be used.
         """
-        x, y, z = map(float, scale)
-        path = resolve_mesh(filename, self.urdf)
-        key = (path, (x, y, z))
+        path = resolve_mesh(mesh.filename, self.path)
+        key = (path, mesh.scale)
         if key not in self._cut:
             if path not in self._read:
                 self._read[path] = read_mesh(path)
@@ -90,47 +87,30 @@ class LinkMeshes:
         return notes
 
 
-def link_pieces(link: yourdfpy.Link, meshes: LinkMeshes) -> tuple[Piece, ...]:
-    """The convex pieces of `link` in its frame, of all its <collision> elements; a repeated element counts once.
+def link_pieces(link: LinkEntry, meshes: LinkMeshes) -> tuple[Piece, ...]:
+    """The convex pieces of `link` in its frame, of all its collision geometry; a repeated element counts once.
 
     Raises:
         HandError: a mesh file is missing or cannot be used, or a piece has no thickness; names the link.
     """
     pieces: list[Piece] = []
-    for collision in link.collisions:
+    for shape in link.collisions:
         try:
-            found = _pieces(collision.geometry, meshes, link.name)
+            found = _pieces(shape.geometry, meshes, link.name)
         except (HandError, MeshError) as error:
-            raise HandError(f"{meshes.urdf}: link '{link.name}': {error}") from None
+            raise HandError(f"{meshes.path}: link '{link.name}': {error}") from None
+        moved = not np.array_equal(shape.T_link_shape, np.eye(4))
         for piece in found:
-            if collision.origin is not None:
-                piece = piece.transformed(collision.origin)
+            piece = piece.transformed(shape.T_link_shape) if moved else piece
             # Two pieces in one place would each hide the other's surface.
             if not any(np.array_equal(piece.vertices, p.vertices) and piece.radius == p.radius for p in pieces):
                 pieces.append(piece)
     return tuple(pieces)
 
 
-def primitive(geometry: yourdfpy.Geometry) -> Piece | None:
-    """The box, cylinder or sphere that a <geometry> holds; None if that is a mesh.
-
-    Raises:
-        MeshError: a size is not positive.
-    """
-    if geometry.box is not None:
-        return box(geometry.box.size)
-    if geometry.cylinder is not None:
-        return cylinder(geometry.cylinder.radius, geometry.cylinder.length)
-    if geometry.sphere is not None:
-        return sphere(geometry.sphere.radius)
-    return None
-
-
-def _pieces(geometry: yourdfpy.Geometry, meshes: LinkMeshes, link: str) -> tuple[Piece, ...]:
-    if (piece := primitive(geometry)) is not None:
-        return (piece,)
-    scale = np.ones(3) if geometry.mesh.scale is None else np.broadcast_to(geometry.mesh.scale, 3)
-    return meshes.pieces(geometry.mesh.filename, scale, link)
+def _pieces(geometry: Geometry, meshes: LinkMeshes, link: str) -> tuple[Piece, ...]:
+    assert not isinstance(geometry, Surface)  # surfaces are for display
+    return meshes.pieces(geometry, link) if isinstance(geometry, MeshFile) else (geometry.piece(),)
 
 
 def scaled(mesh: trimesh.Trimesh, scale: Scale) -> trimesh.Trimesh:

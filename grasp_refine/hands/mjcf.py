@@ -1,42 +1,38 @@
-"""MJCF files of hands: reading, names, and joints that are matched by name."""
+"""MJCF files of hands: reading, the hand in them, names, and joints that are matched by name."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
+from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
-
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_FIRST = re.compile(rb"<\s*([A-Za-z]\w*)")
-
-FILE_ADVICE = "it must be a MuJoCo XML file with its meshes where it names them"
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Return the MJCF file `path`, in which bodies stay those of the file.
+    """Return the MJCF file `path`, in which bodies stay those of the file; its textures are left out.
 
     Raises:
-        HandError: it is missing, or no MJCF.
+        HandError: it is missing, no MJCF, or holds what no hand may have.
     """
-    if not path.is_file():
-        raise HandError(f"{path}: no such MJCF file")
+    check_xml(path)
     try:
         with unlogged():
             spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
-    # MuJoCo reads URDF files too, but such a hand is made from its URDF.
-    outermost = _FIRST.search(_COMMENT.sub(b"", path.read_bytes()))
-    if outermost and outermost[1] == b"robot":
-        raise HandError(f"{path}: a URDF, not an MJCF; {FILE_ADVICE}")
+    if (count := len(spec.bodies) - 1) > MAX_BODIES:
+        raise HandError(f"{path}: has {count} bodies, more than the {MAX_BODIES} that a hand may have")
     # Bodies and their frames must be those of the file.
     spec.compiler.fusestatic = False
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    delete(spec, list(spec.textures))
     return spec
 
 
@@ -51,6 +47,69 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
             return spec.compile()
     except ValueError as error:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
+
+
+def keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
+    """Delete everything but the hand: what is beside it, its free joint, cameras, lights, sensors and keyframes.
+
+    Returns:
+        Name of its root body, and notes on what is left out.
+
+    Raises:
+        HandError: there is no hand, or several.
+    """
+    for things in (
+        spec.keys,
+        spec.sensors,
+        spec.cameras,
+        spec.lights,
+        spec.skins,
+        spec.numerics,
+        spec.texts,
+        spec.tuples,
+    ):
+        delete(spec, list(things))
+    tops = list(spec.worldbody.bodies)
+    jointed = [body for body in tops if _moving_below(body)]
+    if len(jointed) != 1:
+        found = ", ".join(f"'{body.name}'" for body in jointed) or "none"
+        free = ", ".join(f"'{body.name}'" for body in tops if body.joints and not jointed)
+        why = f" ({free} has no joints but a free one)" if free else ""
+        raise HandError(
+            f"{path}: one body with joints, the hand, must hang from <worldbody>, here: {found}{why}; fingers need a "
+            "body that holds them, and several hands a file each"
+        )
+    (root,) = jointed
+    others = [body for body in tops if body is not root]
+    beside = [*others, *spec.worldbody.geoms, *spec.worldbody.sites]
+    notes = []
+    if others or spec.worldbody.geoms:
+        left_out = count_text(len(others) + len(spec.worldbody.geoms), "thing")
+        notes.append(f"{path.name}: beside the hand, {left_out} left out")
+    gone = {"", "world", *(below.name for body in others for below in [body, *body.find_all("body")])}
+    rigid = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+    tied = [e for e in spec.equalities if e.type in rigid and e.objtype == mujoco.mjtObj.mjOBJ_BODY]
+    delete(spec, [equality for equality in tied if {equality.name1, equality.name2} & gone])
+    delete(spec, [pair for pair in spec.excludes if {pair.bodyname1, pair.bodyname2} & gone])
+    geoms = {geom.name for body in (root, *root.find_all("body")) for geom in body.geoms}
+    delete(spec, [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= geoms])
+    delete(spec, beside)
+    root.mocap = False
+    root.name = root.name or "hand"
+    delete(spec, [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE])
+    return root.name, notes
+
+
+def delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
+    """Delete parts of a specification."""
+    for thing in things:
+        spec.delete(thing)
+
+
+def _moving_below(body: mujoco.MjsBody) -> bool:
+    """Return True if a body has joints, or one below it, other than a free one, which objects and hands may have."""
+    free = mujoco.mjtJoint.mjJNT_FREE
+    return any(joint.type != free for joint in body.joints) or any(_moving_below(child) for child in body.bodies)
 
 
 def name_all(spec: mujoco.MjSpec) -> None:

@@ -1,4 +1,4 @@
-"""Couplings of joints that an MJCF of the hand tells and its URDF does not: tendons of actuators, joint equalities."""
+"""Couplings of joints that an MJCF of the hand tells: tendons of actuators, joint equalities."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.hands.alignment import Mechanism, align
 from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.hands.mimics import followed
-from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, keep_hand, matched_joints, name_all, read_mjcf
 from grasp_refine.hands.tree import Joint, Mimic
 
 MIN_ALIGNMENT = 1.0 - 1e-6
@@ -90,11 +90,12 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
 
     Args:
         path: The file.
-        mechanism: Joints of the hand as its URDF has them.
+        mechanism: Joints of the hand as its own file has them.
         named: As for `matched_joints`.
     """
     try:
         spec = read_mjcf(path)
+        keep_hand(spec, path)
         name_all(spec)
         matched = matched_joints(mechanism, named, spec, path)
         model = compile_mjcf(spec, path)

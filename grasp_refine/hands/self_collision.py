@@ -19,9 +19,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
-
-LinkPair = tuple[str, str]
-"""Names of two links."""
+from grasp_refine.hands.tree import LinkPair
 
 SCHEMA = 2
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
@@ -85,6 +83,7 @@ def touching_pairs(
     - are neighbours: one hangs from the other, with one movable joint between them, or several with nothing solid
       between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
       design;
+    - never collide by the file of the hand;
     - overlap at `hand.rest`, or nearly always: so do hulls that cover more than the link, such as those of a
       knuckle's next but one. A rest pose that is itself in collision hides a pair here, so that a hand whose middle
       of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
@@ -212,8 +211,10 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
             f"other, more than the {MAX_PAIRS} that are checked; leave the collision geometry of some links out"
         )
     apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]
-    pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out]
-    return pairs, len(apart) - len(pairs)
+    excluded = {frozenset(pair) for pair in hand.excluded}
+    near = [(a, b) for a, b in apart if (part[a], part[b]) in left_out]
+    pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out and frozenset((a, b)) not in excluded]
+    return pairs, len(near)
 
 
 def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Bool[np.ndarray, " pairs"]:
@@ -295,6 +296,8 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
         ],
         "values": [array.tolist() for array in (matrix, offset, hand.lower, hand.upper, hand.rest)],
     }
+    if hand.excluded:
+        settings["excluded"] = [(place[a], place[b]) for a, b in hand.excluded]
     vertices, faces = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("vertices", "faces"))
     return disk.entry_name(vertices, faces, json.dumps(settings))
 

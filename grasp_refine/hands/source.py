@@ -12,10 +12,7 @@ from grasp_refine.assets.manifest import read_manifest
 from grasp_refine.assets.names import find_asset
 from grasp_refine.core.errors import AssetError, GraspFileError, HandError
 from grasp_refine.core.names import exists, expand_user, is_file
-from grasp_refine.hands.hand_toml import HandToml, only_urdf, read_hand_toml
-
-HAND_TOML = "hand.toml"
-"""Name of the file beside a URDF that adds what the URDF does not hold."""
+from grasp_refine.hands.hand_toml import HAND_TOML, HandToml, only_file, read_hand_toml
 
 
 def list_hands() -> tuple[str, ...]:
@@ -25,7 +22,7 @@ def list_hands() -> tuple[str, ...]:
 
 def needs_urdf(name: str) -> bool:
     """Return True if the hand `name` of `list_hands()` has no URDF of ours: it is fetched, or given by the user."""
-    return read_hand_toml(resource_dir("robots") / name / HAND_TOML).urdf is None
+    return read_hand_toml(resource_dir("robots") / name / HAND_TOML).file is None
 
 
 def is_known(name: str) -> bool:
@@ -47,11 +44,11 @@ def check_known(name: str, file: Path) -> None:
 def hand_files(
     source: str | Path, urdf: Path | None, mjcf: Path | None, on_message: Callable[[str], None]
 ) -> tuple[str, HandToml]:
-    """The hand's name, and its hand.toml, or one that only names its files, with a URDF in any case.
+    """The hand's name, and its hand.toml, or one that only names its files, with a URDF or an MJCF in any case.
 
     Args:
-        source: One of `list_hands()`, a folder, a .urdf file, a hand.toml, or an asset, as `hands/leap`: its files, and
-            what our hand.toml of that name adds to them.
+        source: One of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, or an asset, as `hands/leap`: its
+            files, and what our hand.toml of that name adds to them.
         urdf: Used instead of the URDF that hand.toml names. Where neither gives one, that of the asset is used.
         mjcf: Used instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
         on_message: Called with a line on what is fetched.
@@ -61,12 +58,12 @@ def hand_files(
         HandError: a file is missing or malformed.
     """
     name, toml = _locate(source, urdf, on_message)
-    if toml.urdf is None:
+    if toml.file is None:
         asset = find_asset(name, "hands")
         if asset is None:
             raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
         try:
-            toml = replace(toml, urdf=fetched(asset, on_message))
+            toml = replace(toml, file=fetched(asset, on_message))
         except AssetError as error:
             raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
     if mjcf is not None:
@@ -87,16 +84,14 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
     if not exists(path):
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:
-            if asset.main is None or not asset.main.path.endswith(".urdf"):
-                raise HandError(f"{source}: is an MJCF, which goes with a hand: --hand NAME --mjcf {asset.name}")
             ours = resource_dir("robots") / asset.name / HAND_TOML
             urdf = fetched(asset, on_message) if urdf is None else urdf
-            toml = replace(read_hand_toml(ours), urdf=urdf) if ours.is_file() else HandToml(urdf, urdf)
+            toml = replace(read_hand_toml(ours), file=urdf) if ours.is_file() else HandToml(urdf, urdf)
             # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml
         choices = (
-            f"the hands here are {', '.join(list_hands())}; or give a folder, a .urdf file, a {HAND_TOML}, or an asset "
-            "(refine-grasp assets list hands)"
+            f"the hands here are {', '.join(list_hands())}; or give a folder, a URDF or MJCF file, a {HAND_TOML}, or "
+            "an asset (refine-grasp assets list hands)"
         )
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand '{source}'; {choices}")
@@ -106,9 +101,9 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
     if beside.is_file():
         toml = read_hand_toml(beside)
         named = path.is_dir() or path.samefile(beside)
-        if named or (toml.urdf is not None and path.samefile(toml.urdf)):
-            return folder.resolve().name, toml if urdf is None else replace(toml, urdf=urdf)
+        if named or (toml.file is not None and path.samefile(toml.file)):
+            return folder.resolve().name, toml if urdf is None else replace(toml, file=urdf)
     if urdf is not None:
         raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
-    urdf = only_urdf(path) if path.is_dir() else path
-    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(urdf, urdf)
+    file = only_file(path) if path.is_dir() else path
+    return (folder.resolve().name if path.is_dir() else path.stem), HandToml(file, file)

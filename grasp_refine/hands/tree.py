@@ -1,11 +1,12 @@
-"""The kinematic tree of a hand: joints as the program uses them, from a URDF whose links form one tree."""
+"""The kinematic tree of a hand: links and joints as its file has them, and joints as the program uses them."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +14,15 @@ from jaxtyping import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_so3, transform
 from grasp_refine.core.short_repr import brief
-from grasp_refine.hands.urdf import read_urdf
+from grasp_refine.hands.inertia import Inertia
+from grasp_refine.hands.shape import Shape
 
-if TYPE_CHECKING:
-    import yourdfpy
+LinkPair = tuple[str, str]
+"""Names of two links."""
+
+
+Kind = Literal["revolute", "continuous", "prismatic", "fixed"]
+"""Kinds of joints that a hand can have."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,7 @@ class Joint:
 
     name: str
     """Unique name."""
-    kind: Literal["revolute", "continuous", "prismatic", "fixed"]
+    kind: Kind
     """Type of motion."""
     parent: str
     """Link towards the base."""
@@ -72,19 +78,83 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
+class LinkEntry:
+    """A link as its file has it."""
+
+    name: str
+    """Name."""
+    collisions: tuple[Shape, ...] = ()
+    """Collision geometry."""
+    mass: float | None = None
+    """Mass in kg; None where the file gives none."""
+    inertia: Inertia | None = None
+    """Mass, centre and moments, not necessarily physical; None where it has no moments."""
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class JointEntry:
+    """A joint as its file has it: values are finite, but not checked otherwise."""
+
+    name: str
+    """Name."""
+    kind: str
+    """Type of motion, in the words of URDF; others for what no hand can have."""
+    parent: str
+    """Link towards the base."""
+    child: str
+    """Link that the joint carries."""
+    T_parent_child: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Pose (4, 4) of the child in its parent where the joint is at 0."""
+    axis: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    """Axis (3,) in the child frame, of any length."""
+    lower: float | None = None
+    """Lower limit in rad or m."""
+    upper: float | None = None
+    """Upper limit in rad or m."""
+    effort: float | None = None
+    """Greatest torque (Nm) or force (N)."""
+    mimic: Mimic | None = None
+    """Coupling to another joint."""
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
 class Tree:
-    """The links and joints of a URDF, checked to form one tree."""
+    """The links and joints of the file of a hand, checked to form one tree."""
 
     path: Path
-    """The URDF file."""
+    """The file."""
     root: str
     """The only link without a parent."""
-    links: dict[str, yourdfpy.Link]
+    links: dict[str, LinkEntry]
     """Links by name, in file order."""
-    joints: dict[str, yourdfpy.Joint]
+    joints: dict[str, JointEntry]
     """Joints by name, in file order."""
+    excluded: tuple[LinkPair, ...] = ()
+    """Pairs of links that never collide, by the file."""
+    notes: tuple[str, ...] = ()
+    """Notes for the user on what was not read."""
 
-    def below(self, base_link: str) -> tuple[list[yourdfpy.Link], list[Joint]]:
+    __repr__ = brief
+
+    @classmethod
+    def of(cls, path: Path, links: Sequence[LinkEntry], joints: Sequence[JointEntry]) -> Tree:
+        """Return the tree of links and joints of the file `path`.
+
+        Raises:
+            HandError: a name occurs twice, or they are not one tree.
+        """
+        for what, names in (("links", [link.name for link in links]), ("joints", [joint.name for joint in joints])):
+            twice = [name for name, count in Counter(names).items() if count > 1]
+            if twice:
+                raise HandError(f"{path}: several {what} have the name '{twice[0]}'")
+        by_name, joint_by_name = {link.name: link for link in links}, {joint.name: joint for joint in joints}
+        return cls(path, _root(path, by_name, joint_by_name), by_name, joint_by_name)
+
+    def below(self, base_link: str) -> tuple[list[LinkEntry], list[Joint]]:
         """Links (the base first) and joints (parents before children) of what hangs from `base_link`.
 
         The rest is not checked, so that errors in it do not matter.
@@ -94,7 +164,7 @@ class Tree:
         """
         if base_link not in self.links:
             raise HandError(f"{self.path}: no link '{base_link}'; its links: {', '.join(self.links)}")
-        leaving: dict[str, list[yourdfpy.Joint]] = {name: [] for name in self.links}
+        leaving: dict[str, list[JointEntry]] = {name: [] for name in self.links}
         for joint in self.joints.values():
             leaving[joint.parent].append(joint)
         joints, waiting = [], leaving[base_link][::-1]
@@ -120,25 +190,10 @@ class Tree:
                 chain.append(mimic.joint)
 
 
-def read_tree(path: Path) -> Tree:
-    """The tree of links and joints in the URDF file `path`.
-
-    Raises:
-        HandError: the file cannot be read as a URDF, or its links and joints are not one tree.
-    """
-    robot = read_urdf(path)
-    for what, things in (("links", robot.links), ("joints", robot.joints)):
-        twice = [name for name, count in Counter(thing.name for thing in things).items() if count > 1]
-        if twice:
-            raise HandError(f"{path}: several {what} have the name '{twice[0]}'")
-    links, joints = {link.name: link for link in robot.links}, {joint.name: joint for joint in robot.joints}
-    return Tree(path, _root(path, links, joints), links, joints)
-
-
-def _root(path: Path, links: dict[str, yourdfpy.Link], joints: dict[str, yourdfpy.Joint]) -> str:
+def _root(path: Path, links: dict[str, LinkEntry], joints: dict[str, JointEntry]) -> str:
     if not links:
         raise HandError(f"{path}: has no links")
-    above: dict[str, yourdfpy.Joint] = {}
+    above: dict[str, JointEntry] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
@@ -167,41 +222,37 @@ def _root(path: Path, links: dict[str, yourdfpy.Link], joints: dict[str, yourdfp
     return roots[0]
 
 
-def _joint(raw: yourdfpy.Joint, path: Path) -> Joint:
+def _joint(raw: JointEntry, path: Path) -> Joint:
     where = f"{path}: joint '{raw.name}'"
-    if raw.type in ("floating", "planar"):
+    if raw.kind in ("floating", "planar", "ball"):
         raise HandError(
-            f"{where} is {raw.type}, which is not supported; a hand's root moves freely anyway: "
+            f"{where} is {raw.kind}, which is not supported; a hand's root moves freely anyway: "
             f"choose a base_link below it, such as '{raw.child}'"
         )
-    if raw.type not in ("revolute", "continuous", "prismatic", "fixed"):
-        raise HandError(f"{where} has the type '{raw.type}'; valid: revolute, continuous, prismatic, fixed")
+    kind: Kind | None = next((kind for kind in get_args(Kind) if kind == raw.kind), None)
+    if kind is None:
+        raise HandError(f"{where} has the type '{raw.kind}'; valid: {', '.join(get_args(Kind))}")
     axis, mimic = np.zeros(3), None
-    if raw.type != "fixed":
+    if raw.kind != "fixed":
         with np.errstate(over="ignore"):
             length = float(np.linalg.norm(raw.axis))
         if not 1e-9 < length < 1e9:
             raise HandError(f"{where} has the axis {raw.axis.tolist()}, which is no direction")
-        axis = raw.axis / length
-        if raw.mimic is not None:
-            mimic = Mimic(raw.mimic.joint, raw.mimic.multiplier, raw.mimic.offset)
+        axis, mimic = raw.axis / length, raw.mimic
     lower, upper = _limits(raw, where)
-    effort = raw.limit.effort if raw.limit is not None else None
     # Some exporters write effort 0 where they do not know it.
-    effort = effort if effort is not None and effort > 0 else None
-    origin = np.eye(4) if raw.origin is None else raw.origin
-    return Joint(raw.name, raw.type, raw.parent, raw.child, origin, axis, lower, upper, mimic, effort)
+    effort = raw.effort if raw.effort is not None and raw.effort > 0 else None
+    return Joint(raw.name, kind, raw.parent, raw.child, raw.T_parent_child, axis, lower, upper, mimic, effort)
 
 
-def _limits(raw: yourdfpy.Joint, where: str) -> tuple[float, float]:
-    if raw.type == "fixed":
+def _limits(raw: JointEntry, where: str) -> tuple[float, float]:
+    if raw.kind == "fixed":
         return 0.0, 0.0
-    if raw.type == "continuous":
+    if raw.kind == "continuous":
         return -np.inf, np.inf
-    limit = raw.limit
-    if limit is None or limit.lower is None or limit.upper is None:
-        hint = "; without limits its type would be continuous" if raw.type == "revolute" else ""
-        raise HandError(f"{where} is {raw.type} and needs <limit> with lower and upper{hint}")
-    if limit.lower > limit.upper:
-        raise HandError(f"{where} has reversed limits: lower {limit.lower:g} is above upper {limit.upper:g}")
-    return limit.lower, limit.upper
+    if raw.lower is None or raw.upper is None:
+        hint = "; without limits its type would be continuous" if raw.kind == "revolute" else ""
+        raise HandError(f"{where} is {raw.kind} and needs limits, lower and upper{hint}")
+    if raw.lower > raw.upper:
+        raise HandError(f"{where} has reversed limits: lower {raw.lower:g} is above upper {raw.upper:g}")
+    return raw.lower, raw.upper

@@ -20,9 +20,9 @@ from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
 from grasp_refine.grasps.rebase import rebased
 from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known
-from grasp_refine.hands.tree import read_tree
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.example import example_grasps

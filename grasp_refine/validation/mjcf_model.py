@@ -1,20 +1,18 @@
-"""Model of a hand for MuJoCo, read from an MJCF file and matched to the URDF's joints by name and position."""
+"""Model of a hand for MuJoCo, read from an MJCF file and matched to the hand's joints by name and position."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from grasp_refine.core.errors import HandError
-from grasp_refine.core.plurals import count_text
-from grasp_refine.hands.alignment import Mechanism, align
+from grasp_refine.hands.alignment import Mechanism, align, body_pose
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, keep_hand, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.servos import moved_joints, other_actuators, servo_settings
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.servos import check_servos, moved_joints, servo_settings
 from grasp_refine.validation.urdf_model import add_actuators
 
 SIZE_FIELDS = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
@@ -36,10 +34,9 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     """
     spec = read_mjcf(path)
     _reset(spec)
-    notes: list[str] = []
-    root = _only_the_hand(spec, path, notes)
+    root, notes = keep_hand(spec, path)
     name_all(spec)
-    mechanism = Mechanism(hand.name, hand.base_link, hand.joints, hand.joint_names)
+    mechanism = Mechanism(hand.name, hand.urdf, hand.base_link, hand.joints, hand.joint_names)
     matched = matched_joints(mechanism, hand.mjcf_joints, spec, path)
     _drop_joints(spec, set(matched.values()), notes)
     _drop_visuals(spec, path)
@@ -49,15 +46,16 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     fit = align(mechanism, matched, model, path)
     notes += fit.notes
     driven = {joint: matched[joint] for joint in hand.joint_names}
-    if spec.actuators:
-        check_servos(spec, path)
-    else:
+    others = other_actuators(spec)
+    if others or not spec.actuators:
+        delete(spec, list(spec.actuators))
         add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
-        notes.append(f"{path.name} has no actuators: position actuators are added, as for the URDF")
+        why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
+        notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
     idle = [joint for joint, name in matched.items() if name not in moved_joints(spec)]
     if idle:
         notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
-    T_base_root = fit.T_base_world @ _pose(model, root)
+    T_base_root = fit.T_base_world @ body_pose(model, root)
     # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
     top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
@@ -72,9 +70,9 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         joints=tuple(matched.values()),
         matrix=matrix,
         offset=offset,
-        links=_links(hand, model, root, matched),
+        links=_links(hand, model, root, matched, own=path.samefile(hand.urdf)),
         notes=tuple(notes),
-        actuator=servo_settings(hand, placed, matched, matrix),
+        actuator=servo_settings(hand.joint_names, hand.coupled, placed, matched, matrix),
     )
 
 
@@ -99,54 +97,6 @@ def _public(thing: object) -> list[str]:
     return [name for name in dir(thing) if not name.startswith("_")]
 
 
-def _only_the_hand(spec: mujoco.MjSpec, path: Path, notes: list[str]) -> str:
-    """Return the name of the root body of the hand; everything else is deleted."""
-    for things in (
-        spec.keys,
-        spec.sensors,
-        spec.cameras,
-        spec.lights,
-        spec.skins,
-        spec.numerics,
-        spec.texts,
-        spec.tuples,
-    ):
-        _delete(spec, list(things))
-    tops = list(spec.worldbody.bodies)
-    jointed = [body for body in tops if _joints_below(body)]
-    if len(jointed) != 1:
-        found = ", ".join(f"'{body.name}'" for body in jointed) or "none"
-        raise HandError(f"{path}: one body with joints must hang from <worldbody>, here: {found}")
-    (root,) = jointed
-    others = [body for body in tops if body is not root]
-    beside = [*others, *spec.worldbody.geoms, *spec.worldbody.sites]
-    if others or spec.worldbody.geoms:
-        left_out = count_text(len(others) + len(spec.worldbody.geoms), "thing")
-        notes.append(f"{path.name}: beside the hand, {left_out} left out")
-    gone = {"", "world", *(below.name for body in others for below in [body, *body.find_all("body")])}
-    rigid = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
-    tied = [e for e in spec.equalities if e.type in rigid and e.objtype == mujoco.mjtObj.mjOBJ_BODY]
-    _delete(spec, [equality for equality in tied if {equality.name1, equality.name2} & gone])
-    _delete(spec, [pair for pair in spec.excludes if {pair.bodyname1, pair.bodyname2} & gone])
-    _delete(spec, beside)
-    root.mocap = False
-    root.name = root.name or "hand"
-    free = [joint for joint in root.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    _delete(spec, free)
-    if not _joints_below(root):
-        raise HandError(f"{path}: body '{root.name}' has no joints but a free one")
-    return root.name
-
-
-def _joints_below(body: mujoco.MjsBody) -> list[mujoco.MjsJoint]:
-    return [*body.joints, *(joint for child in body.bodies for joint in _joints_below(child))]
-
-
-def _delete(spec: mujoco.MjSpec, things: Sequence[object]) -> None:
-    for thing in things:
-        spec.delete(thing)
-
-
 def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
     """Delete joints that are not kept, and what acts on them."""
     dropped = {joint.name for joint in spec.joints} - kept
@@ -168,10 +118,10 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
             return bool(names & dropped)
         return equality.type == mujoco.mjtEq.mjEQ_TENDON and bool(names & loose)
 
-    _delete(spec, [actuator for actuator in spec.actuators if acts(actuator)])
-    _delete(spec, [equality for equality in spec.equalities if ties(equality)])
-    _delete(spec, [tendon for tendon in spec.tendons if tendon.name in loose])
-    _delete(spec, [joint for joint in spec.joints if joint.name in dropped])
+    delete(spec, [actuator for actuator in spec.actuators if acts(actuator)])
+    delete(spec, [equality for equality in spec.equalities if ties(equality)])
+    delete(spec, [tendon for tendon in spec.tendons if tendon.name in loose])
+    delete(spec, [joint for joint in spec.joints if joint.name in dropped])
 
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
@@ -189,19 +139,12 @@ def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
     spec.discard_visual()
 
 
-def _pose(model: mujoco.MjModel, body: str) -> np.ndarray:
-    """Return the pose (4, 4) of a body in the world at the reference positions of all joints."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = data.body(body).xmat.reshape(3, 3), data.body(body).xpos
-    return T
-
-
-def _links(hand: Hand, model: mujoco.MjModel, root: str, matched: Mapping[str, str]) -> dict[str, str]:
+def _links(hand: Hand, model: mujoco.MjModel, root: str, matched: Mapping[str, str], *, own: bool) -> dict[str, str]:
     """Return body -> link that it represents: the child of a matched joint, the base link, or itself."""
     names = [model.body(number).name for number in range(1, model.nbody)]
     links = {name: name for name in names}
+    if own:
+        return links
     jointed = [model.body(int(model.joint(name).bodyid[0])) for name in matched.values()]
     for name, body in zip(matched, jointed, strict=True):
         links[body.name] = hand.joints_by_name[name].child

@@ -14,12 +14,12 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.servos import moments
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.servos import moments
 
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
 """Names of bodies and free joints; the hand's is also the prefix of its names."""

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from grasp_refine.hands.base_link import Base, guess_base
+from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.hands.tree import read_tree
 
 SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

@@ -47,7 +47,7 @@ def test_every_key(tmp_path: Path) -> None:
     ratio = [1, -0.5]
     """
     toml = read(tmp_path, text, "a.urdf", "b.urdf", "a.xml")
-    assert (toml.urdf, toml.mjcf, toml.base_link) == (tmp_path / "a.urdf", tmp_path / "a.xml", "palm")
+    assert (toml.file, toml.mjcf, toml.base_link) == (tmp_path / "a.urdf", tmp_path / "a.xml", "palm")
     assert (toml.collision, toml.mjcf_joints) == ("mjcf", {"J1": "rh_J1"})
     assert toml.rest_pose == {"J1": 1.0, "J2": -0.5}
     assert toml.contacts[0] == Contact("tip", "tip", None, None)

@@ -1,6 +1,7 @@
 """Collision geometry of links: primitives, meshes with scales as hulls or several pieces, and what is said of these."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from grasp_refine.hands import mesh_files
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.link_geometry import LinkMeshes, link_pieces
 from grasp_refine.hands.mesh_files import resolve_mesh
-from grasp_refine.hands.urdf import read_urdf
+from grasp_refine.hands.shape import MeshFile
+from grasp_refine.hands.urdf_tree import urdf_tree
 from refusals import assert_names, refused
 
 WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
@@ -40,7 +42,7 @@ def cut(package: Path, *geometries: str, origin: str = "", limit: float = 5e-3) 
     collisions = "".join(f"<collision>{origin}<geometry>{g}</geometry></collision>" for g in geometries)
     path.write_text(f'<robot name="r"><link name="tip">{collisions}</link></robot>')
     meshes = LinkMeshes(path, limit)
-    return link_pieces(read_urdf(path).links[0], meshes), meshes.notes()
+    return link_pieces(next(iter(urdf_tree(path).links.values())), meshes), meshes.notes()
 
 
 def volume(piece: Piece) -> float:
@@ -171,7 +173,7 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
     joint = '<joint name="j" type="fixed"><parent link="left"/><child link="right"/></joint>'
     path.write_text(f'<robot name="r">{links}{joint}</robot>')
     meshes = LinkMeshes(path)
-    left, right = (link_pieces(link, meshes) for link in read_urdf(path).links)
+    left, right = (link_pieces(link, meshes) for link in urdf_tree(path).links.values())
     assert len(left) == 2, "the repeated element counts once"
     assert [a is b for a, b in zip(left, right, strict=True)] == [True, True]
     (note,) = meshes.notes()
@@ -188,10 +190,9 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
 )
 def test_meshes_of_known_hands(shared_assets: Path, hand: str, link: str, pieces: int, note: str | None) -> None:
     meshes = LinkMeshes(shared_assets / "hands" / hand)
-    (raw,) = [raw for raw in read_urdf(meshes.urdf).links if raw.name == link]
-    of_meshes = [collision for collision in raw.collisions if collision.geometry.mesh is not None]
-    raw.collisions[:] = of_meshes
-    found = link_pieces(raw, meshes)
+    raw = urdf_tree(meshes.path).links[link]
+    of_meshes = tuple(shape for shape in raw.collisions if isinstance(shape.geometry, MeshFile))
+    found = link_pieces(replace(raw, collisions=of_meshes), meshes)
     assert len(found) == pieces
     notes = meshes.notes()
     assert len(notes) == (note is not None)

@@ -9,7 +9,8 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import AssetError, HandError
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.hands.source import HAND_TOML, hand_files, list_hands, needs_urdf
+from grasp_refine.hands.hand_toml import HAND_TOML
+from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
 from refusals import assert_names, refused
 
 
@@ -27,7 +28,7 @@ def silent(line: str) -> None:
 def test_our_own_hands_need_nothing_from_elsewhere() -> None:
     for name in list_hands():
         if not needs_urdf(name):
-            assert hand_files(name, None, None, silent)[1].urdf.is_file()
+            assert hand_files(name, None, None, silent)[1].file.is_file()
     assert {"barrett", "robotiq3f"} == {name for name in list_hands() if needs_urdf(name)}
 
 
@@ -36,7 +37,7 @@ def test_the_urdf_of_a_hand_without_one_is_fetched(name: str, mirror: Path) -> N
     said: list[str] = []
     found, toml = hand_files(name, None, None, said.append)
     assert found == name and toml.path == resource_dir("robots") / name / HAND_TOML
-    assert toml.urdf.read_bytes() == (mirror / f"hands/{name}/{name}.urdf").read_bytes()
+    assert toml.file.read_bytes() == (mirror / f"hands/{name}/{name}.urdf").read_bytes()
     (line,) = said
     assert_names(line, f"hands/{name}", "BSD")
     hand_files(name, None, None, silent)
@@ -57,7 +58,7 @@ def test_a_path_wins_over_an_asset(mirror: Path, workplace: Path) -> None:
     folder = workplace / "hands" / "leap"
     folder.mkdir(parents=True)
     (folder / "mine.urdf").write_text("<robot/>")
-    assert hand_files("hands/leap", None, None, silent)[1].urdf == Path("hands/leap/mine.urdf")
+    assert hand_files("hands/leap", None, None, silent)[1].file == Path("hands/leap/mine.urdf")
 
 
 def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
@@ -67,9 +68,9 @@ def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
         hand_files("shadow", None, Path("nothing.xml"), silent)
 
 
-def test_an_mjcf_alone_is_no_hand(mirror: Path) -> None:
-    with refused(HandError, "shadow_mjcf", "--hand NAME --mjcf shadow_mjcf"):
-        hand_files("shadow_mjcf", None, None, silent)
+def test_an_mjcf_of_the_assets_is_a_hand(mirror: Path) -> None:
+    hand = load_hand("shadow_mjcf", candidates=16)
+    assert (hand.name, hand.base_link, hand.collision) == ("hands/shadow_mjcf", "rh_palm", "mjcf")
 
 
 def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.tree import Tree, read_tree
+from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.tree import Tree
 from refusals import refused
 
 LIMIT = '<limit lower="-1" upper="2" effort="3"/>'
@@ -91,9 +92,9 @@ def test_links_that_form_no_tree(tmp_path: Path, links: str, joints: list[str], 
         ("floating", "", ("floating", "base_link", "'b'")),
         ("planar", "", ("planar", "base_link", "'b'")),
         ("hinge", "", ("'hinge'", "revolute, continuous, prismatic, fixed")),
-        ("revolute", "", ("revolute", "<limit>", "lower", "upper", "continuous")),
-        ("revolute", '<limit upper="1"/>', ("revolute", "<limit>", "lower", "upper")),
-        ("prismatic", '<limit lower="0" effort="1"/>', ("prismatic", "<limit>", "lower", "upper")),
+        ("revolute", "", ("revolute", "limits", "lower", "upper", "continuous")),
+        ("revolute", '<limit upper="1"/>', ("revolute", "limits", "lower", "upper")),
+        ("prismatic", '<limit lower="0" effort="1"/>', ("prismatic", "limits", "lower", "upper")),
         ("revolute", '<limit lower="1" upper="-1"/>', ("lower 1", "upper -1")),
         ("continuous", '<axis xyz="0 0 0"/>', ("axis", "[0.0, 0.0, 0.0]")),
         ("continuous", '<axis xyz="1e300 0 0"/>', ("axis", "[1e+300, 0.0, 0.0]")),

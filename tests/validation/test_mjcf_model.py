@@ -15,9 +15,9 @@ from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.mjcf import prefixed_names
+from grasp_refine.hands.servos import moments
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model
-from grasp_refine.validation.servos import moments
 from refusals import assert_names, refused
 
 NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}
@@ -353,10 +353,15 @@ def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
         '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 -2 0"/>',
     ],
 )
-def test_what_is_no_position_servo_is_refused(tmp_path: Path, servo: str) -> None:
-    path = written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo))
-    with refused(HandError, "hand.xml", "'p1'", "position"):
-        mjcf_model(ours(tmp_path), path)
+def test_what_is_no_position_servo_is_replaced_by_those_of_the_hand(tmp_path: Path, servo: str) -> None:
+    path, hand = (
+        written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo)),
+        ours(tmp_path),
+    )
+    made = mjcf_model(hand, path)
+    assert_names(" ".join(made.notes), "hand.xml", "p1", "position")
+    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
+    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
 
 
 def test_names_match_behind_a_prefix() -> None:

@@ -14,8 +14,8 @@ from grasp_refine.geometry.pieces import Piece, box
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.hands.servos import servo_settings
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.servos import servo_settings
 from grasp_refine.validation.urdf_model import Parts, excluded_pairs, urdf_model
 
 SHARED = ("allegro", "robotiq3f", "shadow", "leap", "barrett")
@@ -210,7 +210,7 @@ def test_what_is_simulated_is_what_the_hand_says(tmp_path: Path) -> None:
     made = urdf_model(hand)
     assert made.actuator is hand.actuator
     matched = {name: name for name in made.joints}
-    read = servo_settings(hand, made.spec.compile(), matched, made.matrix)
+    read = servo_settings(hand.joint_names, hand.coupled, made.spec.compile(), matched, made.matrix)
     for field in fields(read):
         np.testing.assert_allclose(getattr(read, field.name), getattr(hand.actuator, field.name), err_msg=field.name)
 

@@ -10,12 +10,12 @@ from mujoco.batch import Batch
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.servos import moments
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.tabletop import TABLETOP
-from grasp_refine.validation.servos import moments
 from grasp_refine.validation.simulation import close, simulate
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.world import TABLE, build_world

@@ -57,8 +57,8 @@ class Digests:
         key = (source, inputs.urdf, inputs.mjcf)
         if key not in self._hands:
             name, toml = hand_files(source, inputs.urdf, inputs.mjcf, say)
-            assert toml.urdf is not None
-            described = [path for path in (toml.urdf, toml.path, toml.mjcf) if path is not None]
+            assert toml.file is not None
+            described = [path for path in (toml.file, toml.path, toml.mjcf) if path is not None]
             files = dict.fromkeys(file for path in described for file in (path, *_meshes(path)))
             # Without their folders: a copy of a hand is the same hand.
             contents = [(file.name, self.file(file)["sha256"]) for file in files]

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine.hands.mimics import followed
-from grasp_refine.hands.source import HAND_TOML
 
 _LICENCE = re.compile(r"\b(Apache-2\.0|BSD-[23]-Clause|MIT|GPL-[23]\.0|CC-BY[-A-Z0-9.]*)\b")
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)

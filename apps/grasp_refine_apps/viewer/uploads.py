@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
-from grasp_refine.hands.source import HAND_TOML
+from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack

@@ -1,37 +1,53 @@
-"""Position servos of a MuJoCo model: check of the actuators, joints that they move, stiffness and force limits."""
+"""Position servos of a MuJoCo model: which actuators are some, joints that they move, stiffness and force limits."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.core.errors import HandError
-from grasp_refine.hands.hand import Actuator, Hand
-from grasp_refine.hands.mjcf import joints_of
+from grasp_refine.hands.alignment import Mechanism
+from grasp_refine.hands.defaults import Actuator
+from grasp_refine.hands.hand_toml import Coupled
+from grasp_refine.hands.mimics import mimic_map
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, keep_hand, name_all, read_mjcf
 
 
-def check_servos(spec: mujoco.MjSpec, path: Path) -> None:
-    """Refuse actuators whose force is not the gain times the distance to their set point.
+def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuator) -> Actuator:
+    """Return the actuators of the MJCF that a hand comes from, in the units and order of `Hand.actuator`.
 
-    A damping of their own is allowed.
-
-    Raises:
-        HandError: an actuator is no position servo; names it and its file `path`.
+    Args:
+        mechanism: Joints of the hand.
+        coupled: Groups of independent joints that share an actuator.
+        given: Stiffness and limits where the file has no actuators, or others than position servos.
     """
-    for actuator in spec.actuators:
+    spec = read_mjcf(mechanism.path)
+    keep_hand(spec, mechanism.path)
+    name_all(spec)
+    model = compile_mjcf(spec, mechanism.path)
+    matrix, _, names = mimic_map(mechanism.joints, mechanism.independent)
+    found = servo_settings(mechanism.independent, coupled, model, {name: name for name in names}, matrix)
+    if not spec.actuators or other_actuators(spec):
+        return replace(given, damping=found.damping, armature=found.armature, frictionloss=found.frictionloss)
+    return found
+
+
+def other_actuators(spec: mujoco.MjSpec) -> list[str]:
+    """Return the names of actuators that are no position servos.
+
+    The force of a servo is the gain times the distance to its set point; a damping of its own is allowed.
+    """
+
+    def is_servo(actuator: mujoco.MjsActuator) -> bool:
         fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
         affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[0] == 0.0
         direct = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
-        if not (fixed and affine and direct and actuator.biasprm[1] == -actuator.gainprm[0]):
-            raise HandError(
-                f"{path}: actuator '{actuator.name}' is no position servo (<position> without timeconst, or <general> "
-                'with biastype="affine", a bias of minus the gain and no dynamics); grasps are sequences of joint '
-                "positions"
-            )
+        return bool(fixed and affine and direct and actuator.biasprm[1] == -actuator.gainprm[0])
+
+    return [actuator.name for actuator in spec.actuators if not is_servo(actuator)]
 
 
 def moved_joints(spec: mujoco.MjSpec) -> set[str]:
@@ -59,7 +75,11 @@ def moments(model: mujoco.MjModel) -> Float[np.ndarray, "u v"]:
 
 
 def servo_settings(
-    hand: Hand, model: mujoco.MjModel, matched: Mapping[str, str], matrix: Float[np.ndarray, "m n"]
+    independent: Sequence[str],
+    coupled: Sequence[Coupled],
+    model: mujoco.MjModel,
+    matched: Mapping[str, str],
+    matrix: Float[np.ndarray, "m n"],
 ) -> Actuator:
     """Return the servos of `model` as actuators of the n independent joints of the hand, in their units and order.
 
@@ -70,21 +90,23 @@ def servo_settings(
     so is damping, to which that of the servos is added.
 
     Args:
-        hand: The hand.
-        model: Its model, all of whose actuators are position servos.
+        independent: The independent joints.
+        coupled: Groups of them that share an actuator.
+        model: Model of the hand, all of whose actuators are position servos.
         matched: Joint of the hand -> its name in the model, for m joints.
         matrix: As `HandModel.matrix` (m, n), for these joints.
     """
+    names = list(independent)
     dof = [model.joint(name).dofadr[0] for name in matched.values()]
     M = np.abs(moments(model)[:, dof] @ matrix)
-    groups = [[hand.joint_names.index(name) for name in group.joints] for group in hand.coupled]
-    ratio = np.ones(len(hand.joint_names))
-    for group, rows in zip(hand.coupled, groups, strict=True):
+    groups = [[names.index(name) for name in group.joints] for group in coupled]
+    ratio = np.ones(len(names))
+    for group, rows in zip(coupled, groups, strict=True):
         ratio[rows] = np.abs(group.ratio)
     M = M / ratio
     # An actuator that does not act on a joint adds nothing to its limit, even if its own limit is infinite.
     reach = np.where(M > 0, _limits(model)[:, None], 0.0) * M
-    own = [model.joint(matched[name]).id for name in hand.joint_names]
+    own = [model.joint(matched[name]).id for name in names]
     limit = np.minimum(
         np.where(M.any(axis=0), reach.sum(axis=0), np.inf),
         _greatest(model.jnt_actfrclimited[own], model.jnt_actfrcrange[own]) / ratio,
