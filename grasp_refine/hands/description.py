@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.hands import urdf
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.shape import Shape
 from grasp_refine.hands.tree import Tree
@@ -23,6 +24,24 @@ def read_tree(path: Path) -> Tree:
     from grasp_refine.hands.mjcf_tree import mjcf_tree
 
     return mjcf_tree(path)
+
+
+def links_with_visuals(path: Path) -> frozenset[str]:
+    """Return the names of the links that have visuals in a URDF or an MJCF.
+
+    Raises:
+        HandError: the file cannot be read as either.
+    """
+    return frozenset(read_visuals(path))
+
+
+def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
+    """Return the names of fixed joints with a mimic, which has no effect there; none in an MJCF.
+
+    Raises:
+        HandError: the file cannot be read.
+    """
+    return () if is_mjcf(path) else urdf.joints_fixed_and_mimicking(path)
 
 
 def read_visuals(path: Path) -> dict[str, list[Shape | HandError]]:

@@ -12,6 +12,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
 from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.prefixed_names import prefixed_names
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
@@ -162,13 +163,6 @@ def matched_joints(mechanism: Mechanism, named: Mapping[str, str], spec: mujoco.
         both = " and ".join(name for name, other in matched.items() if other == twice[0])
         raise HandError(f"{path}: joint '{twice[0]}' is found for {both}; [mjcf_joints] must map them")
     return matched
-
-
-def prefixed_names(name: str, there: Sequence[str]) -> list[str]:
-    """Return the name itself where it is `there`, else the names with a prefix, such as rh_FFJ4 or hand/FFJ4."""
-    if name in there:
-        return [name]
-    return [other for other in there if other.endswith(name) and not other.removesuffix(name)[-1].isalnum()]
 
 
 def joints_of(tendon: mujoco.MjsTendon) -> dict[str, float]:

@@ -197,16 +197,6 @@ def _visual(visual: _Element, materials: dict[str | None, _Element], where: str)
     return read.links[0].visuals[0]
 
 
-def links_with_visuals(path: Path) -> frozenset[str]:
-    """Names of the links in the URDF file `path` that hold a <visual>, which `read_urdf` leaves out.
-
-    Raises:
-        HandError: the file is missing, or not a URDF.
-    """
-    links = _read_xml(path).iterfind("link")
-    return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)
-
-
 def joints_fixed_and_mimicking(path: Path) -> tuple[str, ...]:
     """Names of the fixed joints in the URDF file `path` that hold a <mimic>, which has no effect there.
 

@@ -19,6 +19,7 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
 from grasp_refine.grasps.rebase import rebased
+from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
@@ -105,8 +106,9 @@ class Loader:
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
         sources = {name: self._source(name, path) for name in names}
-        targets = self._targets(grasps, path)
+        grasps = replace(grasps, targets=self._targets(grasps, path))
         hand, grasps, resting = self._hand(grasps, path)
+        targets = grasps.targets
         q, notes = match_joints(grasps, hand)
         notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(spec.hand)))
         groups: list[UncutGroup] = []
@@ -260,22 +262,29 @@ class Loader:
         if spec.hand is None:
             check_known(source, path)
         load = cache(partial(self.load_hand, source))
+        notes = []
         try:
             hand = load(grasps.base_link)
         except HandError:
             full = load(None)
-            links = read_tree(full.urdf).links
-            if grasps.base_link in links:
+            tree = read_tree(full.urdf)
+            if grasps.base_link in tree.links:
                 raise
-            raise GraspFileError(
-                f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
-                f"is no link of hand '{full.name}'; its links are {', '.join(links)}"
-            ) from None
-        notes = []
+            renamed = with_prefixes(grasps, tree.links, tree.joints)
+            if renamed is None:
+                raise GraspFileError(
+                    f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+                    f"is no link of hand '{full.name}'; its links are {', '.join(tree.links)}"
+                ) from None
+            notes.append(
+                f"{path}: base_link '{grasps.base_link}' and the joints of the grasps are found with a prefix, as "
+                f"'{renamed.base_link}', in {full.urdf.name}"
+            )
+            grasps, hand = renamed, load(renamed.base_link)
         if spec.base_link is not None:
             moved, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
             resting = [name for name in moved.joint_names if name not in grasps.joint_names]
-            notes = [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
+            notes += [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
             grasps = moved
         if not any(link.body is not None for link in hand.links):
             raise GraspFileError(

@@ -14,7 +14,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
-from grasp_refine.hands.mjcf import prefixed_names
+from grasp_refine.hands.prefixed_names import prefixed_names
 from grasp_refine.hands.servos import moments
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.mjcf_model import mjcf_model

@@ -12,12 +12,13 @@ import numpy as np
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.description import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hands.hand import Hand, Joint
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
-from grasp_refine.hands.urdf import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.urdf_model import urdf_model
+from grasp_refine.validation.validate import model_of
 
 MAX_TURN_RAD, MAX_SLIDE_M = 4 * np.pi, 1.0
 """Joint limits, rad and m, beyond which they look like degrees or millimetres."""
@@ -66,10 +67,10 @@ def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
     notes = simulation_notes(hand)
     try:
         with unlogged():
-            model = urdf_model(hand).spec.compile()
+            model = model_of(hand).spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         return notes, one_line(error)
-    sizes = {"joints": model.njnt, "followers": model.neq, "convex geoms": model.ngeom, "actuators": model.nu}
+    sizes = {"joints": model.njnt, "followers": model.neq, "geoms": model.ngeom, "actuators": model.nu}
     listed = ", ".join(f"{what} {number}" for what, number in sizes.items())
     return (f"MuJoCo accepts the hand: {listed}", *notes), ""
 
@@ -84,8 +85,10 @@ def simulation_notes(hand: Hand) -> tuple[str, ...]:
         return urdf_model(hand).notes
     model = mjcf_model(hand, hand.mjcf)
     joints = count_text(len(model.joints), "joint")
-    matched = f"{hand.mjcf.name} moves like the URDF: {joints} matched by name and place"
-    return (matched, *model.notes)
+    how = f"{hand.mjcf.name} moves like {hand.urdf.name}: {joints} matched by name and place"
+    if hand.mjcf == hand.urdf:
+        how = f"{hand.mjcf.name} is simulated as it is: {joints}"
+    return (how, *model.notes)
 
 
 def _contacts(hand: Hand) -> tuple[str, ...]:
@@ -121,9 +124,10 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     endless = [j.name for j in independent if j.kind == "continuous"]
     fixed = [name for name in joints_fixed_and_mimicking(hand.urdf) if name in hand.joints_by_name]
     mass = sum(link.mass or 0.0 for link in hand.links)
+    limit = "forcerange in the MJCF" if hand.mjcf == hand.urdf else "force_limit in hand.toml"
     found = {
         "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
-        "no effort limit for {}: they push as hard as their error times kp; set force_limit in hand.toml": unlimited,
+        f"no effort limit for {{}}: they push as hard as their error times kp; set {limit}": unlimited,
         "{} can turn by more than two revolutions: are the limits degrees? They must be radians": [
             name for name in turning if name not in endless
         ],
@@ -132,7 +136,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
         "{} are fixed though they mimic a joint: they do not move": fixed,
         "{} have visuals but no collision geometry: nothing keeps them out of the object": unseen,
         "{} move no link with collision geometry": _idle_joints(hand),
-        f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? URDF is in metres, a mesh has a "
+        f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? Lengths are metres, a mesh has a "
         "scale": [""] * bool(size and max(size) > SIZE_RANGE_M[1]),
         f"the hand is only {max(size, default=0) * 1e3:.3g} mm large: is a mesh's scale wrong?": [""]
         * bool(size and max(size) < SIZE_RANGE_M[0]),

@@ -24,7 +24,13 @@ def hand_toml_text(hand: Hand, folder: Path) -> str:
 
 
 def _head(hand: Hand, folder: Path) -> str:
-    if hand.mjcf is None:
+    if hand.mjcf == hand.urdf:
+        file = [f"mjcf = {_text(_relative(hand.urdf, folder))}"]
+    else:
+        file = [f"urdf = {_text(_relative(hand.urdf, folder))}"]
+    if hand.mjcf == hand.urdf:
+        mjcf = ["# It is simulated as it is; with urdf and mjcf, one is refined and the other may be simulated."]
+    elif hand.mjcf is None:
         mjcf = [
             "# The same hand as an MJCF file, where you have one; with collision it is simulated instead of the URDF.",
             '# mjcf = "hand.xml"',
@@ -39,11 +45,11 @@ def _head(hand: Hand, folder: Path) -> str:
     return "\n".join(
         [
             *_comment(f"Settings beyond {hand.urdf.name}. Written by: refine-grasp hands --check {hand.urdf.name}"),
-            "# A key that is left out is derived from the URDF. Units are metres, radians, newtons and newton metres.",
+            "# A key that is left out is derived from that file. Units are metres, radians, newtons and newton metres.",
             "",
             "# Name in results and grasp files; left out, that of this folder.",
             f"name = {_text(hand.name)}",
-            f"urdf = {_text(_relative(hand.urdf, folder))}",
+            *file,
             "",
             *_comment(f"Base link of the hand; links above it do not move. Reason for this choice: {hand.base_why}."),
             f"base_link = {_text(hand.base_link)}",
@@ -100,11 +106,13 @@ def _actuator(hand: Hand) -> str:
     """Format each key as one number if all joints have the same value, else as a table."""
     meanings = {
         "kp": "stiffness of the position actuators, Nm/rad or N/m",
-        "force_limit": "largest torque or force, Nm or N; by default the URDF's effort",
+        "force_limit": "largest torque or force, Nm or N; by default the effort of the joint",
         "damping": "Nm s/rad or N s/m",
         "armature": "rotor inertia reflected to the joint, kg m^2 or kg",
         "frictionloss": "dry friction, Nm or N",
     }
+    if hand.mjcf == hand.urdf:
+        return "# Actuators are those of the MJCF; [actuator] counts where it has none that are position servos."
     lines = [
         "# How joints are driven in simulation. One number for all, or { default = 5.0, JOINT = 3.0 }.",
         "[actuator]",
@@ -113,7 +121,7 @@ def _actuator(hand: Hand) -> str:
         values = dict(zip(hand.joint_names, getattr(hand.actuator, key).tolist(), strict=True))
         known = {name: value for name, value in values.items() if np.isfinite(value)}
         if not known:
-            lines += [f"# {key}: {meanings[key]}; not in the URDF", f"# {key} = 3.0"]
+            lines += [f"# {key}: {meanings[key]}; not in the file", f"# {key} = 3.0"]
         elif len(set(known.values())) == 1 and len(known) == len(values):
             lines.append(f"{key} = {next(iter(known.values()))!r}  # {meanings[key]}")
         else:
