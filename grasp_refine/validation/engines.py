@@ -23,16 +23,24 @@ def engine_of(name: str, world: World) -> Engine:
     Raises:
         GraspRefineError: there is no such engine, or its package is not installed.
     """
+    plants = check_engine(name)
+    return Rows if plants is None else plants(world).simulations
+
+
+def check_engine(name: str) -> Any:
+    """Return what simulates in an engine, given a world; None for MuJoCo.
+
+    Raises:
+        GraspRefineError: there is no such engine, or its package is not installed.
+    """
     if name == "mujoco":
-        return Rows
+        return None
     if name != "drake":
         raise GraspRefineError(f"engine is {' or '.join(get_args(EngineName))}, got {name!r}")
     try:
         # An engine is a plug-in: it knows worlds and trials, which do not know it.
-        plants: Any = import_module("grasp_refine.validation.drake.rows").Plants
+        return import_module("grasp_refine.validation.drake.rows").Plants
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "pydrake":
             raise
         raise GraspRefineError("engine drake needs Drake: pip install 'grasp-refine[drake]'") from None
-    engine: Engine = plants(world).simulations
-    return engine

@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import uuid4
@@ -24,6 +25,7 @@ from grasp_refine.core.versions import versions
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.results.document import settings
+from grasp_refine.validation.engines import EngineName, check_engine
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.jobs import read_jobs
@@ -40,6 +42,7 @@ from grasp_refine_apps.bench.evidence.report import failures, markdown, report, 
 from grasp_refine_apps.bench.evidence.results import Block, read_blocks, refinement_cpu_s
 from grasp_refine_apps.bench.evidence.sampling import SamplingWork
 from grasp_refine_apps.bench.evidence.trials import GEOMETRY, REFINED, Trial, TrialsWork, folder_of, trials_shards
+from grasp_refine_apps.bench.report import Table
 from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.batch import Batch, Output
 from grasp_refine_apps.commands.options import NOTHING_USABLE, check_numbers
@@ -87,6 +90,9 @@ class BenchEvidence:
     """Generators: sampled, and names of grasp files."""
     protocols: Annotated[tuple[str, ...], arg(metavar="NAME|FILE.toml [...]")] = tuple(PROTOCOLS)
     """Protocols of the simulation: names, and TOML files."""
+    engines: Annotated[tuple[EngineName, ...], arg(metavar="mujoco|drake [...]")] = ("mujoco",)
+    """Engines of the simulation: with both, every grasp is tried in each, and a table tells how far they agree; drake
+    needs the extra `drake`, and several times as long."""
     seed: int = 0
     """Random seed."""
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
@@ -101,10 +107,16 @@ class BenchEvidence:
         check_numbers(self)
         if not self.protocols:
             raise GraspRefineError(f"--protocols needs at least one of {', '.join(PROTOCOLS)}")
-        trials = [Trial(load_protocol(name)) for name in dict.fromkeys(self.protocols)]
-        names = [trial.label for trial in trials]
-        if len(set(names)) < len(names):
-            raise GraspRefineError(f"--protocols: two of them have one name: {', '.join(names)}")
+        if not self.engines:
+            raise GraspRefineError("--engines needs at least one of mujoco, drake")
+        protocols = [load_protocol(name) for name in dict.fromkeys(self.protocols)]
+        if len({protocol.name for protocol in protocols}) < len(protocols):
+            those = ", ".join(protocol.name for protocol in protocols)
+            raise GraspRefineError(f"--protocols: two of them have one name: {those}")
+        for engine in self.engines:
+            check_engine(engine)
+        # Of a shard, the trials under one protocol follow each other: they share its world.
+        trials = [Trial(protocol, engine) for protocol in protocols for engine in dict.fromkeys(self.engines)]
         began, out = time.perf_counter(), self.out.absolute()
         written = [out / f"evidence.{suffix}" for suffix in ("md", "html", "json")]
         check_writable(*written, overwrite=True, inside=out)
@@ -128,9 +140,9 @@ class BenchEvidence:
         if not blocks:
             raise GraspRefineError("no grasps could be refined: " + _failed(cases, blocks, sessions)[0]["reason"])
         failed = _failed(cases, blocks, {**sessions, "trials": simulated})
-        self._write(blocks, failed, names, refined[REFINED], out)
+        found = self._write(blocks, failed, trials, refined[REFINED], out)
         terminal = screen()
-        for table in tables(blocks, failed, names)[:5]:
+        for table in takewhile(lambda table: not table.folded, found):
             terminal.print(table.printed())
         if failed:
             terminal.print(f"{count_text(len(failed), 'job')} failed: see evidence.md", style="red")
@@ -192,12 +204,13 @@ class BenchEvidence:
         self,
         blocks: Sequence[Block],
         failed: Sequence[Row],
-        protocols: Sequence[str],
+        trials: Sequence[Trial],
         refined: Sequence[Shard],
         out: Path,
-    ) -> None:
-        """Write tables, page and document."""
-        found = tables(blocks, failed, protocols)
+    ) -> list[Table]:
+        """Write tables, page and document, and return the tables."""
+        names = [trial.label for trial in trials]
+        found = tables(blocks, failed, names, _pairs(trials))
         document = {
             "schema": SCHEMA,
             "command": "bench evidence",
@@ -219,16 +232,27 @@ class BenchEvidence:
                 what: draw_cases(
                     cases, out, load, patience_s=PATIENCE_S, progress=lambda what, share: progress.wait(what)
                 )
-                for what, cases in failures(blocks, protocols).items()
+                for what, cases in failures(blocks, names).items()
             }
         save_json(out / "evidence.json", document)
         save_text(out / "evidence.md", markdown(found, _about(document)))
         save_text(out / "evidence.html", report(found, pictures).page(document))
+        return found
 
 
 def _complete(shards: Sequence[Shard]) -> set[int]:
     """Numbers of the shards with result files of the same inputs and settings."""
     return {shard.number for shard in shards if state_of(shard) is State.COMPLETE}
+
+
+def _pairs(trials: Sequence[Trial]) -> dict[str, tuple[str, str]]:
+    """Name of each protocol that is tried in MuJoCo and in Drake -> its labels in both."""
+    labels = {(trial.protocol.name, trial.engine): trial.label for trial in trials}
+    return {
+        name: (label, labels[name, "drake"])
+        for (name, engine), label in labels.items()
+        if engine == "mujoco" and (name, "drake") in labels
+    }
 
 
 def _about(document: Mapping[str, Any]) -> list[str]:

@@ -171,6 +171,24 @@ def test_an_interruption_leaves_what_the_next_call_continues(copy: Path, assets:
     assert files(copy).keys() == kept.keys()
 
 
+@pytest.mark.slow
+def test_both_engines_try_the_same_grasps(assets: Path, tmp_path: Path):
+    pytest.importorskip("pydrake")
+    chosen = ("--objects", "ball", "--generators", "sampled", "--grasps", 1, "--protocols", "dexgraspbench")
+    assert evidence(assets, tmp_path, *chosen, "--engines", "mujoco", "drake") == 0
+    tables = document(tmp_path)["tables"]
+    (row,) = tables["All grasps"]
+    (agreed,) = tables["Agreement of MuJoCo and Drake"]
+    assert agreed["grasps"] == 1
+    for at, method in enumerate(("as_given", "geometry_only", "refined")):
+        held = [
+            entries(tmp_path / f"trials/{engine}/dexgraspbench", f"{method}_reason") == "held"
+            for engine in ("mujoco", "drake")
+        ]
+        assert [row["held_dexgraspbench"][at], row["held_dexgraspbench in Drake"][at]] == [each.mean() for each in held]
+        assert agreed["share"][at] == (held[0] == held[1]).mean()
+
+
 def test_bad_input_is_refused(assets: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any):
     monkeypatch.chdir(tmp_path)
     command = ("bench", "evidence", "--assets", assets)
@@ -180,6 +198,8 @@ def test_bad_input_is_refused(assets: Path, capfd: pytest.CaptureFixture[str], t
     assert_names(refused(capfd, *command, "--objects", "spoon"), "--objects", "spoon", "ball")
     assert_names(refused(capfd, *command, "--protocols", "soft"), "soft", "strict")
     assert_names(refused(capfd, *command, "--protocols"), "--protocols")
+    assert_names(refused(capfd, *command, "--engines", "bullet"), "--engines", "bullet", "mujoco", "drake")
+    assert_names(refused(capfd, *command, "--engines"), "--engines", "mujoco", "drake")
     for name in ("one", "two"):
         Path(f"{name}.toml").write_text('name = "mine"')
     assert_names(refused(capfd, *command, "--protocols", "one.toml", "two.toml"), "--protocols", "mine")

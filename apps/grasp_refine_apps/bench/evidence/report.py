@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.worst import Case, case_of
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.evidence.cases import SAMPLED, SIZES_M
-from grasp_refine_apps.bench.evidence.results import NOT_SIMULATED, Block, summaries, summary
+from grasp_refine_apps.bench.evidence.results import NOT_SIMULATED, Block, agreement, summaries, summary
 from grasp_refine_apps.bench.evidence.trials import METHODS, REFINED
 from grasp_refine_apps.bench.report import MISSING, SCALES, Column, Figures, Note, Report, Table
 
@@ -40,14 +41,25 @@ INTRO = (
     "own pregrasp and squeeze; as given, with those of its generator where it has them."
 )
 
+AGREEMENT = (
+    "Grasps as given, by geometry only, and refined, that have the same verdict in both; kappa is the agreement beyond "
+    "chance, and unknown where all grasps have one verdict."
+)
 
-def tables(blocks: Sequence[Block], failed: Sequence[Row], protocols: Sequence[str]) -> list[Table]:
+
+def tables(
+    blocks: Sequence[Block],
+    failed: Sequence[Row],
+    protocols: Sequence[str],
+    pairs: Mapping[str, tuple[str, str]] = MappingProxyType({}),
+) -> list[Table]:
     """Return all tables; the rows of the first are of all grasps.
 
     Args:
         blocks: The grasps.
         failed: Jobs without all results: job, missing (grasps) and reason.
-        protocols: Names of the protocols.
+        protocols: Names of the protocols: labels of `Trial`.
+        pairs: Name of a protocol -> its labels in MuJoCo and in Drake, where grasps were tried in both.
     """
     columns = [Column("label", "grasps of"), Column("grasps", "number", form="d"), *_columns(protocols)]
     found = [Table("All grasps", columns, [summary("all", blocks, protocols)])]
@@ -58,6 +70,9 @@ def tables(blocks: Sequence[Block], failed: Sequence[Row], protocols: Sequence[s
         ("By size of the object", lambda case: case.object.size, tuple(_sizes())),
     )
     found += [Table(title, columns, summaries(key, blocks, protocols, first=first)) for title, key, first in ways]
+    if pairs:
+        rows = [agreement(name, blocks, labels) for name, labels in pairs.items()]
+        found.append(Table("Agreement of MuJoCo and Drake", _agreement_columns(), rows, note=AGREEMENT))
     by_object = summaries(lambda case: case.object.name, blocks, protocols)
     found.append(Table("By object", columns, by_object, only="page", folded=True))
     found.append(Table("Why grasps do not hold", *_reasons(blocks, protocols), note="Numbers of grasps."))
@@ -136,6 +151,17 @@ def _columns(protocols: Sequence[str]) -> list[Column]:
         Column("moved_palm_m", "palm moved, mm", "", _listed("mm", ".1f"), hint="median", only="page"),
         Column("moved_palm_rad", "turned, °", "", _listed("°", ".1f"), hint="median", only="page"),
         Column("cpu_s", "CPU, s", "", _listed("s", ".3f"), hint="of refining a grasp, mean", only="page"),
+    ]
+
+
+def _agreement_columns() -> list[Column]:
+    return [
+        Column("label", "protocol"),
+        Column("grasps", "number", form="d"),
+        Column("share", "same verdict", "", _listed("%", ".1f"), hint="share of the grasps"),
+        Column("kappa", "kappa", "", _listed("", "z.2f"), hint="1: equal, 0: as by chance"),
+        Column("mujoco_only", "held in MuJoCo only", "", _listed("", ".0f"), hint="number of grasps"),
+        Column("drake_only", "held in Drake only", "", _listed("", ".0f"), hint="number of grasps"),
     ]
 
 

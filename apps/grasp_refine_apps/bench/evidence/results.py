@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from grasp_refine.core.npz_files import load_npz
+from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.rows import Rows, read_rows
 from grasp_refine_apps.batch.shard import Shard
@@ -111,6 +112,31 @@ def summary(label: str, blocks: Sequence[Block], protocols: Sequence[str]) -> Ro
     for measure, (before, after, statistic) in MEASURES.items():
         row[measure] = [_of(blocks, method, before, after, statistic) for method in METHODS]
     return row
+
+
+def agreement(label: str, blocks: Sequence[Block], labels: tuple[str, str]) -> Row:
+    """Return the row of the agreement of MuJoCo and Drake on grasps tried in both: a value for each of `METHODS`.
+
+    Args:
+        label: Name of the row.
+        blocks: The grasps.
+        labels: Labels of the trials in MuJoCo and in Drake.
+    """
+    found = []
+    for method in METHODS:
+        mujoco, drake = (np.concatenate([block.reasons[name][method] for block in blocks]) for name in labels)
+        both = (mujoco != NOT_SIMULATED) & (drake != NOT_SIMULATED)
+        found.append(EngineAgreement.of(*(reasons[both] == Reason.HELD.label for reasons in (mujoco, drake))))
+    return {
+        "label": label,
+        "grasps": found[0].count,
+        **{name: [_known(getattr(each, name)) for each in found] for name in ("share", "kappa")},
+        **{name: [getattr(each, name) for each in found] for name in ("mujoco_only", "drake_only")},
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def summaries(

@@ -19,6 +19,7 @@ from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.results.document import settings
+from grasp_refine.validation.engines import EngineName, engine_of
 from grasp_refine.validation.motion import Motion, motion_of
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
@@ -44,13 +45,14 @@ class Trial:
 
     protocol: Protocol
     """Protocol of the simulation."""
-    engine: str = "mujoco"
+    engine: EngineName = "mujoco"
     """Engine of the simulation."""
 
     @property
     def label(self) -> str:
-        """Name for people."""
-        return self.protocol.name
+        """Name for people: that of the protocol, with the engine where it is not MuJoCo."""
+        name = self.protocol.name
+        return name if self.engine == "mujoco" else f"{name} in {self.engine.capitalize()}"
 
     @property
     def folder(self) -> Path:
@@ -99,7 +101,7 @@ class TrialsWork:
         for number, method in enumerate(METHODS):
             heartbeat(f"{task.trial.label}, {method}", number / len(METHODS))
             began = time.process_time()
-            trials = _simulated(problem, _motions(task, problem, method), task.trial.protocol, cache)
+            trials = _simulated(problem, _motions(task, problem, method), task.trial, cache)
             spent = time.process_time() - began
             held[method] = trials.success
             entries |= {
@@ -180,13 +182,15 @@ def _motions(task: TrialsTask, problem: Problem, method: str) -> list[Motion]:
     return [motion_of(grasps.select(group.place), problem.hand) for group in problem.groups]
 
 
-def _simulated(problem: Problem, motions: Sequence[Motion], protocol: Protocol, cache: InputCache) -> Trials:
+def _simulated(problem: Problem, motions: Sequence[Motion], trial: Trial, cache: InputCache) -> Trials:
     """Trials of the grasps of a problem, in the requested order."""
-    hand = problem.hand
+    hand, protocol = problem.hand, trial.protocol
     model = cache.get("model", hand, partial(model_of, hand))
     parts = []
     for group, motion in zip(problem.groups, motions, strict=True):
         obj, table = group.scene.object, group.scene.table
-        world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
-        parts.append(judge(world, motion, numbers=group.rows, threads=1, first_failure=True))
+        key = hand, obj, protocol, table
+        world = cache.get("world", key, partial(build_world, model, obj, protocol, table))
+        engine = cache.get("engine", (trial.engine, *key), partial(engine_of, trial.engine, world))
+        parts.append(judge(world, motion, numbers=group.rows, threads=1, first_failure=True, engine=engine))
     return Trials.join(parts).select(problem.order)

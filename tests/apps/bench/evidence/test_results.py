@@ -16,7 +16,7 @@ from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.bench.evidence.cases import EvidenceCase, HandCase, ObjectCase
 from grasp_refine_apps.bench.evidence.report import PICTURES_PER_REASON, failures, markdown, tables
-from grasp_refine_apps.bench.evidence.results import NOT_SIMULATED, Block, summaries, summary
+from grasp_refine_apps.bench.evidence.results import NOT_SIMULATED, Block, agreement, summaries, summary
 from grasp_refine_apps.bench.evidence.trials import GEOMETRY, GIVEN, METHODS, REFINED, Trial, trials_shards
 
 NAMES = ("strict",)
@@ -133,7 +133,34 @@ def test_trials_are_of_grasps_refined_in_both_ways_and_depend_on_all_settings():
         trials_shards({**refined, GEOMETRY: [of(GEOMETRY, 0, "other")]}, [trial], out),
         trials_shards({**refined, REFINED: [of(REFINED, 0, "other")]}, [trial], out),
         trials_shards(refined, [Trial(replace(PROTOCOLS["strict"], mass=0.2))], out),
-        trials_shards(refined, [replace(trial, engine="other")], out),
+        trials_shards(refined, [replace(trial, engine="drake")], out),
     ]
     assert len({found.stamp, *(one.stamp for (one,) in others)}) == 5
     assert GIVEN == METHODS[0]
+
+
+def test_engines_agree_on_grasps_tried_in_both(blocks: list[Block]):
+    """One grasp of three holds in MuJoCo only as given, and the one of a failed trial does not count."""
+    in_drake = [
+        {GIVEN: ["moved", "moved"], GEOMETRY: ["held", "held"], REFINED: ["held", "held"]},
+        {GIVEN: ["moved"], GEOMETRY: ["held"], REFINED: ["thrown"]},
+    ]
+    tried = [
+        replace(one, reasons={**one.reasons, "strict in Drake": {name: np.array(each) for name, each in found.items()}})
+        for one, found in zip(blocks, in_drake, strict=True)
+    ]
+    lost = block(2, [["held"]] * 3)
+    nothing = dict.fromkeys(METHODS, np.array([NOT_SIMULATED]))
+    tried.append(replace(lost, reasons={**lost.reasons, "strict in Drake": nothing}))
+    labels = Trial(PROTOCOLS["strict"]).label, Trial(PROTOCOLS["strict"], "drake").label
+    assert labels == ("strict", "strict in Drake")
+    row = agreement("strict", tried, labels)
+    assert row["grasps"] == 3
+    assert row["share"] == pytest.approx([2 / 3, 2 / 3, 1.0])
+    assert row["mujoco_only"] == [1, 0, 0]
+    assert row["drake_only"] == [0, 1, 0]
+    assert row["kappa"] == pytest.approx([0.0, 0.0, 1.0])
+    text = markdown(tables(tried, [], labels, {"strict": labels}), [])
+    assert "| strict | 3 | 66.7 → 66.7 → 100.0 % | 0.00 → 0.00 → 1.00 | 1 → 0 → 0 | 0 → 1 → 0 |" in text
+    assert "held, strict in Drake" in text
+    assert "Agreement" not in markdown(tables(tried, [], labels), [])
