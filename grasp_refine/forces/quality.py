@@ -13,6 +13,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.torques import joint_torques, limit_shares
 from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -27,7 +28,11 @@ DEEP = 0.01
 PUSHES = PUSH_SHARE * np.concatenate([np.eye(3, 6), -np.eye(3, 6)])
 """Outer forces (6, 6) that the contacts should balance too, as loads of `contact_forces` in the axes of the hand."""
 
-SHORTCOMINGS = ("slippery", "pushed", "deep", "open")
+HOLDING_PRESSURE_N = 3.5
+"""Sum of the pressures, in newtons, at which torques must be within their limits: hands that cannot make so much begin
+to lose the object of the protocol that `calibration` is fitted to, whichever hand it is."""
+
+SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained")
 """Fields of `Quality` that its score and its probability are made of."""
 
 
@@ -44,18 +49,23 @@ class Quality:
     """Deepest penetration of hand and object (N,), over `DEEP`."""
     open: Float[np.ndarray, " N"]
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
+    strained: Float[np.ndarray, " N"]
+    """Excess (N,) of the torque of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, over its
+    limit, as a share of that limit; 0 where the actuators can make all torques."""
     weakest_push: Float[np.ndarray, "N 3"]
     """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
     deepest_link: Int[np.ndarray, " N"]
     """Index (N,) of the link that is deepest in the object."""
     farthest_contact: Int[np.ndarray, " N"]
     """Index (N,) of the link whose gap, weighted by its pressure, is largest."""
+    strained_joint: Int[np.ndarray, " N"]
+    """Index (N,) of the independent joint whose torque is the largest share of its limit."""
 
     __repr__ = brief
 
     @property
-    def shortcomings(self) -> Float[np.ndarray, "N 4"]:
-        """The fields `SHORTCOMINGS` (N, 4)."""
+    def shortcomings(self) -> Float[np.ndarray, "N 5"]:
+        """The fields `SHORTCOMINGS` (N, 5)."""
         return np.stack([getattr(self, name) for name in SHORTCOMINGS], axis=1)
 
     @property
@@ -92,6 +102,8 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     pushes = turn_loads(PUSHES, axes)
     pushed = contact_forces_under(pushes, point, normal, center, forms=forms, axes=axes)
     slippery = contact_forces(point, normal, center, friction=LOW_FRICTION, axes=axes)
+    torque = joint_torques(chain, frames, HOLDING_PRESSURE_N * pushed.force, np.nan_to_num(witness.point_a))
+    share = limit_shares(hand, torque).max(axis=1)
     distance = np.where(witness.valid, witness.distance, 0.0)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance, 0.0)
     return Quality(
@@ -99,7 +111,9 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
         pushed=pushed.residual.mean(axis=1),
         deep=depth.max(axis=1, initial=0.0) / DEEP,
         open=gap.sum(axis=1) / DEEP,
+        strained=np.maximum(share.max(axis=1, initial=0.0) - 1.0, 0.0),
         weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
         farthest_contact=np.nan_to_num(gap).argmax(axis=1),
+        strained_joint=share.argmax(axis=1) if share.shape[1] else np.zeros(len(share), dtype=np.int64),
     )

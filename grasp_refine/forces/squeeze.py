@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
+from grasp_refine.forces.torques import joint_torques
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -50,9 +51,7 @@ def squeezed(
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     force = total * grasp_forces(hand, scene.object, scene.links, witness, T, ridge=SQUEEZE_RIDGE).force
-    # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
-    covector = np.concatenate([force, np.cross(witness.point_a, force)], axis=-1)
-    torque = chain.to_joint_space(frames, covector, np.arange(len(scene.links)))[..., 6:].sum(axis=1)
+    torque = joint_torques(chain, frames, force[:, None], witness.point_a)[:, 0]
     return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
 
 

@@ -193,7 +193,7 @@ def compare(
         contact_distance=at_contacts(witness.distance),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
-        weakness=np.array(weaknesses(grasps.quality, scene.links)[count:], dtype=np.str_),
+        weakness=np.array(weaknesses(grasps.quality, scene.links, scene.hand.joint_names)[count:], dtype=np.str_),
     )
 
 

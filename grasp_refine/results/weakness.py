@@ -1,4 +1,4 @@
-"""Texts on what makes grasps weak: the shortcoming that costs most quality, with its push, link or contact."""
+"""Texts on what makes grasps weak: the shortcoming that costs most quality, with its push, link, contact or joint."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ AXES = "xyz"
 """Names of the axes of the object."""
 
 
-def weaknesses(quality: Quality, links: tuple[str, ...]) -> list[str]:
+def weaknesses(quality: Quality, links: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
     """Return for each of N grasps a text on its costliest shortcoming; empty where it costs little, or is not known.
 
     Args:
         quality: Shortcomings of the grasps, in the object's frame.
         links: Names of the links.
+        joints: Names of the independent joints.
     """
     costs = CALIBRATION.costs(quality.shortcomings)
     known = np.isfinite(costs).all(axis=1)
@@ -31,11 +32,11 @@ def weaknesses(quality: Quality, links: tuple[str, ...]) -> list[str]:
         elif costs[i, which] < NEGLIGIBLE_COST:
             found.append("")
         else:
-            found.append(_text(quality, SHORTCOMINGS[which], i, links))
+            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints))
     return found
 
 
-def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...]) -> str:
+def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], joints: tuple[str, ...]) -> str:
     """Return the text on a shortcoming of grasp `i`."""
     if shortcoming == "slippery":
         return f"with friction {LOW_FRICTION:g} its forces leave {quality.slippery[i]:.0%} of the load unbalanced"
@@ -43,6 +44,9 @@ def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...]) ->
         return f"weak against pushes, most along {direction_text(quality.weakest_push[i])}"
     if shortcoming == "deep":
         return f"{links[quality.deepest_link[i]]} is {1e3 * DEEP * quality.deep[i]:.1f} mm in the object"
+    if shortcoming == "strained":
+        needed = 1.0 + quality.strained[i]
+        return f"against pushes {joints[quality.strained_joint[i]]} needs {needed:.0%} of the torque that it can make"
     return f"contact of {links[quality.farthest_contact[i]]} is open"
 
 

@@ -29,6 +29,7 @@ def test_what_is_not_known_has_no_probability() -> None:
 
 
 def test_a_grasp_without_shortcomings_holds_and_a_hopeless_one_does_not() -> None:
-    best, worst = CALIBRATION.probability(np.array([[0.0] * 4, [1.0, 1.0, 0.0, 0.0]]))
+    count = len(SHORTCOMINGS)
+    best, worst = CALIBRATION.probability(np.array([[0.0] * count, [1.0, 1.0, *[0.0] * (count - 2)]]))
     assert best > 0.99 and worst < 0.01
-    assert CALIBRATION.probability(np.full((1, 4), 1e9))[0] == pytest.approx(0.0)
+    assert CALIBRATION.probability(np.full((1, count), 1e9))[0] == pytest.approx(0.0)

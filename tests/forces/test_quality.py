@@ -1,6 +1,8 @@
 """Quality of grasps in closed form, and what may never make it better."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -175,6 +177,41 @@ def test_tendons_are_never_better_than_a_motor_for_each_joint(free: Hand, couple
     assert COUPLING_LEVER_M > 0 and LEVER_M > 0
 
 
+# torques of the actuators
+
+
+def with_limit(hand: Hand, limit: float) -> Hand:
+    actuator = replace(hand.actuator, force_limit=np.full(len(hand.joint_names), limit))
+    return replace(hand, actuator=actuator)
+
+
+@pytest.mark.parametrize("name", ["free", "coupled"])
+def test_a_joint_is_strained_beyond_its_limit_and_not_within(name: str, ball: Object, request: Any) -> None:
+    """Torques are as they were with any limit, and the excess is what a quarter of the limit makes of a share."""
+    hand = request.getfixturevalue(name)
+    point, normal = (each.tolist() for each in random_grasps(12, 8))
+    without = of(with_limit(hand, np.inf), ball, point, normal)
+    assert not without.strained.any()
+    small = of(with_limit(hand, 1e-5), ball, point, normal)
+    assert (small.strained > 1.0).all()
+    smaller = of(with_limit(hand, 1e-5 / 4), ball, point, normal)
+    np.testing.assert_allclose(1.0 + smaller.strained, 4.0 * (1.0 + small.strained))
+    np.testing.assert_array_equal(smaller.strained_joint, small.strained_joint)
+    # Just enough for the most strained grasp: nothing changes at all.
+    ample = of(with_limit(hand, 1.001e-5 * (1.0 + small.strained.max())), ball, point, normal)
+    np.testing.assert_array_equal(ample.shortcomings, without.shortcomings)
+    np.testing.assert_array_equal(ample.value, without.value)
+    np.testing.assert_array_equal(small.shortcomings[:, :4], without.shortcomings[:, :4])
+
+
+def test_who_needs_twice_the_torque_that_there_is_cannot_be_said_to_hold(free: Hand, ball: Object) -> None:
+    normal = -np.array([[[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]]) / np.sqrt(3.0)
+    grasp = (-0.03 * normal).tolist(), normal.tolist()
+    limit = 1e-5 * (1.0 + of(with_limit(free, 1e-5), ball, *grasp).strained[0])
+    assert of(with_limit(free, limit), ball, *grasp).value[0] > 0.99
+    assert of(with_limit(free, limit / 2), ball, *grasp).value[0] < 0.9
+
+
 # grasps on their own
 
 
@@ -224,6 +261,8 @@ def test_torques_are_about_the_centre_of_mass(tmp_path: Path) -> None:
         witness.point_a + shift, witness.point_b + shift, witness.normal, witness.distance, witness.status,
         witness.winner, witness.num_queries,
     )  # fmt: skip
-    there = quality(hand, away, prepared.chain, frames, moved)
+    T_away = scene.T_world_root.copy()
+    T_away[:, :3, 3] += shift
+    there = quality(hand, away, prepared.chain, prepared.chain(T_away, scene.q), moved)
     assert np.isfinite(here.score).sum() >= 4
     np.testing.assert_allclose(there.score, here.score, atol=1e-6)

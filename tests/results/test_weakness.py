@@ -1,21 +1,26 @@
-"""What is told of weak grasps: the costliest shortcoming, with its push, link or contact."""
+"""What is told of weak grasps: the costliest shortcoming, with its push, link, contact or joint."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from grasp_refine.forces.quality import Quality
+from grasp_refine.forces.quality import SHORTCOMINGS, Quality
 from grasp_refine.results.weakness import direction_text, weaknesses
 
 LINKS = ("palm", "thumb", "index")
+JOINTS = ("thumb_base", "index_base")
 
 
 def plain(**given: float) -> Quality:
     """One grasp without shortcomings but the given ones; the thumb is deepest, the index finger farthest."""
-    one = {name: np.array([given.get(name, 0.0)]) for name in ("slippery", "pushed", "deep", "open")}
+    one = {name: np.array([given.get(name, 0.0)]) for name in SHORTCOMINGS}
     return Quality(
-        **one, weakest_push=np.array([[0.0, -1.0, 0.0]]), deepest_link=np.array([1]), farthest_contact=np.array([2])
+        **one,
+        weakest_push=np.array([[0.0, -1.0, 0.0]]),
+        deepest_link=np.array([1]),
+        farthest_contact=np.array([2]),
+        strained_joint=np.array([1]),
     )
 
 
@@ -26,21 +31,22 @@ def plain(**given: float) -> Quality:
         ({"pushed": 0.2}, ("-y",)),
         ({"deep": 0.3}, ("thumb", "3.0 mm")),
         ({"open": 0.4}, ("index",)),
+        ({"strained": 0.5}, ("index_base", "150%")),
         ({"pushed": 0.2, "deep": 1e-4}, ("-y",)),
     ],
 )
 def test_the_costliest_shortcoming_is_told(given: dict[str, float], named: tuple[str, ...]) -> None:
-    (text,) = weaknesses(plain(**given), LINKS)
+    (text,) = weaknesses(plain(**given), LINKS, JOINTS)
     assert all(name in text for name in named)
 
 
 def test_a_good_grasp_has_no_weakness() -> None:
-    assert weaknesses(plain(pushed=1e-6), LINKS) == [""]
+    assert weaknesses(plain(pushed=1e-6), LINKS, JOINTS) == [""]
 
 
 def test_a_grasp_without_forces_says_so() -> None:
     nothing = np.array([np.nan])
-    assert weaknesses(replace(plain(), slippery=nothing, pushed=nothing, open=nothing), LINKS) != [""]
+    assert weaknesses(replace(plain(), slippery=nothing, pushed=nothing, open=nothing), LINKS, JOINTS) != [""]
 
 
 def test_directions() -> None:

@@ -2,8 +2,9 @@
 
 Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE]`, where ASSETS is a folder of
 hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry refined, and
-refined from one start and from several: what people will ask about. The reliability is told on each set with a fit on
-all others, where a set is one generator with one hand.
+refined from one start and from several: what people will ask about. Refined grasps of generators are also simulated
+with weak actuators, for the last shortcoming: its weight is fitted with all others held. The reliability is told on
+each set with a fit on all others, where a set is one generator with one hand.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import minimize
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit
 
 from grasp_refine.core.array_records import join, take
@@ -23,6 +25,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.calibration import Calibration
 from grasp_refine.forces.quality import Quality
+from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.pipeline.refine import refine_group
@@ -43,6 +46,11 @@ RIDGE = 1e-2
 BINS = 10
 """Number of bins of the reliability."""
 
+WEAK_LIMITS_NM = (0.03, 0.05, 0.08, 0.12, 0.2)
+"""Torque limits of weak actuators, N m."""
+MAX_WEIGHT = 100.0
+"""Largest weight of what strains actuators."""
+
 NUM_SAMPLED = 8
 """Number of grasps sampled for a hand and an object."""
 SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:0.05,0.05,0.12")
@@ -57,6 +65,8 @@ class Source:
     """Name of generator and hand, by which grasps are left out."""
     spec: ProblemSpec
     """Hand, objects and grasps."""
+    weak: bool = True
+    """Whether refined grasps are also simulated with weak actuators."""
 
 
 def sources(assets: Path) -> Iterator[Source]:
@@ -86,7 +96,9 @@ def sources(assets: Path) -> Iterator[Source]:
     own = {name: str(hands / name / f"{name}.urdf") for name in ("barrett", "robotiq3f")}
     for name, hand in {**{name: name for name in ("allegro", "leap", "shadow_palm")}, **own}.items():
         for obj in SAMPLED_OBJECTS:
-            yield Source(f"sampled, {name}", ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{NUM_SAMPLED}")))
+            yield Source(
+                f"sampled, {name}", ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{NUM_SAMPLED}")), weak=False
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +134,14 @@ def samples(source: Source) -> Samples:
         for scene, motion in cases:
             shortcomings.append(measured(scene).shortcomings)
             held.append(simulate(world, motion).success)
+        for limit in WEAK_LIMITS_NM if source.weak else ():
+            # The last case is that of refined grasps.
+            actuator = replace(problem.hand.actuator, force_limit=np.full(len(problem.hand.joint_names), limit))
+            weak = replace(scene, hand=replace(problem.hand, actuator=actuator))
+            pressing = np.concatenate([motion.q[:, :2], squeezed(weak)[:, None]], axis=1)
+            slight = build_world(model_of(weak.hand), weak.object, DEXGRASPBENCH, weak.table)
+            shortcomings.append(measured(weak).shortcomings)
+            held.append(simulate(slight, replace(motion, q=pressing)).success)
     count = sum(map(len, held))
     return Samples(np.full(count, source.name), np.concatenate(shortcomings), np.concatenate(held))
 
@@ -136,9 +156,28 @@ def refined(group: Group, config: Config, prepared: HandObject) -> tuple[Scene, 
 
 
 def fit(found: Samples) -> Calibration:
-    """Return the logistic model of most likelihood, with a ridge; no weight is below 0."""
-    known = np.isfinite(found.shortcomings).all(axis=1)
-    roots, held = np.sqrt(found.shortcomings[known]), found.held[known].astype(float)
+    """Return the logistic model of most likelihood, with a ridge; no weight is below 0.
+
+    The weight of the last shortcoming, what strains actuators, is fitted to the grasps that have it, and the others to
+    those that do not: so weak actuators change nothing for others.
+    """
+    found = take(found, np.isfinite(found.shortcomings).all(axis=1))
+    strained = found.shortcomings[:, -1] > 0.0
+    ample = fit_ample(found.shortcomings[~strained, :-1], found.held[~strained])
+    weak = take(found, strained)
+    odds, root = ample.offset - ample.costs(weak.shortcomings[:, :-1]).sum(axis=1), np.sqrt(weak.shortcomings[:, -1])
+
+    def loss(weight: float) -> float:
+        less = odds - weight * root
+        return float((np.logaddexp(0.0, less) - weak.held * less).sum()) + RIDGE * weight
+
+    last = float(minimize_scalar(loss, bounds=(0.0, MAX_WEIGHT), method="bounded").x)
+    return Calibration(ample.offset, (*ample.weights, last))
+
+
+def fit_ample(shortcomings: Float[np.ndarray, "N K"], found_held: Bool[np.ndarray, " N"]) -> Calibration:
+    """Return the logistic model of most likelihood, with a ridge, of known shortcomings; no weight is below 0."""
+    roots, held = np.sqrt(shortcomings), found_held.astype(float)
     scale = roots.std(axis=0) + 1e-12
     scaled = roots / scale
 

@@ -6,14 +6,15 @@ import pytest
 from grasp_refine.forces.calibration import Calibration
 from grasp_refine_apps.authoring.calibrate_quality import Samples, fit, left_out, main
 
-LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0))
+LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0, 4.0))
 
 
 @pytest.fixture(scope="module")
 def drawn() -> Samples:
     """20,000 grasps of four generators, which hold with the probability of the law."""
     rng = np.random.default_rng(0)
-    shortcomings = rng.uniform(0.0, 1.0, (20_000, 4)) ** 2
+    shortcomings = rng.uniform(0.0, 1.0, (20_000, 5)) ** 2
+    shortcomings[::2, -1] = 0.0
     held = rng.uniform(size=len(shortcomings)) < LAW.probability(shortcomings)
     return Samples(np.array(["a", "b", "c", "d"])[rng.integers(0, 4, len(held))], shortcomings, held)
 
@@ -28,6 +29,13 @@ def test_a_shortcoming_that_seems_to_help_gets_no_weight(drawn: Samples) -> None
     """Deeper grasps held more often: by chance or not, depth must not raise the probability."""
     odd = Samples(drawn.source, drawn.shortcomings, drawn.held | (drawn.shortcomings[:, 2] > 0.5))
     assert fit(odd).weights[2] == 0.0
+
+
+def test_weak_actuators_change_nothing_for_others(drawn: Samples) -> None:
+    strained = drawn.shortcomings[:, -1] > 0.0
+    others = fit(Samples(drawn.source, drawn.shortcomings, drawn.held & ~strained))
+    assert others.offset == fit(drawn).offset and others.weights[:-1] == fit(drawn).weights[:-1]
+    assert others.weights[-1] > fit(drawn).weights[-1] + 10.0
 
 
 def test_grasps_are_judged_by_the_others(drawn: Samples) -> None:

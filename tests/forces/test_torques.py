@@ -1,0 +1,65 @@
+"""Joint torques of contact forces: the work that they do, and their share of what actuators can make."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from claw import around, capsule, claw
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.forces.torques import joint_torques, limit_shares
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.scene.scene import links_of
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return claw(tmp_path_factory.mktemp("claw"))
+
+
+def test_torques_do_the_work_of_the_forces(hand: Hand) -> None:
+    """The derivative of sum f . x in a joint value is its torque, for forces at rest on points of the links."""
+    scene = around(hand, capsule(), 4, 0)
+    chain, rng = Chain(hand, links_of(hand)), np.random.default_rng(1)
+    N, L = len(scene.q), len(chain.links)
+    on_link, force = 0.02 * rng.normal(size=(N, L, 3)), rng.normal(size=(N, 3, L, 3))
+
+    def points(q: np.ndarray) -> np.ndarray:
+        return transform_points(chain(scene.T_world_root, q).T_world_link, on_link)
+
+    found = joint_torques(chain, chain(scene.T_world_root, scene.q), force, points(scene.q))
+    h = 1e-6
+    for j in range(scene.q.shape[1]):
+        step = np.zeros_like(scene.q)
+        step[:, j] = h
+        work = (force * (points(scene.q + step) - points(scene.q - step))[:, None]).sum(axis=(-2, -1)) / (2 * h)
+        np.testing.assert_allclose(found[..., j], work, rtol=1e-6, atol=1e-8)
+
+
+def test_shares_are_of_each_limit(hand: Hand) -> None:
+    n = len(hand.joint_names)
+    limit = np.arange(1.0, n + 1.0)
+    limit[0] = np.inf
+    torque = np.full((2, 3, n), -3.0)
+    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque)
+    np.testing.assert_allclose(shares, np.broadcast_to(3.0 / limit, shares.shape))
+    assert (shares[..., 0] == 0.0).all()
+    nothing = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=np.zeros(n))), torque)
+    assert np.isfinite(nothing).all() and (nothing > 1e3).all()
+
+
+def test_a_tendon_has_the_share_of_its_tension(tmp_path: Path) -> None:
+    """The torque that it cannot make at all is none of its tension."""
+    hand = claw(tmp_path, coupled=True)
+    group = hand.coupled[0]
+    at = [hand.joint_names.index(name) for name in group.joints]
+    ratio, rng = np.array(group.ratio), np.random.default_rng(2)
+    across = rng.normal(size=len(at))
+    across -= ratio * (across @ ratio) / (ratio @ ratio)
+    torque = np.zeros((1, len(hand.joint_names)))
+    torque[0, at] = 2.0 * ratio + across
+    limit = np.full(len(hand.joint_names), 4.0)
+    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque)
+    assert shares.sum() == pytest.approx(0.5) and shares[0, at[0]] == pytest.approx(0.5)
