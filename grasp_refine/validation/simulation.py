@@ -252,6 +252,7 @@ def push(
         closing_rad=closed.closing_rad,
         penetration_m=closed.penetration_m,
         success=(reason.reshape(shape) == Reason.HELD).sum(axis=1) >= required,
+        limits=(protocol.farthest, protocol.steepest),
     )
 
 

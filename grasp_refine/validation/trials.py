@@ -93,6 +93,8 @@ class Trials:
     """True where a grasp (N,) held by the rule of its protocol (`Protocol.rule`)."""
     label: Float[np.ndarray, " N"] | None = None
     """Share (N,) of the protocol's offsets of the object with which the grasp held; None without offsets."""
+    limits: tuple[float, float] = (Protocol.farthest, Protocol.steepest)
+    """Displacement and rotation of a lost object by the protocol, metres and radians."""
 
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
@@ -111,7 +113,7 @@ class Trials:
     def worst(self) -> Int[np.ndarray, " N"]:
         """Column (N,) of the first direction that failed; for a grasp that held, of that nearest to failing."""
         failed = self.reason != Reason.HELD
-        share = np.maximum(self.peak_m / Protocol.farthest, self.peak_rad / Protocol.steepest)
+        share = np.maximum(self.peak_m / self.limits[0], self.peak_rad / self.limits[1])
         nearest = np.where(failed, -1.0, np.nan_to_num(share, nan=np.inf)).argmax(axis=1)
         lost = failed.all(axis=1) | (failed.any(axis=1) & ~self.success)
         return np.where(lost, failed.argmax(axis=1), nearest)
@@ -146,9 +148,9 @@ class Trials:
         columns = {}
         for field in fields(cls)[2:]:
             values = [getattr(part, field.name) for part in parts]
-            if values[0] is None:
+            if not isinstance(values[0], np.ndarray):
                 continue
             if field.name.startswith("contacts"):
                 values = [spread(part, value) for part, value in zip(parts, values, strict=True)]
             columns[field.name] = np.concatenate(values)
-        return cls(parts[0].directions, links, **columns)
+        return cls(parts[0].directions, links, **columns, limits=parts[0].limits)

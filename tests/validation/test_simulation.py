@@ -79,6 +79,18 @@ def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
     assert (replace(trials, peak_m=peak_m, peak_rad=peak_rad).worst == 1).all()
 
 
+def test_the_limits_are_those_of_the_protocol() -> None:
+    """Where an object may turn a tenth as far, what turned is nearer to being lost than what moved."""
+    protocol = replace(DEXGRASPBENCH, steepest=DEXGRASPBENCH.steepest / 10)
+    trials = holds(build_world(gripper(), ball(), protocol), 4.0, 0.6)
+    assert trials.limits == (protocol.farthest, protocol.steepest)
+    peak_m, peak_rad = np.zeros(trials.reason.shape), np.zeros(trials.reason.shape)
+    peak_m[:, 1], peak_rad[:, 4] = 0.8 * protocol.farthest, 0.9 * protocol.steepest
+    near = replace(trials, peak_m=peak_m, peak_rad=peak_rad)
+    assert (near.worst == 4).all()
+    assert (Trials.join([near, near]).worst == 4).all() and (near.select(np.array([0])).worst == 4).all()
+
+
 def test_deep_penetration_at_the_pregrasp_is_a_failure_of_its_own(world: World) -> None:
     motion = around(2.0)
     q = motion.q.copy()

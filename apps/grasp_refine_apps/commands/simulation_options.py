@@ -83,7 +83,7 @@ def _checks(protocol: Protocol, seconds: float) -> int:
 
 @dataclass(frozen=True)
 class Robustness:
-    """Further trials for robustness."""
+    """Further trials with one thing changed, of your choice; --margins draws everything that nobody knows."""
 
     noise: int = 0
     """Number of random offsets of the object at which each grasp is tried again; the score is the share that holds."""
