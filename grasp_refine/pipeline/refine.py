@@ -141,8 +141,9 @@ def _simulate(
     """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
     from grasp_refine.validation.engines import engine_of
     from grasp_refine.validation.robustness import judge
+    from grasp_refine.validation.set_points import clipping_note
     from grasp_refine.validation.validate import model_of
-    from grasp_refine.validation.world import build_world
+    from grasp_refine.validation.world import World, build_world
 
     hand = problem.hand
     model = cache.get("model", hand, partial(model_of, hand))
@@ -150,17 +151,23 @@ def _simulate(
         listener.note(note)
     before: list[Trials] = []
     after: list[Trials] = []
+    worlds: list[World] = []
+    motions: list[Motion] = []
     for group, part in zip(problem.groups, parts, strict=True):
         obj, table = group.scene.object, group.scene.table
         world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
         simulations = engine_of(engine, world)
         tell = listener.simulating(group)
         refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
+        worlds.append(world)
+        motions.append(refined)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
             progress = partial(tell, f"simulating, {when}")
             trials.append(
                 judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=simulations)
             )
+    if clipped := clipping_note(worlds, motions):
+        listener.note(clipped)
     order = problem.order
     return SimulatedGrasps(
         protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)

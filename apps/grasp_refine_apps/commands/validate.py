@@ -25,6 +25,7 @@ from grasp_refine.results.validation_table import comparison_table, validation_t
 from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.set_points import clipping_note
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import World, build_world
@@ -234,6 +235,8 @@ class Validate:
                 tried.append(margins(worlds, motion, drawn, threads=checks.threads, progress=progress))
             if world is not None and motion is not None and found.trials is not None:
                 trials.append((group, world, motion, found.trials))
+        if clipped := clipping_note([world for _, world, *_ in trials], [motion for _, _, motion, _ in trials]):
+            reporter.note(clipped)
         validated = Validated.join(parts).select(problem.order)
         joined = Margins.join(tried).select(problem.order) if tried else None
         return _Examined(problem, validated, tuple(trials), compiling, joined)
