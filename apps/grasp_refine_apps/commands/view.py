@@ -52,7 +52,8 @@ class Serving:
     """Address of the page."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Whoever can reach it can do everything that the page can; by default only this machine."""
+    """Address to listen on; 0.0.0.0: all of this machine. By default only this machine can open the page; with any
+    other one, whoever has the printed address with its token can, and can do everything that the page can."""
     port: int = 8080
     """Port to listen on; 0: any that is free."""
     open: bool = True
@@ -87,26 +88,30 @@ class View:
         """
         if find_spec("viser") is None:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
-        from grasp_refine_apps.viewer.page import address, close_server, open_server
+        from grasp_refine_apps.viewer.access import PUBLIC_WARNING
+        from grasp_refine_apps.viewer.page import close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
         # First, so that a browser can load the page while the rest loads.
-        server = open_server(self.serving.host, self.serving.port)
+        page = open_server(self.serving.host, self.serving.port)
         try:
             from grasp_refine_apps.viewer.panels.app import Viewer
 
-            with Viewer(server, self._controller()):
-                screen().print(f"{address(server)} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
-                where = {"address": address(server), "host": server.get_host(), "port": server.get_port()}
+            with Viewer(page, self._controller()):
+                screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
+                if page.access.token:
+                    screen(stderr=True).print(f"Warning: {PUBLIC_WARNING}", highlight=False)
+                server = page.server
+                where = {"address": page.address, "host": server.get_host(), "port": server.get_port()}
                 save_document(self.serving.json, "view", where)
                 if self.serving.open and _has_screen():
-                    webbrowser.open(address(server))
+                    webbrowser.open(page.address)
                 _wait()
         except KeyboardInterrupt:
             # Interrupted while loading.
             return 0
         finally:
-            close_server(server)
+            close_server(page.server)
         return 0
 
     def _controller(self) -> Controller:

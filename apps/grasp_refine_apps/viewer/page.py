@@ -10,13 +10,15 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import rich
 import viser
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.access import Access
 from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.viser_private import forbid_sharing, own_pages_only
+from grasp_refine_apps.viewer.viser_private import forbid_sharing, guarded
 
 DRAW_PERIOD_S, SLOW_PERIOD_S = 1.0 / 30.0, 0.2
 """Minimum seconds between two drawings, and between two of plots and numbers."""
@@ -61,8 +63,25 @@ class Drawer:
             self._closed.wait(max(0.0, self._period - (time.monotonic() - began)))
 
 
-def open_server(host: str, port: int) -> viser.ViserServer:
+@dataclass(frozen=True)
+class Page:
+    """The server of the page, with the rules for requests to it."""
+
+    server: viser.ViserServer
+    """The server."""
+    access: Access
+    """Rules for requests."""
+
+    @property
+    def address(self) -> str:
+        """Address to open in a browser, with its token if it needs one."""
+        return self.access.address(self.server.get_port())
+
+
+def open_server(host: str, port: int) -> Page:
     """Start the server; port 0 is any that is free.
+
+    A host that others can reach gets a token, without which nothing is answered.
 
     Raises:
         GraspRefineError: it cannot listen there.
@@ -83,7 +102,8 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             raise GraspRefineError(f"cannot listen on {host}:{port} ({reason}): {advice}") from None
     # A client that connects without a request would cause a traceback on the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
-    with without_greeting(), own_pages_only(host):
+    access = Access.to(host)
+    with without_greeting(), guarded(access):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
@@ -96,14 +116,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(True, cast_shadow=False)
     server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(205, 208, 218), intensity=2.4)
-    return server
-
-
-def address(server: viser.ViserServer) -> str:
-    """Address to open in a browser."""
-    host = server.get_host()
-    name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    return f"http://{name}:{server.get_port()}"
+    return Page(server, access)
 
 
 def close_server(server: viser.ViserServer) -> None:

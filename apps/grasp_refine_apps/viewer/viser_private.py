@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from http import HTTPStatus
 from typing import Any
 
 import viser
 import websockets.asyncio.server
 from viser import _messages
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
-LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
-"""Names of this machine."""
+from grasp_refine_apps.viewer.access import Access
+
+Answer = Callable[[Any, Request], Response | None]
+"""Function that answers a request; None: it is a websocket's, to be accepted."""
 
 MAX_CONCURRENT_UPLOADS = 4
 """Maximum concurrent uploads of all browsers together."""
@@ -63,23 +66,50 @@ def click_script(handle: Any) -> str:
 
 
 @contextmanager
-def own_pages_only(host: str) -> Iterator[None]:
-    """Restrict a server started in this context to pages from this machine, if it listens on a local host.
+def guarded(access: Access) -> Iterator[None]:
+    """Let a server that is started in this context answer only the requests that `access` allows.
 
-    Otherwise any page that is open in the same browser could connect to it; viser passes no origins on.
+    Otherwise any page that is open in the same browser could connect to it, and anyone on the network; viser passes
+    no origins on, and knows no tokens.
     """
-    if host not in LOCAL_HOSTS:
-        yield
-        return
     module: Any = websockets.asyncio.server
     serve = module.serve
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL_HOSTS)
-    # Programs other than browsers send no origin.
-    module.serve = partial(serve, origins=[None, re.compile(rf"https?://({names})(:\d+)?")])
+
+    def serve_guarded(*args: Any, process_request: Answer, **options: Any) -> Any:
+        return serve(*args, process_request=_guarded_answer(process_request, access), **options)
+
+    module.serve = serve_guarded
     try:
         yield
     finally:
         module.serve = serve
+
+
+def _guarded_answer(answer: Answer, access: Access) -> Answer:
+    """Return a function that refuses requests, and otherwise returns what `answer` returns."""
+
+    def guarded_answer(connection: Any, request: Request) -> Response | None:
+        headers, port = request.headers, int(connection.local_address[1])
+        # Several headers of one name raise in `get`.
+        origin, host, cookie = (next(iter(headers.get_all(name)), None) for name in ("Origin", "Host", "Cookie"))
+        if not access.allows_token(request.path, cookie, port):
+            # viser's own answer ignores errors in the log of the library.
+            return _refusal("Open the whole address that refine-grasp view printed: it ends with a token.")
+        if not access.allows_origin(origin, host):
+            return _refusal("Only the page of this server may connect to it.")
+        found = answer(connection, request)
+        if found is not None:
+            for name, value in access.cookies(port).items():
+                found.headers[name] = value
+        return found
+
+    return guarded_answer
+
+
+def _refusal(text: str) -> Response:
+    body = f"{text}\n".encode()
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+    return Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
 
 
 def forbid_sharing(server: viser.ViserServer) -> None:

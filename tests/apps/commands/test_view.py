@@ -135,6 +135,42 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
     assert not list(tmp_path.iterdir())
 
 
+def test_on_the_network_the_address_has_a_token_and_a_warning(tmp_path: Path) -> None:
+    told = tmp_path / "address.json"
+    command = [
+        sys.executable,
+        "-c",
+        PROGRAM,
+        "view",
+        "--host",
+        "0.0.0.0",
+        "--port",
+        "0",
+        "--no-open",
+        "--json",
+        str(told),
+    ]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=subprocess_environment(),
+        preexec_fn=interruptible,
+    )
+    try:
+        line = process.stdout.readline()
+        assert "/?token=" in line and "localhost" not in line and "0.0.0.0" not in line
+        assert soon(told.exists)
+        assert json.loads(told.read_text())["address"] == line.split()[0]
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 0 and error.startswith("Warning: ") and "ssh -L" in error
+
+
 def test_settings_of_the_command_line_are_those_of_the_page() -> None:
     controller = View(settings=Settings(geometry_only=True))._controller()
     try:

@@ -28,7 +28,7 @@ def viewer(problem: Problem) -> Iterator[Controller]:
 
 @pytest.fixture
 def view(viewer: Controller) -> Iterator[View]:
-    server = open_server("127.0.0.1", 0)
+    server = open_server("127.0.0.1", 0).server
     made = View(server, viewer)
     made.draw(viewer.state)
     yield made

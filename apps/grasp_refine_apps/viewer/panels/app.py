@@ -7,12 +7,10 @@ from threading import Timer
 from types import TracebackType
 from typing import Any
 
-import viser
-
 from grasp_refine_apps.viewer.colors import distance_legend
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, address, close_server
+from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
 from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
 from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
@@ -39,9 +37,10 @@ PANELS = (
 class Viewer:
     """Server that shows the state of a controller; a context manager that closes both."""
 
-    def __init__(self, server: viser.ViserServer, controller: Controller) -> None:
+    def __init__(self, page: Page, controller: Controller) -> None:
         """Put scene and panels on the page, the scene first."""
-        self.server, self.controller = server, controller
+        server = page.server
+        self.page, self.server, self.controller = page, server, controller
         self.view = View(server, controller)
         self.view.draw(controller.state)
         self._last_notice = 0
@@ -96,7 +95,7 @@ class Viewer:
     @property
     def address(self) -> str:
         """Address to open in a browser."""
-        return address(self.server)
+        return self.page.address
 
     def __enter__(self) -> Viewer:
         """Return the viewer."""
