@@ -17,6 +17,7 @@ class Given:
 
     lower: torch.Tensor
     upper: torch.Tensor
+    per_radian: torch.Tensor
 
     def tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.lower.dtype)
@@ -44,7 +45,7 @@ def one_step(
 ) -> tuple[Point, Descending]:
     """Points and state after a step against a gradient (batch, 6 + n), within joint limits."""
     count, n = point.q.shape
-    problem = Given(*(torch.as_tensor(np.broadcast_to(side, n).copy(), dtype=dtype) for side in (lower, upper)))
+    problem = Given(*(torch.as_tensor(np.broadcast_to(side, n).copy(), dtype=dtype) for side in (lower, upper, 1.0)))
     none = np.zeros(count)
     slots = Slots(np.arange(count), point, Known(gradient), none, point, none, none, none, state)
     after, state = solver.step(problem, slots)

@@ -15,7 +15,8 @@ from grasp_refine.hands.hand_toml import ACTUATOR, Contact, Coupled, HandToml
 from grasp_refine.hands.tree import Joint
 
 SLIDE_LEVER_M = 0.1
-"""Lever in metres: without values in hand.toml, a prismatic joint is driven like a revolute one with such a lever."""
+"""Lever in metres at which a prismatic joint is like a revolute one: it moves by so much where that turns by a radian,
+and is driven like that without values in hand.toml."""
 
 LEVER_POWERS = {"kp": 2, "damping": 2, "armature": 2, "frictionloss": 1}
 """Powers of the lever by which settings of a prismatic joint are divided: 5 Nm/rad at the lever are 500 N/m."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.errors import HandError, MeshError
@@ -22,6 +22,8 @@ from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
+from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
+from grasp_refine.hands.hand_toml import Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
 from grasp_refine.hands.mimics import limit_by_followers, mimic_map
@@ -129,6 +131,19 @@ class Hand:
     def joints_by_name(self) -> dict[str, Joint]:
         """Joints by name."""
         return {joint.name: joint for joint in self.joints}
+
+    @cached_property
+    def slides(self) -> Bool[np.ndarray, " n"]:
+        """True (n,) for independent joints that slide, whose values are in metres; the others turn."""
+        return np.array([self.joints_by_name[name].kind == "prismatic" for name in self.joint_names], dtype=bool)
+
+    @cached_property
+    def per_radian(self) -> Float[np.ndarray, " n"]:
+        """Movement (n,) of each independent joint that counts as one radian: 1 rad, or `SLIDE_LEVER_M` of a slide.
+
+        What has one number for all joints, such as noise and bounds, has it in radians and is multiplied by these.
+        """
+        return np.where(self.slides, SLIDE_LEVER_M, 1.0)
 
     def joints_to(self, links: Sequence[str]) -> list[Joint]:
         """Return the joints between the base link and any of `links`, parents before children.

@@ -209,7 +209,7 @@ class _Search:
         T = given.T.copy()
         T[:, :3, :3] = R @ given.T[:, :3, :3]
         T[:, :3, 3] = middle + matvec(R, given.T[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
-        return Point(T, given.q + START_JOINTS_RAD * noise[:, 6:])
+        return Point(T, given.q + START_JOINTS_RAD * self.scene.hand.per_radian * noise[:, 6:])
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows of grasps that are not good yet and have CPU time left."""

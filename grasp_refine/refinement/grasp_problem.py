@@ -57,11 +57,10 @@ class GraspProblem:
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
         hand = scene.hand
-        prismatic = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
-        joints = np.where(prismatic, 1.0, JOINTS_M_PER_RAD**2)
+        joints = np.where(hand.slides, 1.0, JOINTS_M_PER_RAD**2)
         self.scales = np.concatenate([np.ones(3), np.full(3, ROTATION_M_PER_RAD**2), joints])
         self.step, self.noise = (
-            np.concatenate([np.full(3, metres), np.full(3, root), np.where(prismatic, metres, joint)])
+            np.concatenate([np.full(3, metres), np.full(3, root), np.where(hand.slides, metres, joint)])
             for metres, root, joint in (MAX_STEP, RESTART_NOISE)
         )
         # Bounds of each unknown would depend on the axes of the world: `integrate` shortens steps of the root.
@@ -118,7 +117,8 @@ class GraspProblem:
     def project(self, member: np.ndarray, point: Point) -> Point:
         """Return the nearest grasps within the joint limits and the movement bounds from the initial grasps."""
         scene = self.scene
-        T, q = self.config.max_move.project(point.T, point.q, scene.T_world_root[member], scene.q[member])
+        first = scene.T_world_root[member], scene.q[member]
+        T, q = self.config.max_move.project(point.T, point.q, *first, scene.hand.per_radian)
         return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:

@@ -22,7 +22,7 @@ class MaxMove:
     rotation: float = inf
     """Rotation of the root, in radians."""
     joints: float = inf
-    """Movement of each joint, in radians; of prismatic joints, in metres."""
+    """Movement of each joint, in radians; prismatic joints move by at most `SLIDE_LEVER_M` of it, 0.1 m per radian."""
 
     def __post_init__(self) -> None:
         """Refuse bounds that are negative or NaN.
@@ -41,9 +41,14 @@ class MaxMove:
         q: Float[np.ndarray, "M n"],
         T_first: Float[np.ndarray, "M 4 4"],
         q_first: Float[np.ndarray, "M n"],
+        per_radian: Float[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]]:
-        """Return root poses and joint values within the bounds; those beyond are moved back towards the first."""
-        q = np.clip(q, q_first - self.joints, q_first + self.joints)
+        """Return root poses and joint values within the bounds; those beyond are moved back towards the first.
+
+        `per_radian` is that of the hand.
+        """
+        most = self.joints * per_radian
+        q = np.clip(q, q_first - most, q_first + most)
         if self.translation == inf and self.rotation == inf:
             return T, q
         T = T.copy()

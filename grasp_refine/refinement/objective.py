@@ -59,6 +59,7 @@ class Objective:
         self_pairs, self.self_links = prepared.self_collision_pairs, prepared.self_collision_links
         self.self_layer = None if self_pairs is None else WitnessLayer(self_pairs, config.derivative)
         self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
+        self.per_radian = self.tensor(hand.per_radian)
         solver = config.solver
         assert solver.needs_autograd
         self._transport = None

@@ -11,6 +11,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, exp_so3, log_so3, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import integrate
+from grasp_refine.hands.defaults import SLIDE_LEVER_M
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
@@ -52,7 +53,7 @@ def poses(count: int, seed: int) -> tuple[np.ndarray, ...]:
 def test_what_is_too_far_comes_back_as_far_as_it_may() -> None:
     """On the straight way back: same direction of movement, same axis, each joint by itself."""
     T_first, q_first, T, q = poses(60, 0)
-    kept_T, kept_q = NEAR.project(T, q, T_first, q_first)
+    kept_T, kept_q = NEAR.project(T, q, T_first, q_first, np.ones(q.shape[1]))
     before, after = away(T, q, T_first, q_first), away(kept_T, kept_q, T_first, q_first)
     for limit, far, near in zip((0.002, 0.03, 0.04), before, after, strict=True):
         assert (far > limit).any() and (far < limit).any()
@@ -69,20 +70,20 @@ def test_what_is_too_far_comes_back_as_far_as_it_may() -> None:
 
 def test_what_is_within_the_bounds_stays_as_it_is() -> None:
     T_first, q_first, T, q = poses(60, 1)
-    kept_T, kept_q = NEAR.project(T, q, T_first, q_first)
+    kept_T, kept_q = NEAR.project(T, q, T_first, q_first, np.ones(q.shape[1]))
     near, turned, joints = away(T, q, T_first, q_first)
     within = (near <= 0.002) & (turned <= 0.03)
     assert within.any() and not within.all()
     np.testing.assert_array_equal(kept_T[within], T[within])
     np.testing.assert_array_equal(kept_q[joints <= 0.04], q[joints <= 0.04])
-    again_T, again_q = NEAR.project(kept_T, kept_q, T_first, q_first)
+    again_T, again_q = NEAR.project(kept_T, kept_q, T_first, q_first, np.ones(q.shape[1]))
     np.testing.assert_allclose(again_T, kept_T, atol=1e-12)
     np.testing.assert_array_equal(again_q, kept_q)
 
 
 def test_without_bounds_nothing_is_changed() -> None:
     T_first, q_first, T, q = poses(10, 2)
-    kept_T, kept_q = MaxMove().project(T, q, T_first, q_first)
+    kept_T, kept_q = MaxMove().project(T, q, T_first, q_first, np.ones(q.shape[1]))
     np.testing.assert_array_equal(kept_T, T)
     np.testing.assert_array_equal(kept_q, q)
 
@@ -90,10 +91,16 @@ def test_without_bounds_nothing_is_changed() -> None:
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 def test_each_bound_is_one_of_its_own(name: str) -> None:
     T_first, q_first, T, q = poses(10, 3)
-    kept = away(*MaxMove(**{name: 0.0}).project(T, q, T_first, q_first), T_first, q_first)
+    kept = away(*MaxMove(**{name: 0.0}).project(T, q, T_first, q_first, np.ones(q.shape[1])), T_first, q_first)
     free = away(T, q, T_first, q_first)
     for bound, found, before in zip(("translation", "rotation", "joints"), kept, free, strict=True):
         np.testing.assert_allclose(found, 0.0 if bound == name else before, atol=1e-12)
+
+
+def test_slides_move_by_a_tenth_of_a_metre_per_radian() -> None:
+    T, q = np.eye(4)[None], np.array([[1.0, 1.0, -1.0]])
+    _, kept = MaxMove(joints=0.2).project(T, q, T, np.zeros((1, 3)), np.array([1.0, SLIDE_LEVER_M, SLIDE_LEVER_M]))
+    np.testing.assert_allclose(kept, [[0.2, 0.02, -0.02]], atol=1e-15)
 
 
 @pytest.mark.parametrize("angle", [1e-9, 3.0, np.pi - 1e-6, np.pi])
@@ -101,7 +108,7 @@ def test_turns_of_any_angle_are_bounded(angle: float) -> None:
     """Half a turn has two axes, and either will do."""
     T = np.eye(4)[None].copy()
     T[0, :3, :3] = exp_so3(angle * np.array([0.6, 0.0, 0.8]))
-    kept, _ = MaxMove(rotation=0.5).project(T, np.zeros((1, 0)), np.eye(4)[None], np.zeros((1, 0)))
+    kept, _ = MaxMove(rotation=0.5).project(T, np.zeros((1, 0)), np.eye(4)[None], np.zeros((1, 0)), np.ones(0))
     assert np.linalg.norm(log_so3(kept[0, :3, :3])) == pytest.approx(min(angle, 0.5), abs=1e-9)
     np.testing.assert_allclose(kept[0, :3, :3] @ kept[0, :3, :3].T, np.eye(3), atol=1e-12)
 

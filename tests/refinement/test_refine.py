@@ -162,7 +162,9 @@ def test_staying_near_shortens_the_movement_and_costs_little(scene: Scene) -> No
     free = refine(scene, replace(GEOMETRY, tolerance=0.0))
     held = refine(scene, Config(tolerance=0.0, weights=Weights(stay_near=1e-8, wrench=0.0)))
     away = [
-        (stay_near.movement(f.T_world_root, f.q, scene.T_world_root, scene.q, Scales()) ** 2).sum(axis=1)
+        (
+            stay_near.movement(f.T_world_root, f.q, scene.T_world_root, scene.q, Scales(), scene.hand.per_radian) ** 2
+        ).sum(axis=1)
         for f in (free, held)
     ]
     assert (away[1] < away[0]).all()

@@ -162,7 +162,7 @@ class Settings:
         DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
     ] = None
     """Largest change of a grasp, as in 0.01,0.1,0.2: translation of the hand in metres, its rotation in radians, and
-    each joint in radians (a prismatic one: metres); inf: no limit."""
+    each joint in radians (a prismatic one: 0.1 m per radian); inf: no limit."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: no limit)")] = None
     """CPU time after which levenberg-marquardt ends the work on a grasp; the best result until then counts."""
     geometry_only: bool = False

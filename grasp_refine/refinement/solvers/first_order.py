@@ -30,6 +30,8 @@ class Differentiable(Protocol):
     """Lower joint limits (n,), in the number type of the problem and within the true ones."""
     upper: torch.Tensor
     """Upper joint limits (n,), likewise."""
+    per_radian: torch.Tensor
+    """Movements (n,) of the joints that count as one radian, as `Hand.per_radian`."""
 
     def tensor(self, array: np.ndarray) -> torch.Tensor:
         """Return an array in the number type and on the device of the problem."""
@@ -62,7 +64,7 @@ class FirstOrder(Solver):
     step_rotation: float = 1e-2
     """Step length s_r of the root rotation in radians (the paper takes 0.002)."""
     step_joints: float = 2e-2
-    """Step length s_q of the joints in radians, metres for prismatic joints (the paper takes 0.01)."""
+    """Step length s_q of the joints in radians, 0.1 m per radian for prismatic joints (the paper takes 0.01)."""
     shares: tuple[float, ...] = (0.5, 0.8)
     """Shares of the iterations after which the steps shrink."""
     factors: tuple[float, ...] = (0.1, 0.01)
@@ -129,7 +131,7 @@ class FirstOrder(Solver):
         direction, memory = self.direction(gradient, memory)
         scale = T.new_tensor((1.0, *self.factors))[state.phase.tolist()][:, None]
         length = T.new_tensor([self.step_translation] * 3 + [self.step_rotation] * 3)
-        moved = q - direction[:, 6:] * self.step_joints * scale
+        moved = q - direction[:, 6:] * self.step_joints * problem.per_radian * scale
         # A joint within its limits never leaves them.
         moved = moved.maximum(q.minimum(lower)).minimum(q.maximum(upper))
         T = retract(T, -direction[:, :6] * length * scale)

@@ -15,7 +15,7 @@ class Scales:
     rotation: float = 0.1
     """Rotation of the root, in radians."""
     joints: float = 0.15
-    """Movement of a joint, in radians (metres for prismatic joints)."""
+    """Movement of a joint, in radians; of a prismatic joint, 0.1 m per radian."""
 
     def __post_init__(self) -> None:
         """Refuse scales that are not positive.

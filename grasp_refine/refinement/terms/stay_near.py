@@ -19,32 +19,34 @@ class StayNear(Term):
         """Return the movements (M, 6 + n)."""
         scene, member = self.setup.scene, state.member
         T_first, q_first = state.like(scene.T_world_root[member]), state.like(scene.q[member])
-        return (movement(state.T, state.q, T_first, q_first, self.setup.scales),)
+        per_radian = state.like(scene.hand.per_radian)
+        return (movement(state.T, state.q, T_first, q_first, self.setup.scales, per_radian),)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[JointRows]:
         """Return rows of all movements."""
         (away,) = self.residuals(state)
-        yield JointRows(away, movement_jacobian(away, self.setup.scales))
+        yield JointRows(away, movement_jacobian(away, self.setup.scales, self.setup.scene.hand.per_radian))
 
 
-def movement(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales) -> Array:
+def movement(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales, per_radian: Array) -> Array:
     """Return the movement (..., 6 + n) from the initial root pose and joint values, in units of `scales`.
 
-    [(p - p_0) / s_t, log(R R_0^T) / s_r, (q - q_0) / s_q], world frame.
+    [(p - p_0) / s_t, log(R R_0^T) / s_r, (q - q_0) / (s_q u)], world frame, with u = `per_radian` of the hand.
     """
     xp = array_namespace(q)
     turned = log_so3(T[..., :3, :3] @ xp.matrix_transpose(T_first[..., :3, :3]))
     moved = T[..., :3, 3] - T_first[..., :3, 3]
-    return xp.concat([moved / scales.translation, turned / scales.rotation, (q - q_first) / scales.joints], axis=-1)
+    joints = (q - q_first) / (scales.joints * per_radian)
+    return xp.concat([moved / scales.translation, turned / scales.rotation, joints], axis=-1)
 
 
-def movement_jacobian(residual: np.ndarray, scales: Scales) -> np.ndarray:
+def movement_jacobian(residual: np.ndarray, scales: Scales, per_radian: np.ndarray) -> np.ndarray:
     """Return the derivative (..., 6 + n, 6 + n) of `movement` in (v, w, q), the root turning about its own origin.
 
     Exact except for the rotation, d log = J_l^-1(log) w, taken to second order of the angle: I - [w] / 2 + [w]^2 / 12.
     """
     n = residual.shape[-1] - 6
-    each = np.repeat([scales.translation, scales.rotation, scales.joints], [3, 3, n])
+    each = np.concatenate([np.repeat([scales.translation, scales.rotation], 3), scales.joints * per_radian])
     jacobian = np.zeros((*residual.shape, 6 + n)) + np.diag(1.0 / each)
     w = residual[..., 3:6] * scales.rotation
     W = hat(w)

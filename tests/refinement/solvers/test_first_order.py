@@ -172,9 +172,9 @@ class Slope(Given):
 def test_steps_shrink_after_their_shares_of_the_iterations() -> None:
     """The first iteration evaluates the start; the step of the fifth, still a whole one, is evaluated by the sixth."""
     solver, path = Descent(iterations=10, shares=(0.5, 0.8), factors=(0.1, 0.01), progress=0.0), []
-    limits = torch.tensor([-100.0], dtype=torch.float64), torch.tensor([100.0], dtype=torch.float64)
+    joint = (torch.tensor([value], dtype=torch.float64) for value in (-100.0, 100.0, 1.0))
     start = Point(np.eye(4)[None], np.array([[5.0]]))
-    minimise(Slope(*limits), start, solver, 0.0, on_iteration=lambda member, point, loss: path.append(point.q[0, 0]))
+    minimise(Slope(*joint), start, solver, 0.0, on_iteration=lambda member, point, loss: path.append(point.q[0, 0]))
     np.testing.assert_allclose(-np.diff(path) / solver.step_joints, [1.0] * 5 + [0.1] * 3 + [0.01], rtol=1e-9)
 
 

@@ -142,8 +142,12 @@ def test_staying_near_counts_scales_of_movement() -> None:
     w = np.array([[0.0, 0.0, 0.6], [0.0, 0.0, 0.0], [1e-9, 0.0, 0.0]])
     T[:, :3, :3] = exp_so3(w) @ T[:, :3, :3]
     T[:, :3, 3] += [0.02, -0.04, 0.0]
-    found = in_both(lambda *a: movement(*a, scales), T, q_first + 0.25, T_first, q_first)
+    found = in_both(
+        lambda T, q, T_first, q_first, per_radian: movement(T, q, T_first, q_first, scales, per_radian),
+        *(T, q_first + 0.25, T_first, q_first, np.array([1.0, 1.0, 1.0, 0.1])),
+    )
     expected = np.concatenate([np.tile([1.0, -2.0, 0.0], (3, 1)), w / 0.3, np.full((3, 4), 0.5)], axis=1)
+    expected[:, -1] *= 10.0  # a slide
     np.testing.assert_allclose(found, expected, atol=1e-12)
     # One scale of anything counts 1.
     np.testing.assert_allclose((found[0, 0], found[0, 5], found[0, 6]), (1.0, 2.0, 0.5), atol=1e-12)
@@ -217,7 +221,7 @@ def test_covectors_of_ellipsoids_whose_curvatures_differ_all_round(gap: float) -
 )
 def test_the_derivative_of_staying_near_is_a_series_in_the_angle(angle: float, error: float) -> None:
     """J_l^-1 = I - [w] / 2 + [w]^2 / 12 + O(angle^4 / 720): 0.2 % at one radian, the right way at three."""
-    rng, scales = np.random.default_rng(11), Scales(0.01, 1.0, 0.15)
+    rng, scales, unit = np.random.default_rng(11), Scales(0.01, 1.0, 0.15), np.array([1.0, 0.1, 1.0])
     T_first, q_first = exp_se3(rng.normal(size=(5, 6))), rng.normal(size=(5, 3))
     axis = rng.normal(size=(5, 3))
     w = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
@@ -225,7 +229,7 @@ def test_the_derivative_of_staying_near_is_a_series_in_the_angle(angle: float, e
     T[:, :3, :3] = exp_so3(w) @ T[:, :3, :3]
     T[:, :3, 3] += rng.normal(size=(5, 3)) * 0.05
     q = q_first + rng.normal(size=(5, 3))
-    found = movement_jacobian(movement(T, q, T_first, q_first, scales), scales)
+    found = movement_jacobian(movement(T, q, T_first, q_first, scales, unit), scales, unit)
     expected = np.zeros((5, 9, 9))
     for k in range(9):
         ends = []
@@ -234,7 +238,7 @@ def test_the_derivative_of_staying_near_is_a_series_in_the_angle(angle: float, e
             moved = T.copy()
             moved[:, :3, :3] = exp_so3(dx[3:6]) @ T[:, :3, :3]
             moved[:, :3, 3] += dx[:3]
-            ends.append(movement(moved, q + dx[6:], T_first, q_first, scales))
+            ends.append(movement(moved, q + dx[6:], T_first, q_first, scales, unit))
         expected[:, :, k] = (ends[0] - ends[1]) / 2e-6
     np.testing.assert_allclose(found[:, :3], expected[:, :3], atol=1e-7)
     np.testing.assert_allclose(found[:, 6:], expected[:, 6:], atol=1e-7)

@@ -76,7 +76,7 @@ class Disturbance:
     rotation: float = radians(15.0)
     """Angle that the root turns about a random axis through its origin, in radians."""
     joints: float = 0.2
-    """Standard deviation of joint values, in radians (metres for prismatic joints); limits are kept."""
+    """Standard deviation of joint values, in radians; of prismatic joints, 0.1 m per radian. Limits are kept."""
 
     def apply(
         self, hand: Hand, T_world_root: np.ndarray, q: np.ndarray, keys: list[tuple[int, ...]]
@@ -88,7 +88,7 @@ class Disturbance:
             direction, axis = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
             T[row, :3, 3] += self.translation * direction
             T[row, :3, :3] = exp_so3(self.rotation * axis) @ T[row, :3, :3]
-            q[row] += self.joints * rng.normal(size=q.shape[1])
+            q[row] += self.joints * hand.per_radian * rng.normal(size=q.shape[1])
         return T, np.clip(q, hand.lower, hand.upper)
 
 
