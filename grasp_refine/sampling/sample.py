@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.arguments import check_kind
@@ -19,7 +19,9 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
 from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
+from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
 from grasp_refine.scene.contact_selection import link_groups
 from grasp_refine.scene.hand_object import HandObject
@@ -45,8 +47,8 @@ CUTOFF_M = 0.03
 MAX_STEPS, MIN_STEP_RAD, MAX_STEP_RAD = 40, 5e-3, 0.2
 """Most steps in which fingers close; smallest step after which another follows, and largest step, in radians."""
 
-SPEED_RANGE, SLIDE_M_PER_RAD = (0.4, 1.0), 0.1
-"""Range of the closing speeds of joints, so that fingers curl in many ways; metres of a prismatic joint per radian."""
+SPEED_RANGE = (0.4, 1.0)
+"""Range of the closing speeds of joints, so that fingers curl in many ways."""
 
 SINGLE_GROUP_PENALTY = 0.1
 """Penalty in a score of being held by one group of links only; for several groups it is divided by their number."""
@@ -69,7 +71,9 @@ def sample_grasps(
 
     Half of the hands approach so that their fingers close on two points that face away from each other, the others
     along the normal of a point. Each backs off until it is clear and closes: a joint stops when a link that it moves
-    touches, those beyond continue; a finger that touches nothing stays where it was nearest. Hands that hold the object
+    touches, those beyond continue; a finger that touches nothing stays where it was nearest. Grippers with two jaws
+    (`jaw_frame`) are placed at pairs of points that are antipodal (`antipodal_pairs`), as far as there are any, from
+    any side, and move along their line until both jaws touch. Hands that hold the object
     with fewer than two groups of links (fingers, palm), or penetrate anything, are rejected. The others are scored by
     how well their contacts can balance each other. There are fewer than `count` where no more are found among
     `TRIES_PER_GRASP` hands for each.
@@ -99,13 +103,10 @@ def sample_grasps(
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     closing = _Closing(prepared or HandObject(hand, obj), closure, table)
-    pairs = opposed_pairs(obj, closure.opening)
+    draw = _drawing(closing, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     while total < CANDIDATES_PER_GRASP * count and tried < max(MIN_TRIES, TRIES_PER_GRASP * count):
-        places = sample_places(obj, pairs, BATCH_SIZE, rng)
-        found.append(
-            _score(closing, closing.close(closing.back_off(place_hands(hand, closure, places, table, rng)), rng))
-        )
+        found.append(_score(closing, draw()))
         total, tried = total + len(found[-1].q), tried + BATCH_SIZE
         if progress is not None:
             progress(total, tried)
@@ -125,6 +126,24 @@ def sample_grasps(
         hand_pose=pose_from_transform(best.T),
         q=best.q,
     )
+
+
+def _drawing(closing: _Closing, jaws: JawFrame | None, rng: np.random.Generator) -> Callable[[], Placed]:
+    """Function that draws `BATCH_SIZE` hands, closes them, and returns those that were clear while open."""
+    prepared, closure, table = closing.prepared, closing.closure, closing.table
+    hand, obj = prepared.hand, prepared.object
+    if jaws is not None:
+        antipodal = antipodal_pairs(obj, (jaws.width[-1], jaws.width[0] - 2.0 * CLEARANCE_M))
+        if len(antipodal):
+            return lambda: closing.draw_jaws(jaws, antipodal, rng)
+    pairs = opposed_pairs(obj, closure.opening)
+
+    def draw() -> Placed:
+        places = sample_places(obj, pairs, BATCH_SIZE, rng)
+        placed = place_hands(hand, closure, places, table, rng)
+        return closing.close(closing.back_off(placed, closure.opening), rng)
+
+    return draw
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +213,30 @@ class _Closing:
     closure: ClosureFrame
     table: Plane | None
 
-    def back_off(self, hands: Placed) -> Placed:
-        """Hands moved back along their approach until they are clear of everything; without those that never are."""
+    def draw_jaws(self, jaws: JawFrame, pairs: Int[np.ndarray, "P 2"], rng: np.random.Generator) -> Placed:
+        """Jaws that closed on antipodal pairs, of those that were clear while open."""
+        hands, axis, width = place_jaws(jaws, self.prepared.object, pairs, BATCH_SIZE, CLEARANCE_M, self.table, rng)
+        proximity = self.proximity(hands, CLEARANCE_M)
+        clear = np.flatnonzero(proximity.gap.min(axis=1) >= CLEARANCE_M)
+        group = np.array(link_groups(self.prepared.hand, links_of(self.prepared.hand)))
+        first, second = (group == name for name in jaws.groups)
+        return close_jaws(
+            jaws,
+            take(hands, clear),
+            axis[clear],
+            width[clear],
+            lambda placed: self.proximity(placed, np.inf).gap,
+            (first, second),
+            STOP_DISTANCE_M,
+        )
+
+    def back_off(self, hands: Placed, farthest: float) -> Placed:
+        """Hands moved back along their approach until they are clear of everything; without those that never are.
+
+        Args:
+            hands: Hands at any depth.
+            farthest: Largest distance in metres by which they move.
+        """
         hands, gone = replace(hands, T=hands.T.copy()), np.zeros(len(hands.q))
         above, busy = np.zeros(len(gone)), np.arange(len(gone))
         while len(busy):
@@ -207,14 +248,13 @@ class _Closing:
             back = np.where(back > 0, np.maximum(back, 1e-3), 0.0)
             hands.T[busy, :3, 3] -= back[:, None] * way
             gone[busy] += back
-            busy = busy[(back > 0) & (gone[busy] < self.closure.opening)]
-        return take(hands, (gone < self.closure.opening) & (above > CLEARANCE_M))
+            busy = busy[(back > 0) & (gone[busy] < farthest)]
+        return take(hands, (gone < farthest) & (above > CLEARANCE_M))
 
     def close(self, hands: Placed, rng: np.random.Generator) -> Placed:
         """The hands with their fingers close, all of them at once."""
         closure, hand = self.closure, self.prepared.hand
-        slides = np.array([hand.joints_by_name[name].kind == "prismatic" for name in hand.joint_names], dtype=bool)
-        unit = np.where(slides, SLIDE_M_PER_RAD, 1.0)
+        unit = hand.per_radian
         speed = rng.uniform(*SPEED_RANGE, hands.q.shape) * unit * np.abs(closure.closing)
         end = np.where(closure.closing > 0, closure.upper, closure.lower)
         hands, nearest = replace(hands, q=hands.q.copy()), hands.q.copy()
