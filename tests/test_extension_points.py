@@ -27,7 +27,7 @@ from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants
 from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.commands.settings import Settings, WeightsOptions
-from hands.test_robots import JOINTS, MAKERS
+from hands.test_robots import JOINTS, MAKERS, PUBLISHED
 from readme import ROOT
 from witness.test_every_method import METHODS as TRIED
 from witness.test_every_method import NEIGHBORHOODS
@@ -69,7 +69,7 @@ def test_hands_have_their_files(hand: str):
 
 
 def test_hands_are_compared_with_the_makers():
-    assert set(MAKERS) == set(JOINTS) == set(list_hands())
+    assert {*MAKERS, *PUBLISHED} == set(JOINTS) == set(list_hands())
 
 
 def test_weights_are_options():

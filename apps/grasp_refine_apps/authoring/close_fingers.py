@@ -11,7 +11,7 @@ the third grasp of a file are the first accepted one that loses the object in si
 squeezed as `validate` does for files without pregrasps and squeezes); the second and the fourth are the first accepted
 one, held or not. So half of the examples do not hold before refinement; of all accepted disturbances of the Allegro
 hand, one in seven does not. No simulation of refined grasps takes part in the choice. Sampled grasps whose refinement
-does not converge are left out.
+does not converge are left out. Grippers with two jaws lose hardly any: of them, the first accepted disturbance is taken.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
@@ -40,7 +42,7 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
 
-HANDS = ("allegro", "leap", "shadow", "shadow_palm")
+HANDS = ("allegro", "franka_hand", "leap", "shadow", "shadow_palm")
 """Hands of robots/ that ship with example grasps."""
 NUM_SAMPLES, NUM_EXAMPLES = 16, 4
 """Number of grasps sampled for a hand and an object without approaches here, and number kept as examples."""
@@ -67,7 +69,8 @@ CLEARANCE_M = 0.002
 """Distance to the object at which a link stops, metres."""
 
 MAX_SHIFT_M, MAX_TURN_RAD, MAX_BEND_RAD = 0.006, np.radians(4.0), 0.09
-"""Largest disturbance of the hand (metres and radians along each axis) and of each joint (radians)."""
+"""Largest disturbance of the hand (metres and radians along each axis) and of each joint (radians; of prismatic joints, 0.1
+m per radian)."""
 GAP_RANGE_M, DEPTH_RANGE_M = (0.007, 0.015), (0.001, 0.0035)
 """Accepted ranges after the disturbance, metres: largest fingertip distance, and deepest penetration of any link."""
 NUM_DISTURBANCES = 512
@@ -176,7 +179,8 @@ def disturb(
     size = np.repeat([MAX_SHIFT_M, MAX_TURN_RAD], 3)
     twist = rng.uniform(-size, size, (NUM_DISTURBANCES, 6))
     T = T_object_root @ exp_se3(twist)
-    angles = np.clip(q + rng.uniform(-MAX_BEND_RAD, MAX_BEND_RAD, (NUM_DISTURBANCES, len(q))), hand.lower, hand.upper)
+    bend = MAX_BEND_RAD * hand.per_radian
+    angles = np.clip(q + rng.uniform(-bend, bend, (NUM_DISTURBANCES, len(q))), hand.lower, hand.upper)
     distance = around.distances(T, angles)
     gap = distance[:, [around.links.index(contact.link) for contact in hand.contacts]].max(axis=1)
     depth = -distance.min(axis=1)
@@ -228,13 +232,14 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
     around = HandObjectDistances(hand, obj)
     given = hand.name == "allegro"
     bases = close_on_approaches(hand, around, EXAMPLES[obj.name]) if given else sample_touching(hand, obj, around, seed)
+    jaws = jaw_frame(hand, closure_frame(hand)) is not None
     world = build_world(model_of(hand), obj, DEXGRASPBENCH)
     # The object's name is part of the seed, so that the examples of an object do not depend on the other objects.
     rng = np.random.default_rng([seed, *obj.name.encode()])
     kept: list[tuple[np.ndarray, np.ndarray]] = []
     for base in zip(*bases, strict=True):
         scene = Scene(hand, obj, *disturb(hand, around, *base, rng))
-        first = find_first_lost(scene, world) if len(kept) % 2 == 0 else 0
+        first = find_first_lost(scene, world) if len(kept) % 2 == 0 and not jaws else 0
         if first is None and given:
             raise RuntimeError("no disturbance loses the object: change the approach")
         if first is None:
