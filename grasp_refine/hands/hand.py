@@ -19,11 +19,9 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.base_link import guess_base
-from grasp_refine.hands.defaults import Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
+from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
-from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
-from grasp_refine.hands.hand_toml import Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
 from grasp_refine.hands.mimics import limit_by_followers, mimic_map

@@ -13,8 +13,8 @@ from lxml import etree
 from fuzz.mutations import NUMBERS
 from fuzz.reader import Reader, plain, written
 from grasp_refine.geometry.mesh import SUFFIXES
-from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.visuals import load_visuals
 
 CUBE = """v 0 0 0\nv .02 0 0\nv .02 .02 0\nv 0 .02 0\nv 0 0 .02\nv .02 0 .02\nv .02 .02 .02\nv 0 .02 .02

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.query import query
-from grasp_refine.core.se3 import transform_from_pose, transform_points
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
