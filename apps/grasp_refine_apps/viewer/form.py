@@ -155,7 +155,13 @@ class Form:
             handle = self.gui.add_number(entry.label, shown, step=1, hint=entry.hint)
         else:
             handle = self.gui.add_text(entry.label, shown, hint=entry.hint)
-        handle.on_update(lambda event: self._changed(entry) if event.client is not None else None)
+
+        # Asynchronous, so that a button pressed next does not overtake it, see `panels.widgets`.
+        async def changed(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                self._changed(entry)
+
+        handle.on_update(changed)
         return handle
 
     def _changed(self, entry: Entry) -> None:

@@ -13,7 +13,7 @@ from websocket_page import Page, until
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine_apps.viewer.panels import widgets  # noqa: E402
-from grasp_refine_apps.viewer.panels.widgets import LiveInput  # noqa: E402
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, on_change, on_click  # noqa: E402
 
 
 @pytest.fixture
@@ -92,3 +92,23 @@ def test_a_slider_that_is_gone_is_not_moved_later(server: Any, page: Page, monke
     slider.handle.remove()
     time.sleep(0.3)  # a thread that raised would fail this test
     assert slider.handle.value == 5.0
+
+
+def test_a_click_waits_for_the_change_before_it(server: Any):
+    """Start overtook a choice that was made just before: viser calls functions in threads."""
+    box, button = server.gui.add_checkbox("box", False), server.gui.add_button("button")
+    done: list[Any] = []
+
+    def change(value: bool) -> None:
+        time.sleep(0.1)
+        done.append(value)
+
+    on_change(box, change)
+    on_click(button, lambda: done.append("clicked"))
+    page = Page(server)
+    for value in (True, False):
+        page.change(box, value)
+        page.change(button, True)
+    until(lambda: len(done) == 4)
+    page.close()
+    assert done == [True, "clicked", False, "clicked"]

@@ -16,19 +16,35 @@ HOLD_S = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
 
 
-def on_click(button: viser.GuiButtonHandle, act: Callable[[], object]) -> None:
-    """Call `act` when a button is clicked."""
+# viser runs other functions in threads, where Start could overtake a choice that was made just before. Those that are
+# asynchronous run one after the other, as a user's changes come; none may wait for anything.
 
-    def clicked(event: viser.GuiEvent[Any]) -> None:
+
+def on_click(button: Any, act: Callable[[], object]) -> None:
+    """Call `act`, which must return at once, when a button is clicked; after all that a user changed before."""
+
+    async def clicked(event: viser.GuiEvent[Any]) -> None:
         act()
 
     button.on_click(clicked)
 
 
-def on_change(widget: Any, act: Callable[[Any], object]) -> None:
-    """Call `act` with the value of a widget that a user changed; values that the program sets come without a client."""
+def on_choice(buttons: Any, act: Callable[[str], object]) -> None:
+    """Call `act`, which must return at once, with the label of the button of a group that is clicked, in turn."""
 
-    def changed(event: viser.GuiEvent[Any]) -> None:
+    async def clicked(event: viser.GuiEvent[Any]) -> None:
+        act(event.target.value)
+
+    buttons.on_click(clicked)
+
+
+def on_change(widget: Any, act: Callable[[Any], object]) -> None:
+    """Call `act`, which must return at once, with the value of a widget that a user changed, in turn.
+
+    Values that the program sets come without a client.
+    """
+
+    async def changed(event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
             act(event.target.value)
 
