@@ -15,9 +15,12 @@ from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
+from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
+from grasp_refine_apps.viewer.pose import Pose, targets_of
 from grasp_refine_apps.viewer.recorded import read_records
 from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.work import Work
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +45,18 @@ class Collection:
     """Joint values before refinement (N, n)."""
     columns: Mapping[str, Column]
     """Measures of the grasps: key -> column."""
+    counted: tuple[Counted | None, ...]
+    """Links of each grasp that count by its refinement (N,); None where that is not recorded."""
     marks: tuple[Marks, ...]
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
+    stand_ins: frozenset[str] = frozenset()
+    """Names of the objects whose meshes are not known: their grasps are shown on another object."""
     trials: Mapping[int, TrialResult] = field(default_factory=dict)
     """Simulation results of the grasps as in their file, by number, where known."""
 
     @staticmethod
-    def of(problem: Problem) -> Collection:
-        """Return the grasps of a problem, with recorded measures and marks.
+    def of(problem: Problem, stand_ins: frozenset[str] = frozenset()) -> Collection:
+        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` as the field.
 
         Raises:
             GraspFileError: a result file, or the file of marks beside it, is damaged.
@@ -63,8 +70,10 @@ class Collection:
         found = read_records(problem)
         first = problem.files[:1] if not problem.sampled else ()
         files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
-        columns = {}
+        columns: dict[str, Column] = {}
+        counted: tuple[Counted | None, ...] = (None,) * len(rows)
         if found is not None:
+            counted = tuple(found.counted[at] for at in rows)
             files, file_of, row = found.files, found.file[rows], found.row[rows]
             refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
             T = np.where(refined[:, None, None], found.T[rows], T)
@@ -72,7 +81,7 @@ class Collection:
             columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks)
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins)
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -87,6 +96,14 @@ class Collection:
     def objects(self) -> Shaped[np.ndarray, " N"]:
         """The name of each grasp's object (N,)."""
         return np.array([group.object for group in self.problem.groups])[self.group_of]
+
+    @property
+    def title(self) -> str:
+        """Hand, objects and source for users, in one line."""
+        objects = list(dict.fromkeys(group.object for group in self.problem.groups))
+        named = objects[0] if len(objects) == 1 else f"{len(objects)} objects"
+        source = self.problem.sampled or self.problem.files[0].name
+        return f"{self.hand.name} on {named}, {source}"
 
     def group(self, number: int) -> Group:
         """The group of a grasp."""
@@ -113,6 +130,17 @@ class Collection:
         """Pose (4, 4) of the base link in the object's frame and joint values (n,) of a grasp before refinement."""
         return self.T_initial[number], self.q_initial[number]
 
+    def pose(self, number: int) -> Pose:
+        """Pose of the hand in a grasp as in its file."""
+        scene, row = self.group(number).scene, self.member[number]
+        return Pose(scene.T_world_root[row], scene.q[row])
+
+    def work(self, number: int) -> Work:
+        """Return a grasp as in its file, with its simulation result if that is known."""
+        targets = targets_of(self.scene(number))
+        pose = self.pose(number)
+        return Work(pose, targets, counted=self.counted[number], trial=self.trials.get(number), of_file=pose)
+
     def with_columns(self, *columns: Column) -> Collection:
         """Return the collection with additional or replaced columns."""
         return replace(self, columns={**self.columns, **{column.key: column for column in columns}})
@@ -136,9 +164,11 @@ class Collection:
         """
         self.marks[self.file_of[number]].save()
 
-    def with_trials(self, trials: Mapping[int, TrialResult]) -> Collection:
-        """Return the collection with simulation results of some grasps, by number, and columns of them."""
-        trials = {**self.trials, **trials}
+    def with_trials(self, changes: Mapping[int, TrialResult | None]) -> Collection:
+        """Return the collection with simulation results of some grasps, by number, and columns of them; None: none."""
+        if not changes:
+            return self
+        trials = {number: trial for number, trial in {**self.trials, **changes}.items() if trial is not None}
         verdict, reason = np.full((2, len(self)), "", dtype=object)
         for number, trial in trials.items():
             verdict[number] = HELD_TEXT if trial.held else FAILED_TEXT
@@ -146,4 +176,5 @@ class Collection:
                 lost = (one.reason for one in trial.results if not one.held)
                 reason[number] = next(lost, Reason.OFF_CENTRE).label
         columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
-        return replace(self.with_columns(*columns), trials=trials) if trials else self
+        known = trials or HELD.key in self.columns
+        return replace(self.with_columns(*columns), trials=trials) if known else self

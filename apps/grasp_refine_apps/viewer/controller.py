@@ -6,23 +6,38 @@ one worker thread; listeners are called with every new state.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
+import numpy as np
+
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.scene.scene import Scene
+from grasp_refine.core.plurals import count_text
+from grasp_refine.refinement.config import Config
+from grasp_refine.results.outcome import Outcome
+from grasp_refine_apps.viewer.batches import batches, pose_of, refine_batch
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.editing import Editor
+from grasp_refine_apps.viewer.contacts import ContactMeter
+from grasp_refine_apps.viewer.counted import Counted
+from grasp_refine_apps.viewer.editing import MAX_STEPS, Editor
+from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
-from grasp_refine_apps.viewer.pose import Pose, targets_of
+from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import DisplayOptions, State
-from grasp_refine_apps.viewer.store import Change
+from grasp_refine_apps.viewer.store import BUSY_MESSAGE, Change
 from grasp_refine_apps.viewer.trace import Trace
+from grasp_refine_apps.viewer.validated import TrialResult
 from grasp_refine_apps.viewer.validating import PosedGrasp, protocol_of, record_direction, run_trial, world_cache
+from grasp_refine_apps.viewer.work import NO_RESULTS, Work
 from grasp_refine_apps.viewer.worker import Control, Stopped
+
+MAX_SHELVED = 6
+"""Number of the last opened files that are kept; those with unsaved grasps are kept in any case."""
 
 
 class Controller(Editor):
@@ -30,7 +45,9 @@ class Controller(Editor):
 
     def __init__(self, collection: Collection, settings: Any) -> None:
         """Show the first of the open grasps; `settings` are the options of refinement (`State.settings`)."""
-        super().__init__(_state_with_grasp(State(collection, 0, *_grasp(collection, 0), settings), 0))
+        super().__init__(_first_state(collection, 0, settings))
+        self.contacts = ContactMeter()
+        """Contacts of the shown grasp of a state."""
         self._world = world_cache()
         self._measuring = False
         """Whether measuring resumes when the worker is free."""
@@ -38,7 +55,10 @@ class Controller(Editor):
     # display
 
     def change_collection(self, collection: Collection, number: int = 0) -> None:
-        """Show another collection: after an upload, or with more columns of the same grasps."""
+        """Show another collection: after an upload, or with more columns of the same grasps.
+
+        Other grasps go to the shelf, unless the new ones are the same with more known of their objects.
+        """
         with self._lock:
             same_grasps = collection.problem is self._state.collection.problem
             if same_grasps and number == self._state.number:
@@ -47,9 +67,20 @@ class Controller(Editor):
             self._interrupt()
             if not same_grasps:
                 self._measuring = False
-                if self._state.job is not None and self._state.job.kind == "measure":
+                if self._state.job is not None and self._state.job.kind in ("measure", "batch"):
                     self._halt()
-            self._become(_state_with_grasp(replace(self._state, collection=collection), number))
+            self._become(_showing(self._state, collection, number))
+
+    def reopen(self, at: int) -> None:
+        """Show grasps of the shelf again, as they were left; those that are open take their place."""
+        with self._lock:
+            shelf = self._state.shelf
+            if 0 <= at < len(shelf):
+                found = shelf[at]
+                self.change_collection(found.collection, found.number)
+                others = tuple(each for each in self._state.shelf if each is not found)
+                works = {**self._state.works, **found.works}
+                self._set(works=works, listing=found.listing, shelf=others)
 
     def show(self, number: int) -> None:
         """Show another grasp."""
@@ -135,21 +166,122 @@ class Controller(Editor):
             if config is None:
                 return
             pose = self._state.standing
-            nothing: dict[str, Any] = dict.fromkeys(("trace", "frame", "outcome", "motion", "picked", "trial"))
-            self._become(replace(self._with_step(self._state, ""), pose=pose, **nothing))
+            nothing = {**NO_RESULTS, **dict.fromkeys(("trace", "frame", "motion", "picked"))}
+            self._become(self._with_step(self._state, "").evolve(pose=pose, **nothing))
             scene, targets = self._state.scene, self._state.targets
-            name = self._state.collection.group(self._state.number)
+            number = self._state.number
+            name = self._state.collection.group(number)
 
             def work(control: Control) -> Change:
                 def show(trace: Trace) -> None:
                     self._update_from_job(control, pose=trace.pose(len(trace) - 1), trace=trace)
 
                 found = refine_grasp(self._hand_object(scene), scene, pose, targets, config, control, show, name)
-                return lambda state: replace(state, pose=found.pose, trace=found.trace, outcome=found.outcome)
+                refined = {"pose": found.pose, "trace": found.trace, "outcome": found.outcome}
+                counted = Counted(found.outcome.touching[0], config.margin)
+                return lambda state: state.evolve(**refined, counted=counted, config=config, refined_at=now())
 
             self.run_job("refine", "refining", work)
             if paused and self._control is not None:
                 self._hold(True)
+
+    def refine_many(self, numbers: Sequence[int]) -> None:
+        """Refine grasps as they stand, but those that these settings have refined; each is kept as soon as it is."""
+        with self._lock:
+            config = self._checked(self._state.settings.config)
+            if config is None:
+                return
+            collection, works = self._state.collection, self._works(numbers)
+            todo = {n: work for n, work in works.items() if work.outcome is None or work.config != config}
+            if not todo:
+                self.notify("all of them are refined with these settings: change the settings, or reset a grasp")
+                return
+
+            def work(control: Control) -> None:
+                done = 0
+                for batch in batches(collection, todo):
+                    control.report(done / len(todo), f"refining {done + 1} of {len(todo)} grasps")
+                    control.check()
+                    prepared = self._hand_object(batch.group.scene)
+                    outcome = refine_batch(batch, config, prepared, control)
+                    for i, number in enumerate(batch.numbers):
+                        self._keep_refined(control, number, todo[number], outcome.select(np.array([i])), config)
+                    done += len(batch.numbers)
+                self.notify(f"{count_text(done, 'grasp')} refined: they are listed in Browse, and not saved yet")
+
+            self._run_batch("refining", work)
+
+    def run_trials(self, numbers: Sequence[int]) -> None:
+        """Simulate grasps as they stand, but those that the protocol has tested; each result is kept at once."""
+        with self._lock:
+            protocol = self._checked(lambda: protocol_of(*self._state.protocol))
+            if protocol is None:
+                return
+            works = self._works(numbers)
+            todo = {n: work for n, work in works.items() if work.trial is None or work.trial.protocol != protocol}
+            if not todo:
+                self.notify("all of them are tested by this protocol")
+                return
+            grasps = {number: self._posed_grasp(work.standing, number) for number, work in todo.items()}
+
+            def work(control: Control) -> None:
+                for done, (number, grasp) in enumerate(grasps.items()):
+                    quiet = Control(lambda share, what: control.check())
+                    control.report(done / len(grasps), f"testing {done + 1} of {len(grasps)} grasps")
+                    control.check()
+                    prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
+                    found = run_trial(self._world, prepared, protocol, quiet)
+                    self._keep_trial(control, number, todo[number], found)
+                trials = [self._state.works[number].trial for number in grasps]
+                held = sum(trial is not None and trial.held for trial in trials)
+                self.notify(f"{count_text(len(grasps), 'grasp')} tested: {held} held")
+
+            self._run_batch("testing", work)
+
+    def mark_saved(self, poses: Mapping[int, Pose]) -> None:
+        """Note that grasps were saved at these poses."""
+        with self._lock:
+            state = self._state
+            for number in poses.keys() & state.works.keys():
+                state = state.with_work(number, replace(state.works[number], saved=poses[number]))
+            self._become(state)
+
+    def set_listing(self, listing: Listing) -> None:
+        """List other grasps, or in another order."""
+        self._set(listing=listing)
+
+    def _works(self, numbers: Sequence[int]) -> dict[int, Work]:
+        """Works on some grasps."""
+        state = self._state
+        return {n: state.works.get(n) or state.collection.work(n) for n in numbers if 0 <= n < len(state.collection)}
+
+    def _run_batch(self, what: str, work: Callable[[Control], None]) -> None:
+        if not self.run_job("batch", what, work):
+            self.notify(BUSY_MESSAGE, bad=True)
+
+    def _keep_refined(self, control: Control, number: int, start: Work, outcome: Outcome, config: Config) -> None:
+        """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
+        counted = Counted(outcome.touching[0], config.margin)
+        refined: dict[str, Any] = {"pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
+        refined |= {"config": config, "refined_at": now(), "trial": None, "tested_at": None}
+
+        def change(work: Work) -> Work:
+            steps = (*work.undo_steps, *work.snapshots)[-MAX_STEPS:]
+            return replace(work, **refined, trace=None, frame=None, undo_steps=steps, redo_steps=())
+
+        self._keep(control, number, start, change)
+
+    def _keep_trial(self, control: Control, number: int, start: Work, trial: TrialResult) -> None:
+        """Keep the result of one of many simulations, unless the grasp was changed meanwhile."""
+        self._keep(control, number, start, lambda work: replace(work, trial=trial, tested_at=now()))
+
+    def _keep(self, control: Control, number: int, start: Work, change: Callable[[Work], Work]) -> None:
+        """Change the work on a grasp for a job, unless the job was stopped or the grasp changed since `start`."""
+        with self._lock:
+            control.check()
+            present = self._state.works.get(number, start)
+            if present.standing.same(start.standing) and present.targets is start.targets:
+                self._become(self._state.with_work(number, change(present)))
 
     def pause(self) -> None:
         """Pause the refinement, or resume it."""
@@ -178,33 +310,30 @@ class Controller(Editor):
 
     # validation
 
-    def run_trial(self, name: str = "dexgraspbench", friction: float | None = None) -> None:
-        """Simulate the shown grasp in MuJoCo."""
+    def set_protocol(self, name: str, friction: float | None = None) -> None:
+        """Choose the protocol of the next simulations; a friction of None is its own."""
+        self._set(protocol=(name, friction))
+
+    def run_trial(self, *protocol_and_friction: Any) -> None:
+        """Simulate the shown grasp in MuJoCo, by the chosen protocol or another one (name, friction)."""
         with self._lock:
-            protocol = self._checked(lambda: protocol_of(name, friction))
+            protocol = self._checked(lambda: protocol_of(*(protocol_and_friction or self._state.protocol)))
             if protocol is None:
                 return
-            number, grasp = self._state.number, self._posed_grasp(self._state.standing)
+            grasp = self._posed_grasp(self._state.standing)
 
             def work(control: Control) -> Change:
                 prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
                 found = run_trial(self._world, prepared, protocol, control)
 
-                def change(state: State) -> State:
-                    collection = state.collection
-                    # Results of the collection are of the grasps as in their file.
-                    if grasp.pose.same(_grasp(collection, number)[-1]):
-                        collection = collection.with_trials({number: found})
-                    return replace(state, trial=found, collection=collection)
-
-                return change
+                return lambda state: state.evolve(trial=found, tested_at=now())
 
             if self.run_job("validate", "testing in MuJoCo", work):
                 # The simulated pose is the shown one, and stays shown: an earlier iteration replaces the present pose.
-                state = replace(self._state, frame=None, motion=None, trial=None)
+                state = self._state.evolve(frame=None, motion=None)
                 if grasp.pose is not state.pose:
-                    state = replace(self._with_step(state, ""), pose=grasp.pose)
-                self._become(state)
+                    state = self._with_step(state, "").evolve(pose=grasp.pose, **NO_RESULTS)
+                self._become(state.evolve(trial=None, tested_at=None))
 
     def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""
@@ -216,16 +345,17 @@ class Controller(Editor):
             def work(control: Control) -> Change:
                 prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
                 found = record_direction(self._world, prepared, trial, direction, control)
-                return lambda state: replace(state, motion=found, motion_frame=0)
+                return lambda state: state.evolve(motion=found, motion_frame=0)
 
             self.run_job("replay", f"recording the push along {direction}", work)
 
-    def _posed_grasp(self, pose: Pose) -> PosedGrasp:
-        """Return the shown grasp at a pose, as in its file with pregrasp and squeeze."""
-        collection, number = self._state.collection, self._state.number
+    def _posed_grasp(self, pose: Pose, number: int | None = None) -> PosedGrasp:
+        """Return a grasp, by default the shown one, at a pose, as in its file with pregrasp and squeeze."""
+        collection = self._state.collection
+        number = self._state.number if number is None else number
         row = collection.member[number : number + 1]
         group = collection.group(number)
-        return PosedGrasp(self._state.scene, pose, group.grasps.select(row), row=int(group.rows[row[0]]))
+        return PosedGrasp(collection.scene(number), pose, group.grasps.select(row), row=int(group.rows[row[0]]))
 
     def show_motion_frame(self, frame: int) -> None:
         """Show a frame of the simulation."""
@@ -243,23 +373,29 @@ class Controller(Editor):
         self._set(motion=None, motion_frame=0)
 
 
-def _grasp(collection: Collection, number: int) -> tuple[Scene, Pose, Pose]:
-    """Scene, input pose and pose in the file of a grasp."""
-    scene = collection.scene(number)
-    return scene, Pose(*collection.initial(number)), Pose(scene.T_world_root[0], scene.q[0])
+def now() -> datetime:
+    """Return the present time, of this machine's clock."""
+    return datetime.now().astimezone()
 
 
-def _state_with_grasp(state: State, number: int) -> State:
-    """Return the state with another grasp of the same collection; display options and the running job stay."""
-    scene, initial, pose = _grasp(state.collection, number)
-    kept = ("settings", "job", "gizmo", "display", "side_by_side", "notice", "change")
-    return State(
-        collection=state.collection,
-        number=number,
-        scene=scene,
-        initial=initial,
-        pose=pose,
-        targets=targets_of(scene),
-        trial=state.collection.trials.get(number),
-        **{name: getattr(state, name) for name in kept},
+def _first_state(collection: Collection, number: int, settings: Any) -> State:
+    """Return the state that shows a grasp as in its file, without anything made of any."""
+    works = {number: collection.work(number)}
+    return State(collection, number, collection.scene(number), Pose(*collection.initial(number)), works, settings)
+
+
+def _showing(state: State, collection: Collection, number: int) -> State:
+    """Return the state with another grasp shown; what was made of grasps of the same file stays, and so do options."""
+    shown = _first_state(collection, number, state.settings)
+    same = collection.problem is state.collection.problem
+    kept = {name: getattr(state, name) for name in ("job", "gizmo", "display", "side_by_side", "notice", "protocol")}
+    kept["change"] = state.change
+    if same:
+        works = {**shown.works, **state.works}
+        return replace(shown, works=works, listing=state.listing, shelf=state.shelf, **kept)
+    # The same grasps, with more known of their objects, take the place of the old ones.
+    better = state.collection.files == collection.files and collection.stand_ins < state.collection.stand_ins
+    shelf = state.shelf if better and not state.unsaved else (state.shelved, *state.shelf)
+    return replace(
+        shown, shelf=tuple(each for at, each in enumerate(shelf) if at < MAX_SHELVED or each.unsaved), **kept
     )

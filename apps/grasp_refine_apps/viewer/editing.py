@@ -16,6 +16,7 @@ from grasp_refine_apps.viewer.pose import Pose, Target, targets_of
 from grasp_refine_apps.viewer.refining import nearest_targets
 from grasp_refine_apps.viewer.state import Gizmo, State
 from grasp_refine_apps.viewer.store import Change, Store
+from grasp_refine_apps.viewer.work import NO_RESULTS
 from grasp_refine_apps.viewer.worker import Control
 
 MAX_STEPS = 200
@@ -68,8 +69,15 @@ class Editor(Store):
         """Reset hand, object and targets to the input grasp, before any refinement."""
         with self._lock:
             now = self._state
-            start = {"pose": now.initial, "targets": targets_of(now.scene), "T_world_object": np.eye(4)}
-            self._edit("", **start, trace=None, picked=None)
+            start = {
+                "pose": now.initial,
+                "targets": targets_of(now.scene),
+                "T_world_object": np.eye(4),
+                "counted": now.collection.counted[now.number],
+            }
+            of_file = now.initial.same(now.collection.pose(now.number))
+            trial = now.collection.trials.get(now.number) if of_file else None
+            self._edit("", **start, trial=trial, trace=None, picked=None)
 
     def undo(self) -> None:
         """Undo the last change of pose, object or targets."""
@@ -165,7 +173,8 @@ class Editor(Store):
         (name, last), self._last_edit = self._last_edit, (what, moment)
         if what and what == name and moment - last < MERGE_WINDOW_S and state.undo_steps:
             return state
-        return replace(state, undo_steps=(*state.undo_steps[1 - MAX_STEPS :], state.snapshot), redo_steps=())
+        steps = (*state.undo_steps, *state.work.snapshots)
+        return state.evolve(undo_steps=steps[-MAX_STEPS:], redo_steps=())
 
     def _edit(self, what: str, **changes: Any) -> None:
         """Apply an edit that can be undone; a running refinement, validation or recording stops."""
@@ -177,8 +186,11 @@ class Editor(Store):
         state = self._with_step(state, what)
         pose = changes.pop("pose", state.standing)
         # Results of another pose do not hold for this one.
-        forgotten = {} if pose is state.pose else {"trial": None, "outcome": None}
-        return replace(state, **{"pose": pose, "frame": None, "motion": None, **forgotten, **changes})
+        forgotten = {} if pose is state.pose else NO_RESULTS
+        if "targets" in changes:
+            # The links with targets count, no longer those of the file or of a refinement.
+            changes = {"counted": None, **changes}
+        return state.evolve(**{"pose": pose, "frame": None, "motion": None, **forgotten, **changes})
 
     def _interrupt(self) -> None:
         """Stop a running job of the shown grasp; other jobs continue."""
@@ -189,12 +201,13 @@ class Editor(Store):
     def _exchange(self, out: str, into: str) -> None:
         """Return to the last snapshot of the steps `out`, and add the present one to the steps `into`."""
         with self._lock:
-            now = self._state
+            now = self._state.work
             *others, found = getattr(now, out) or (None,)
             if found is None:
                 return
             self._last_edit = ("", -np.inf)
             self._interrupt()
-            nothing = dict.fromkeys(("frame", "motion", "trial", "outcome", "picked"))
-            steps = {out: tuple(others), into: (*getattr(now, into), now.snapshot)}
-            self._set(pose=found.pose, targets=found.targets, T_world_object=found.T_world_object, **nothing, **steps)
+            now = self._state.work
+            steps = {out: tuple(others), into: (*getattr(now, into), now.snapshots[-1])}
+            self._set(picked=None, motion=None)
+            self._become(self._state.with_work(self._state.number, replace(found, saved=now.saved, **steps)))

@@ -13,7 +13,7 @@ from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.colors import distance_colors
-from grasp_refine_apps.viewer.contacts import Contacts, Forces, contacts_of
+from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, segments
 from grasp_refine_apps.viewer.interaction import Interaction
@@ -56,8 +56,8 @@ class GraspNodes:
     def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: GraspNodes | None) -> None:
         """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
         hand, obj, display = state.scene.hand, state.scene.object, state.display
-        # Not shared with the controller: queries of two threads would mix their warm starts.
-        self.prepared: HandObject = HandObject(hand, obj) if before is None else before.prepared
+        self._contacts_of = controller.contacts
+        self.prepared: HandObject = controller.contacts.prepared(state.scene)
         self.contacts: Contacts | None = None
         self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
         """Right direction of the initial view (3,), world frame."""
@@ -133,9 +133,7 @@ class GraspNodes:
     def _draw_contacts(self, state: State) -> None:
         """Draw witness points, lines between them, targets, and forces."""
         shown, on = state.shown, self._display.contacts
-        found = self.contacts = contacts_of(
-            self.prepared, shown.T_object_root, shown.q, touching=_touching(state), targets=state.targets
-        )
+        found = self.contacts = self._contacts_of(state)
         self.hand.tint([link for link, deep in zip(found.link, found.deep, strict=True) if on and deep], DEEP_COLOR)
         colors = distance_colors(found.distance) if on else NO_POINTS
         on_link, on_object = (found.point_link, found.point_object) if on else (NO_POINTS, NO_POINTS)
@@ -230,14 +228,3 @@ class GraspNodes:
         self.root.remove()
         self.input_frame.remove()
         self.interaction.remove()
-
-
-def _touching(state: State) -> np.ndarray | None:
-    """True for links (L,) that should touch in the shown pose, by the refinement that led to it; None: none did."""
-    trace = state.trace
-    if trace is None:
-        return None
-    if state.frame is not None:
-        return trace.touching[state.frame]
-    known = state.outcome is not None or state.job is not None
-    return trace.touching[-1] if known and state.pose.same(trace.pose(len(trace) - 1)) else None

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasps.formats.reading import reading
@@ -22,7 +24,7 @@ from grasp_refine.pipeline.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.viewer.mesh_bounds import check_faces
+from grasp_refine_apps.viewer.mesh_bounds import check_faces, check_mesh_file
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.unpacking import UploadError
 from grasp_refine_apps.viewer.uploads import Upload
@@ -49,13 +51,31 @@ class MeshOptions:
     """Treatment of a mesh with holes."""
 
 
+@dataclass(frozen=True)
+class Opened:
+    """Grasps of an upload."""
+
+    problem: Problem
+    """The grasps."""
+    stand_ins: frozenset[str] = frozenset()
+    """Names of the objects whose meshes are not known: their grasps are shown on another object."""
+    attached: str = ""
+    """Name of the object of the open grasps that an uploaded mesh was attached to; empty: none."""
+
+
 def open_upload(
-    upload: Upload, scene: Scene, pose: Pose, control: Control, options: MeshOptions | None = None
-) -> Problem:
+    upload: Upload,
+    scene: Scene,
+    pose: Pose,
+    control: Control,
+    options: MeshOptions | None = None,
+    open_now: Opened | None = None,
+) -> Opened:
     """Open an upload, and return its grasps.
 
-    A mesh replaces the object, and the hand stays where it is; for a hand, grasps are sampled on the present object;
-    grasps are opened with the hand and the objects that they name, or with the present ones. The table stays.
+    A mesh attaches to the open grasps that name it, if their object is not known; otherwise it replaces the object, and
+    the hand stays where it is. For a hand, grasps are sampled on the present object. Grasps are opened with the hand
+    and the objects that they name, with meshes of the same upload, or with the present ones. The table stays.
 
     Args:
         upload: The upload.
@@ -63,17 +83,23 @@ def open_upload(
         pose: Pose of its hand.
         control: Receives a description of each step, and can stop the opening between steps.
         options: Options for reading a mesh; None: the defaults.
+        open_now: The open grasps, to which a mesh may attach.
 
     Raises:
         GraspRefineError: it cannot be read, or does not fit; the message names no folder of this machine.
         Stopped: the job was stopped.
     """
     try:
+        options = options or MeshOptions()
         if upload.kind == "mesh":
-            return _with_object(upload, scene, pose, options or MeshOptions(), control)
+            missing = frozenset() if open_now is None else open_now.stand_ins
+            name = next((name for name in sorted(missing) if _is_named(upload.source, name)), "")
+            if open_now is not None and name:
+                return _attached(upload, open_now, name, options, control)
+            return Opened(_with_object(upload, scene, pose, options, control))
         if upload.kind == "hand":
-            return _with_hand(upload, scene, control)
-        return _with_grasps(upload, scene, control)
+            return Opened(_with_hand(upload, scene, control))
+        return _with_grasps(upload, scene, options, control)
     except GraspRefineError as error:
         raise UploadError(_for_uploader(str(error), upload)) from None
 
@@ -101,6 +127,39 @@ def _with_object(upload: Upload, scene: Scene, pose: Pose, options: MeshOptions,
     return _problem(upload, scene, scene.hand, grasps, {(obj.name, scale): obj}, notes, sampled=True)
 
 
+def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions, control: Control) -> Opened:
+    """Return the open grasps with an uploaded mesh as the object of those that name it."""
+    problem, groups, notes = open_now.problem, [], []
+    for group in problem.groups:
+        if group.object == name:
+            obj = _load_mesh(upload.source, group.scale, options, control)
+            check_faces(len(obj.mesh.faces), upload.name)
+            notes += [f"{name}: {note}" for note in obj.notes]
+            scale = group.scale * UNITS[options.unit or "m"]
+            group = replace(group, scale=scale, scene=replace(group.scene, object=obj))
+        groups.append(group)
+    others = [note for note in problem.notes if not note.startswith(_stand_in_note(name))]
+    doubts = [note for note in convention_notes([group.scene for group in groups]) if note not in others]
+    changed = replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys([*others, *notes, *doubts])))
+    return Opened(changed, open_now.stand_ins - {name}, name)
+
+
+def _load_mesh(path: Path, scale: float, options: MeshOptions, control: Control) -> Object:
+    """Load a mesh of an upload, `scale` from its unit to metres as grasp files have it."""
+    return load_object(path, scale=scale, unit=options.unit, holes=options.holes, progress=control.describe)
+
+
+def _is_named(path: Path, name: str) -> bool:
+    """Return whether a mesh has the name of an object, apart from case, folders and signs."""
+    names = {_plain(name), _plain(PurePosixPath(name).name), _plain(PurePosixPath(name).stem)}
+    return bool(names & {_plain(path.stem), _plain(path.parent.name)} - {""})
+
+
+def _plain(name: str) -> str:
+    """Return the letters and digits of a name."""
+    return "".join(char for char in name.casefold() if char.isalnum())
+
+
 def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
     """Return sampled grasps of an uploaded hand on the present object."""
     hand, obj = load_hand(upload.source, progress=control.describe), scene.object
@@ -115,7 +174,7 @@ def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
     return _problem(upload, scene, hand, grasps, {(obj.name, 1.0): obj}, hand.notes, sampled=True)
 
 
-def _with_grasps(upload: Upload, scene: Scene, control: Control) -> Problem:
+def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Control) -> Opened:
     """Return uploaded grasps of the hand and on the objects that they name."""
     try:
         read = reading(upload.source, within=upload.folder)
@@ -132,16 +191,33 @@ def _with_grasps(upload: Upload, scene: Scene, control: Control) -> Problem:
             f"{upload.name}: has grasps on {len(keys)} objects and scales, more than {MAX_OBJECTS}; upload a part"
         )
     hand = _hand_of(grasps, scene.hand, upload, control)
-    notes, objects = [*read.notes, *hand.notes], {}
+    notes, objects, stand_ins = [*read.notes, *hand.notes], {}, set()
+    meshes = [path for path in sorted(upload.folder.rglob("*")) if path.suffix.lower() in MESH_SUFFIXES]
     for name, scale in sorted(keys, key=lambda key: named.index(key[0])):
         control.check()
-        objects[name, scale], note = _object_of(name, scale, scene.object, control)
-        notes += [note] if note else []
+        mesh = next((path for path in meshes if _is_named(path, name)), None)
+        if needs_no_file(name):
+            objects[name, scale] = load_object(name, scale=scale, progress=control.describe)
+        elif mesh is not None:
+            check_faces(check_mesh_file(mesh, f"{upload.name}: {mesh.name}"), upload.name)
+            objects[name, scale] = _load_mesh(mesh, scale, options, control)
+        else:
+            # A name is never taken as a path.
+            objects[name, scale] = scene.object
+            if name != scene.object.name:
+                stand_ins.add(name)
+                notes.append(f"{_stand_in_note(name)} '{scene.object.name}'; upload its mesh")
     problem = _problem(upload, scene, hand, grasps, objects, notes)
     doubts = convention_notes([group.scene for group in problem.groups])
     others = (_for_uploader(note, upload) for note in check_objects(read.files, objects, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
-    return replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
+    found = replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
+    return Opened(found, frozenset(stand_ins))
+
+
+def _stand_in_note(name: str) -> str:
+    """Beginning of the note on an object that is not known."""
+    return f"object '{name}' is unknown: its grasps are shown on"
 
 
 def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, control: Control) -> Hand:
@@ -157,15 +233,6 @@ def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, control: Control) 
         f"{upload.name}: is for hand '{grasps.hand}', which is neither the present one ('{present.name}') nor one of "
         f"those included ({', '.join(list_hands())}): upload that hand first"
     )
-
-
-def _object_of(name: str, scale: float, present: Object, control: Control) -> tuple[Object, str]:
-    """Return the object that grasps name, if it is included, else the present one; a name is never taken as a path."""
-    if needs_no_file(name):
-        return load_object(name, scale=scale, progress=control.describe), ""
-    if name == present.name:
-        return present, ""
-    return present, f"object '{name}' is unknown: its grasps are shown on '{present.name}'; upload its mesh"
 
 
 def _problem(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -62,13 +63,26 @@ def posed_scene(scene: Scene, pose: Pose, targets: Sequence[Target] = ()) -> Sce
 
 def file_targets(targets: Sequence[Target]) -> Targets | None:
     """Return the targets of one grasp as grasp files have them; None without targets."""
-    if not targets:
+    return file_targets_of([targets])
+
+
+def file_targets_of(grasps: Sequence[Sequence[Target]]) -> Targets | None:
+    """Return the targets of N grasps as grasp files have them, NaN where a grasp has none for a link."""
+    # A link may have several targets: its k-th one is a column of its own.
+    columns: dict[tuple[str, int], int] = {}
+    places = []
+    for row, targets in enumerate(grasps):
+        count: Counter[str] = Counter()
+        for target in targets:
+            key = target.link, count[target.link]
+            count[target.link] += 1
+            places.append((row, columns.setdefault(key, len(columns)), target))
+    if not places:
         return None
-    return Targets(
-        tuple(target.link for target in targets),
-        np.array([[target.point_link for target in targets]]),
-        np.array([[target.point_object for target in targets]]),
-    )
+    points = np.full((2, len(grasps), len(columns), 3), np.nan)
+    for row, column, target in places:
+        points[:, row, column] = target.point_link, target.point_object
+    return Targets(tuple(link for link, _ in columns), points[0], points[1])
 
 
 def targets_of(scene: Scene) -> tuple[Target, ...]:

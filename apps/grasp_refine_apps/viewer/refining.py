@@ -14,10 +14,11 @@ from grasp_refine.pipeline.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.iteration_state import IterationState
-from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.outcome import Outcome, worst_over_links
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.geometry import measure
 from grasp_refine_apps.viewer.pose import Pose, Target, posed_scene, targets_of
 from grasp_refine_apps.viewer.trace import Recorder, Trace
 from grasp_refine_apps.viewer.worker import Control
@@ -70,6 +71,10 @@ def refine_grasp(
     searches = config.holds and not targets
     max_count = most_iterations(config) if searches else config.solver.iterations
     last, count = -np.inf, 0
+    if targets:
+        # The first iteration then begins where inverse kinematics has led.
+        assert scene.target_link is not None
+        recorder.keep(pose, np.isfinite(scene.target_link[0]).all(axis=-1), np.nan, "the input grasp")
 
     def on_iteration(state: IterationState) -> None:
         nonlocal last, count
@@ -93,7 +98,30 @@ def refine_grasp(
     recorder.keep(end, outcome.touching[0], float(outcome["loss"][0]), "the best of all")
     trace = recorder.trace()
     assert trace is not None
-    return RefinedGrasp(end, trace, outcome)
+    return RefinedGrasp(end, recounted(trace, scene, outcome), outcome)
+
+
+def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
+    """Return a trace with the contact error over those links that the outcome counts, in every iteration.
+
+    Each phase of a refinement chooses links anew, so that errors over its own links do not compare.
+    """
+    count = len(trace)
+    touching, target_link, target_object = (
+        np.repeat(values, count, axis=0) for values in (outcome.touching, outcome.target_link, outcome.target_object)
+    )
+    geometry = measure(
+        scene.hand,
+        scene.object,
+        scene.links,
+        trace.T,
+        trace.q,
+        target_link,
+        target_object,
+        trace.margin,
+        touching,
+    )
+    return replace(trace, touching=touching, contact_error=worst_over_links(geometry.contact_error))
 
 
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -21,12 +21,15 @@ from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
-from grasp_refine.grasps.grasp_set import GraspSet, Stage
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
-from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, posed_scene
+from grasp_refine.validation.motion import Motion, closing_motion, motion_of
+from grasp_refine_apps.viewer.batches import batches
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, file_targets_of, posed_scene
+from grasp_refine_apps.viewer.work import Work
 
 CANDIDATES_PER_LINK = 16
 """Surface points per link; unused here."""
@@ -76,6 +79,65 @@ def grasp_set(
     )
     alone = GraspSet.of(scene.hand, grasp.hand_pose, grasp.q, object=name, scale=float(scale))
     return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing)
+
+
+def grasp_sets(collection: Collection, works: Mapping[int, Work], check: Callable[[], None] = lambda: None) -> GraspSet:
+    """Return several grasps as they stand, in order, with pregrasps and squeezes.
+
+    These are those of the refinement of a grasp, those of its file where it was not moved, or else our own.
+
+    Args:
+        collection: The grasps as in their files.
+        works: Those to return, by number.
+        check: Called often; its exceptions end the work.
+
+    Raises:
+        GraspFileError: a pose or joint values are not finite.
+    """
+    hand = collection.hand
+    poses = {number: work.standing for number, work in works.items()}
+    bad = [collection.label(number) for number, pose in poses.items() if not pose.finite]
+    if bad:
+        raise GraspFileError(f"{', '.join(bad[:5])}: not finite, so no file can hold them: reset or leave them out")
+    stages = _known_stages(collection, works)
+    for batch in batches(collection, {number: work for number, work in works.items() if number not in stages}):
+        check()
+        own = closing_motion(batch.group.scene, HandObject.of(batch.group.scene), lambda *done: check())
+        for i, number in enumerate(batch.numbers):
+            stages[number] = pose_from_transform(own.T_world_root[i]), own.q[i]
+    numbers = list(works)
+    pose = pose_from_transform(np.stack([poses[number].T_object_root for number in numbers]))
+    all_poses, all_q = (np.stack([stages[number][part] for number in numbers]) for part in (0, 1))
+    found = GraspSet(
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        object=np.array([collection.group(number).object for number in numbers]),
+        scale=np.array([collection.group(number).scale for number in numbers]),
+        hand_pose=pose,
+        q=np.stack([poses[number].q for number in numbers]),
+        targets=file_targets_of([works[number].targets for number in numbers]),
+        pregrasp=Stage(all_poses[:, 0], all_q[:, 0]),
+        squeeze=Stage(all_poses[:, -1], all_q[:, -1]),
+    )
+    return found
+
+
+def _known_stages(collection: Collection, works: Mapping[int, Work]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Poses (S, 7) and joint values (S, n) of all stages, by number, where refinements or files have them."""
+    found = {}
+    of_file: dict[int, Motion] = {}
+    for number, work in works.items():
+        at = int(collection.group_of[number])
+        group = collection.problem.groups[at]
+        if work.outcome is not None and work.standing is work.pose:
+            found[number] = work.outcome.stage_pose[0], work.outcome.stage_q[0]
+        elif not work.changed and work.standing is work.pose and len(group.grasps.other_stages) == len(OTHER_STAGES):
+            if at not in of_file:
+                of_file[at] = motion_of(group.grasps, collection.hand)
+            row = collection.member[number]
+            found[number] = pose_from_transform(of_file[at].T_world_root[row]), of_file[at].q[row]
+    return found
 
 
 def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -10,15 +10,18 @@ from jaxtyping import Float
 
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.trace import Trace
+from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.work import Work, Works
 
 if TYPE_CHECKING:
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.validated import TrialResult
 
-JobKind = Literal["load", "measure", "targets", "refine", "validate", "replay", "export"]
+JobKind = Literal["load", "measure", "targets", "refine", "batch", "validate", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 
@@ -70,44 +73,51 @@ class DisplayOptions:
     """The table, where there is one."""
 
 
-@dataclass(frozen=True, eq=False)
-class EditSnapshot:
-    """Snapshot of what a user can edit."""
+_OF_WORK = frozenset(field.name for field in fields(Work))
+"""Fields of a state that are those of the shown grasp's work."""
 
-    pose: Pose
-    """Pose of the hand, object frame."""
-    targets: tuple[Target, ...]
-    """Target points of links on the object."""
-    T_world_object: Float[np.ndarray, "4 4"]
-    """Pose of the object (4, 4), world frame."""
+
+@dataclass(frozen=True, eq=False)
+class Shelved:
+    """Grasps that were open before, with what was made of them."""
+
+    collection: Collection
+    """The grasps, as in their files."""
+    number: int
+    """Number of the grasp that was shown."""
+    works: Works
+    """What was made of them."""
+    listing: Listing
+    """Filters and sorting of their list."""
+
+    @property
+    def unsaved(self) -> tuple[int, ...]:
+        """Numbers of the grasps that were edited or refined, and not saved since."""
+        return tuple(number for number, work in sorted(self.works.items()) if work.unsaved)
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of the viewer: the open grasps, and all that is shown of one of them."""
+    """State of the viewer: the open grasps, what was made of each, and all that is shown of one of them."""
 
     collection: Collection
-    """Open grasps."""
+    """Open grasps, as in their files."""
     number: int
     """Number of the shown grasp."""
     scene: Scene
-    """Hand, object and table, and this grasp alone as in its file."""
+    """Hand, object and table, and the shown grasp alone as in its file."""
     initial: Pose
     """Pose of the hand in the input grasp, before any refinement."""
-    pose: Pose
-    """Present pose of the hand: as in the file, edited, or refined."""
+    works: Works
+    """What was made of the grasps; the shown one always has an entry."""
     settings: Any
     """Options of refinement: a dataclass with `config` for a `Config`, and `unused` for unused fields."""
-    targets: tuple[Target, ...] = ()
-    """Target points of links on the object; empty: links touch anywhere."""
-    T_world_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Pose of the object (4, 4), world frame; all else is in the object's frame and moves with it."""
-    trace: Trace | None = None
-    """The iterations of the last refinement."""
-    frame: int | None = None
-    """Number of the shown iteration; None: `pose` is shown."""
-    outcome: Outcome | None = None
-    """Outcome of the last refinement that ended, one row."""
+    protocol: tuple[str, float | None] = (DEXGRASPBENCH.name, None)
+    """Name of the protocol of the next simulations, and its friction; None: its own."""
+    listing: Listing = Listing()
+    """Filters and sorting of the list of grasps."""
+    shelf: tuple[Shelved, ...] = ()
+    """Grasps that were open before, the last one first."""
     job: Job | None = None
     """Running job."""
     gizmo: Gizmo = "none"
@@ -116,8 +126,6 @@ class State:
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
-    trial: TrialResult | None = None
-    """Simulation result of the grasp."""
     motion: ShownMotion | None = None
     """Shown simulation."""
     motion_frame: int = 0
@@ -126,35 +134,98 @@ class State:
     """Display options of the scene."""
     side_by_side: bool = False
     """Whether the input grasp is drawn beside, with its own object."""
-    undo_steps: tuple[EditSnapshot, ...] = ()
-    """Snapshots before the edits that can be undone, the last one last."""
-    redo_steps: tuple[EditSnapshot, ...] = ()
-    """Snapshots that were undone, the last one last."""
     notice: Notice | None = None
     """Last message to the user."""
     change: int = 0
     """Running number of the state."""
 
+    def evolve(self, **changes: Any) -> State:
+        """Return the state with other fields, of itself or of the shown grasp's work."""
+        own = {name: value for name, value in changes.items() if name not in _OF_WORK}
+        of_work = {name: value for name, value in changes.items() if name in _OF_WORK}
+        state = replace(self, **own)
+        return state.with_work(state.number, replace(state.work, **of_work)) if of_work else state
+
+    def with_work(self, number: int, work: Work) -> State:
+        """Return the state with other work on a grasp."""
+        return replace(self, works={**self.works, number: work})
+
+    @property
+    def work(self) -> Work:
+        """What was made of the shown grasp."""
+        return self.works[self.number]
+
+    @property
+    def pose(self) -> Pose:
+        """`Work.pose` of the shown grasp."""
+        return self.work.pose
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """`Work.targets` of the shown grasp."""
+        return self.work.targets
+
+    @property
+    def T_world_object(self) -> Float[np.ndarray, "4 4"]:
+        """`Work.T_world_object` of the shown grasp."""
+        return self.work.T_world_object
+
+    @property
+    def trace(self) -> Trace | None:
+        """`Work.trace` of the shown grasp."""
+        return self.work.trace
+
+    @property
+    def frame(self) -> int | None:
+        """`Work.frame` of the shown grasp."""
+        return self.work.frame
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """`Work.outcome` of the shown grasp."""
+        return self.work.outcome
+
+    @property
+    def trial(self) -> TrialResult | None:
+        """`Work.trial` of the shown grasp."""
+        return self.work.trial
+
+    @property
+    def undo_steps(self) -> tuple[Work, ...]:
+        """`Work.undo_steps` of the shown grasp."""
+        return self.work.undo_steps
+
+    @property
+    def redo_steps(self) -> tuple[Work, ...]:
+        """`Work.redo_steps` of the shown grasp."""
+        return self.work.redo_steps
+
     @property
     def shown(self) -> Pose:
         """Drawn pose of the hand, in the object's frame; in a simulation, in that of the object at its start."""
-        if self.motion is not None:
-            return self.motion.pose(self.motion_frame)
-        if self.frame is not None and self.trace is not None:
-            return self.trace.pose(min(self.frame, len(self.trace) - 1))
-        return self.pose
+        return self.work.standing if self.motion is None else self.motion.pose(self.motion_frame)
 
     @property
     def standing(self) -> Pose:
         """Pose of the hand for the next command: as shown, except in a simulation, which is only displayed."""
-        return self.pose if self.motion is not None else self.shown
-
-    @property
-    def snapshot(self) -> EditSnapshot:
-        """Snapshot of what a user can edit."""
-        return EditSnapshot(self.standing, self.targets, self.T_world_object)
+        return self.work.standing
 
     @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the object (4, 4) in the frame of `shown`: it moves in simulations only."""
         return np.eye(4) if self.motion is None else self.motion.T_object[self.motion_frame]
+
+    @property
+    def shelved(self) -> Shelved:
+        """The open grasps, to be put on the shelf."""
+        return Shelved(self.collection, self.number, self.works, self.listing)
+
+    @property
+    def unsaved(self) -> tuple[int, ...]:
+        """Numbers of the open grasps that were edited or refined, and not saved since."""
+        return self.shelved.unsaved
+
+    @property
+    def num_unsaved(self) -> int:
+        """Number of grasps, also of those on the shelf, that were edited or refined, and not saved since."""
+        return sum(len(each.unsaved) for each in (self.shelved, *self.shelf))

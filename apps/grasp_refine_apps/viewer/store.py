@@ -20,6 +20,9 @@ Change = Callable[[State], State]
 CLOSE_TIMEOUT_S = 1.0
 """Longest wait for the present job at the end, seconds."""
 
+BUSY_MESSAGE = "another job is running: wait until it ends, or stop it, then try again"
+"""Message where a job cannot start."""
+
 Made = TypeVar("Made")
 
 
@@ -150,7 +153,7 @@ class Store:
 
     def _set(self, **changes: Any) -> None:
         with self._lock:
-            self._become(replace(self._state, **changes))
+            self._become(self._state.evolve(**changes))
 
     def _become(self, state: State) -> None:
         """Make a state the present one, and call all listeners."""

@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, STATUS, Column
+from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, HERE, STATUS, Column
 from grasp_refine_apps.viewer.listing import MARK, NUMBER, Listing, column_of
 
 ROWS_PER_PAGE = 15
@@ -20,6 +20,7 @@ SHOWN_KEYS = (
     ("contact_error_after", "contact_distance_after"),
     ("penetration_after",),
     (HELD.key, STATUS.key),
+    (HERE.key,),
     (MARK,),
 )
 """Keys of the columns of the table; of several, the first one with known values."""
@@ -31,7 +32,13 @@ SHORT_LABELS = {
     NUMBER: "#",
 }
 """Shorter labels for the narrow table."""
-WIDTH_CLASSES = {"quality_after": "gr-wide", "penetration_after": "gr-wide", STATUS.key: "gr-word", HELD.key: "gr-word"}
+WIDTH_CLASSES = {
+    "quality_after": "gr-wide",
+    "penetration_after": "gr-wide",
+    STATUS.key: "gr-word",
+    HELD.key: "gr-word",
+    HERE.key: "gr-word",
+}
 """CSS classes of columns that are wider than a short number."""
 CONVERGED_STATUS = "converged"
 """Status that is not coloured as a warning."""

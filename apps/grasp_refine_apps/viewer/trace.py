@@ -32,6 +32,8 @@ class Trace:
     """Deepest of all links (K,), metres."""
     label: tuple[str, ...]
     """Description of each iteration (K,), for users."""
+    margin: float = 0.0
+    """Gap in metres that contacts should keep."""
 
     def __len__(self) -> int:
         """Return the number of iterations."""
@@ -103,4 +105,4 @@ class Recorder:
         if not count:
             return None
         T, q, touching, loss, contact_error, penetration = (column[:count] for column in self._columns)
-        return Trace(T, q, touching, loss, contact_error, penetration, tuple(self._labels))
+        return Trace(T, q, touching, loss, contact_error, penetration, tuple(self._labels), self._margin)

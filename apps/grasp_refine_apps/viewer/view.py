@@ -11,7 +11,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
-from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
+from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
 from grasp_refine_apps.viewer.state import DisplayOptions, State
@@ -62,8 +62,7 @@ class View:
         shown = state.shown
         if not shown.finite:
             return
-        found = contacts_of(nodes.prepared, shown.T_object_root, shown.q)
-        self._camera = first_camera_of(found, state.T_world_object, aspect=ASPECT_RATIO)
+        self._camera = first_camera_of(self._controller.contacts(state), state.T_world_object, aspect=ASPECT_RATIO)
         across = np.cross(self._camera.look_at - self._camera.position, UP)
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)

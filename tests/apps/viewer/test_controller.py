@@ -15,15 +15,21 @@ import pytest
 from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer import batches as batches_module
 from grasp_refine_apps.viewer import controller as controller_module
 from grasp_refine_apps.viewer import editing
+from grasp_refine_apps.viewer.choice import chosen
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.listing import NO_MARK, Listing
 from grasp_refine_apps.viewer.marks import marks_path
 from grasp_refine_apps.viewer.measuring import unmeasured
 from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.present import present
 from grasp_refine_apps.viewer.state import DisplayOptions
 from grasp_refine_apps.viewer.trace import Trace
 from open_viewer import controller, example, settled
@@ -72,10 +78,13 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     assert trace.contact_error[0] > 1e-3 and trace.contact_error[-1] < 1e-5
     assert trace.penetration[0] > 1e-3 and trace.penetration[-1] < 1e-5
     assert state.outcome is not None and state.outcome.quality[0, 1] > 0.95 > state.outcome.quality[0, 0]
-    # Of the links that should touch then, which are not all that touch in the end.
-    before, after = state.outcome.measures["contact_error"][0]
-    assert trace.contact_error[0] == pytest.approx(before[trace.touching[0]].max(), abs=1e-9)
-    assert trace.contact_error[-1] == pytest.approx(after[trace.touching[-1]].max(), abs=1e-9)
+    # Of the links that touch in the end, in every iteration and in the heading.
+    before, after = state.outcome["contact_error"][0]
+    assert trace.contact_error[0] == pytest.approx(before, abs=1e-9)
+    assert trace.contact_error[-1] == pytest.approx(after, abs=1e-9)
+    assert viewer.contacts(state).contact_error == pytest.approx(after, abs=1e-9)
+    viewer.scrub(0)
+    assert viewer.contacts(viewer.state).contact_error == pytest.approx(before, abs=1e-9)
     # It was seen while it ran.
     seen = [state for state in states if state.job is not None and state.job.kind == "refine" and state.trace]
     assert len({len(state.trace) for state in seen}) > 3
@@ -217,6 +226,50 @@ def test_an_edit_ends_what_is_being_refined(viewer: Controller) -> None:
     assert viewer.state.pose.q[0] == 0.1
 
 
+# one contact error
+
+
+def test_a_finger_that_is_moved_away_still_counts(viewer: Controller) -> None:
+    """It was left out as soon as it was out of reach, so that the error became 0.00."""
+    assert 1e-4 < viewer.contacts(viewer.state).contact_error < 0.02
+    links = viewer.contacts(viewer.state).link
+    for joint, name in enumerate(viewer.state.collection.hand.joint_names):
+        viewer.set_joint(joint, viewer.state.collection.hand.lower[joint])
+        assert name
+    found = viewer.contacts(viewer.state)
+    assert found.contact_error > 0.03 and set(found.link) & set(links)
+    viewer.move_root(transform(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    assert viewer.contacts(viewer.state).contact_error > 0.5
+
+
+def test_with_targets_before_and_the_first_iteration_are_the_same(viewer: Controller) -> None:
+    viewer.target_nearest_points()
+    settled(viewer)
+    start = viewer.contacts(viewer.state).contact_error
+    viewer.start()
+    settled(viewer, 60.0)
+    trace, (before, after) = viewer.state.trace, viewer.state.outcome["contact_error"][0]
+    assert trace.contact_error[0] == pytest.approx(before, abs=1e-9)
+    assert start == pytest.approx(before, abs=1e-9)
+    assert viewer.contacts(viewer.state).contact_error == pytest.approx(after, abs=1e-9)
+
+
+def test_a_result_file_has_one_contact_error(problem: Problem, tmp_path: Path) -> None:
+    """The heading counted other links than the run: those within reach of the refined hand."""
+    refine_problem(problem, Config(margin=0.001)).save(tmp_path / "refined.npz")
+    viewer = controller(example(grasps=tmp_path / "refined.npz"))
+    measured = viewer.state.collection.columns
+    for number in range(4):
+        viewer.show(number)
+        error = viewer.contacts(viewer.state).contact_error
+        assert error == pytest.approx(measured["contact_error_after"].values[number], abs=1e-7)
+        viewer.reset()
+        error = viewer.contacts(viewer.state).contact_error
+        assert error == pytest.approx(measured["contact_error_before"].values[number], abs=1e-7)
+        viewer.undo()
+    viewer.close()
+
+
 # targets
 
 
@@ -288,9 +341,8 @@ def test_a_trial_says_what_held_and_is_of_one_pose_and_its_motion_is_only_looked
     settled(viewer)
     trial = viewer.state.trial
     assert trial is not None and trial.directions == ("+x", "-x", "+y", "-y", "+z", "-z") and not trial.held
-    # It is of the grasp as in its file, so that the table has it, too.
-    assert viewer.state.collection.trials == {SLIPPING: trial}
-    assert viewer.state.collection.columns["held"].values.tolist() == ["", "failed", "", ""]
+    # The table has it, too.
+    assert present(viewer.state).columns["held"].values.tolist() == ["", "failed", "", ""]
     viewer.record("+z")
     settled(viewer)
     motion = viewer.state.motion
@@ -331,6 +383,113 @@ def test_another_grasp_has_a_history_of_its_own(viewer: Controller) -> None:
     np.testing.assert_array_equal(state.pose.q, state.collection.scene(2).q[0])
     viewer.show(99)
     assert viewer.state.number == 2
+
+
+def test_what_was_made_of_a_grasp_is_there_again_and_in_the_table(viewer: Controller) -> None:
+    """It was lost by Next and Previous, and never reached Browse."""
+    viewer.start()
+    settled(viewer)
+    viewer.run_trial()
+    settled(viewer)
+    made = viewer.state.work
+    assert made.refined_at is not None and made.tested_at is not None
+    viewer.show(1)
+    assert viewer.state.outcome is None and viewer.state.trial is None and viewer.state.unsaved == (0,)
+    columns = present(viewer.state).columns
+    assert columns["quality_after"].values[0] == pytest.approx(made.outcome.quality[0, 1])
+    assert columns["contact_error_before"].values[0] == pytest.approx(made.outcome["contact_error"][0, 0])
+    assert columns["held"].values.tolist() == ["held" if made.trial.held else "failed", "", "", ""]
+    assert columns["here"].values[0].startswith("refined") and columns["here"].values[1] == ""
+    assert np.isnan(columns["quality_after"].values[1:]).all()
+    viewer.show(0)
+    assert viewer.state.work is made
+    viewer.undo()
+    assert viewer.state.outcome is None and viewer.state.unsaved == ()
+
+
+def test_an_edited_grasp_has_no_measures_of_its_file(viewer: Controller) -> None:
+    viewer.measure()
+    settled(viewer)
+    viewer.set_joint(0, 0.1)
+    columns = present(viewer.state).columns
+    assert np.isnan(columns["quality_after"].values).tolist() == [True, False, False, False]
+    assert columns["here"].values.tolist() == ["edited", "", "", ""]
+    viewer.undo()
+    assert present(viewer.state) is viewer.state.collection
+
+
+def test_all_are_refined_as_each_alone_and_what_is_done_is_not_done_again(viewer: Controller) -> None:
+    viewer.show(1)
+    viewer.start()
+    settled(viewer)
+    alone = viewer.state.work
+    viewer.undo()
+    viewer.show(2)
+    viewer.target_nearest_points()
+    settled(viewer)
+    aimed = viewer.state.targets
+    viewer.show(0)
+    viewer.refine_many(range(4))
+    assert viewer.state.job.kind == "batch"
+    settled(viewer, 60.0)
+    works = viewer.state.works
+    assert viewer.state.unsaved == (0, 1, 2, 3) and viewer.state.outcome is works[0].outcome
+    np.testing.assert_allclose(works[1].pose.q, alone.pose.q, atol=1e-7)
+    np.testing.assert_allclose(works[1].pose.T_object_root, alone.pose.T_object_root, atol=1e-7)
+    assert not np.isnan(works[2].outcome.target_link).all() and works[2].targets is aimed
+    assert np.isnan(works[3].outcome.target_link).all()
+    before = {number: work.outcome for number, work in works.items()}
+    viewer.refine_many(range(4))
+    assert viewer.state.job is None and all(viewer.state.works[n].outcome is before[n] for n in range(4))
+    viewer.undo()
+    assert viewer.state.outcome is None and viewer.state.unsaved == (1, 2, 3)
+    viewer.run_trials((1, 3))
+    settled(viewer, 60.0)
+    held = present(viewer.state).columns["held"].values.tolist()
+    assert held[0] == held[2] == "" and {held[1], held[3]} <= {"held", "failed"}
+    assert [viewer.state.works[n].trial is None for n in range(4)] == [True, False, True, False]
+    viewer.mark_saved({1: viewer.state.works[1].pose})
+    assert viewer.state.unsaved == (2, 3)
+
+
+def test_many_that_are_stopped_keep_what_is_done_and_changed_ones_are_left_alone(
+    viewer: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batches_module, "BATCH_SIZE", 1)
+    viewer.show(3)
+    refine_batch = controller_module.refine_batch
+
+    def refine_slowly(batch: Any, *given: Any) -> Any:
+        if batch.numbers == (3,):
+            # The user moves it just then.
+            viewer.set_joint(0, 0.1)
+        found = refine_batch(batch, *given)
+        if batch.numbers == (1,):
+            assert viewer.state.works[0].outcome is not None
+        return found
+
+    monkeypatch.setattr(controller_module, "refine_batch", refine_slowly)
+    viewer.refine_many((0, 1, 3))
+    settled(viewer, 60.0)
+    works = viewer.state.works
+    assert works[0].outcome is not None and works[1].outcome is not None
+    assert works[3].outcome is None and works[3].pose.q[0] == 0.1 and len(works[3].undo_steps) == 1
+    viewer.set_settings(Settings(solver="descent", iterations=100_000, tolerance=0.0))
+    viewer.refine_many((2,))
+    assert viewer.state.job.kind == "batch"
+    viewer.show(1)
+    assert viewer.state.job.kind == "batch"
+    viewer.stop()
+    assert viewer.state.job is None and 2 not in viewer.state.works and viewer.state.outcome is not None
+
+
+def test_what_is_chosen_is_what_is_listed_or_marked(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(viewer.state.collection), "save_marks", lambda self, number: None)
+    for number in (1, 3):
+        viewer.mark(number, "good")
+    assert chosen(viewer.state, "all") == (0, 1, 2, 3) and chosen(viewer.state, "marked good") == (1, 3)
+    viewer.set_listing(Listing(descending=True, mark=NO_MARK))
+    assert chosen(viewer.state, "listed") == (2, 0)
 
 
 def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem: Problem) -> None:

@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
-from open_viewer import controller, shown_panel
+from open_viewer import controller, settled, shown_panel
 from plate_gripper import URDF
 from websocket_page import Page, until
 
@@ -26,8 +26,6 @@ from grasp_refine_apps.viewer.collection import Collection  # noqa: E402
 from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
 from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, targets_text  # noqa: E402
 from grasp_refine_apps.viewer.panels.joints import limits, units  # noqa: E402
-from grasp_refine_apps.viewer.pose import Target  # noqa: E402
-from grasp_refine_apps.viewer.shapes import LinkPoses  # noqa: E402
 
 TIP = "link_3.0_tip"
 
@@ -151,12 +149,18 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
     until(lambda: abs(shown.q[1] + 0.0125) < 1e-9)
 
 
-def test_how_far_a_target_is_missed(problem: Problem):
+def test_the_list_of_targets_tells_the_error_of_the_heading(problem: Problem):
+    """The list measured between the points of a target, the heading from the points where link and object are near."""
     made = controller(problem)
-    state, poses = made.state, LinkPoses.of(problem.hand)
-    T = poses(state.pose.T_object_root, state.pose.q)[TIP]
-    there = Target(TIP, np.array([0.0, 0.0, 0.01]), T[:3, 3] + 0.01 * T[:3, 2] + np.array([0.003, 0.0, 0.004]))
-    assert f"| {TIP} | 5.00 |" in targets_text(replace(state, targets=(there,)), poses)
+    made.target_nearest_points()
+    settled(made)
+    targets = made.state.targets
+    moved = replace(targets[0], point_object=targets[0].point_object + np.array([0.003, 0.0, 0.004]))
+    state = made.state.evolve(targets=(moved, *targets[1:]))
+    found = made.contacts(state)
+    text = targets_text(state, found)
+    assert f"| {moved.link} | {1e3 * found.contact_error:.2f} |" in text and found.contact_error > 4e-3
+    assert len([line for line in text.splitlines() if line.startswith("| ")]) == len(targets) + 1
     made.close()
 
 

@@ -24,12 +24,14 @@ from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.measuring import unmeasured
+from refusals import assert_names
 from uploaded import gripper_zip
 
 viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
 
 from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
-from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png  # noqa: E402
+from grasp_refine_apps.viewer.panels.banner import banner_text  # noqa: E402
+from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png, shelf_titles  # noqa: E402
 from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES  # noqa: E402
 from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, uploads_under_way  # noqa: E402
 from viser_client import Client  # noqa: E402
@@ -101,6 +103,73 @@ def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
     np.testing.assert_allclose(now.pose.T_object_root, before.pose.T_object_root, atol=1e-12)
     until(lambda: shown.controller.state.job is None and not unmeasured(shown.controller.state.collection).any())
     assert "My_Box" in shown.panel.opened.content
+
+
+def test_what_was_open_before_comes_back_as_it_was_left(shown: Shown):
+    before = shown.controller.state.collection
+    shown.controller.set_joint(0, 0.1)
+    left = shown.controller.state.work
+    shown.one.upload(shown.panel.upload, "My Box.stl", BOX)
+    assert shown.told("My Box.stl", "Show")
+    until(lambda: shown.panel.shelf.visible)
+    assert shown.controller.state.num_unsaved == 1 and not shown.controller.state.unsaved
+    titles = shown.panel.shelf.options
+    assert len(titles) == 2 and "My_Box" in titles[0] and "sphere" in titles[1]
+    until(lambda: shown.controller.state.job is None)
+    shown.one.change(shown.panel.shelf, titles[1])
+    until(lambda: shown.controller.state.collection.problem is before.problem)
+    assert shown.controller.state.work is left and shown.controller.state.unsaved == (0,)
+    shown.one.change(shown.panel.shelf, shelf_titles(shown.controller.state)[1])
+    until(lambda: "My_Box" in shown.controller.state.collection.title)
+    assert len(shown.controller.state.shelf) == 1
+
+
+def test_a_stand_in_is_told_over_the_scene_until_its_mesh_comes(shown: Shown):
+    hand = shown.controller.state.collection.hand
+    T = shown.controller.state.pose.T_object_root[None]
+    grasps = GraspSet.of(hand, np.repeat(T, 5, axis=0), np.repeat(hand.rest[None], 5, axis=0), object="core/my box")
+    content = io.BytesIO()
+    np.savez(content, **grasps.arrays())
+    assert banner_text(shown.controller.state) == ""
+    shown.one.upload(shown.panel.upload, "grasps.npz", content.getvalue(), key="1")
+    assert shown.told("grasps.npz", "5 grasps")
+    assert_names(banner_text(shown.controller.state), "Stand-in", "'core/my box'", "'sphere:0.03'")
+    until(lambda: shown.controller.state.job is None)
+    shown.controller.show(3)
+    shown.one.upload(shown.panel.upload, "My Box.stl", BOX, key="2")
+    assert shown.told("My Box.stl", "'core/my box'", "5 grasps")
+    state = shown.controller.state
+    assert len(state.collection) == 5 and state.number == 3 and banner_text(state) == ""
+    np.testing.assert_allclose(state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+    # Nothing was made of them on the stand-in, which is not worth keeping.
+    assert len(state.shelf) == 1 and "sphere" in state.shelf[0].collection.title
+
+
+def test_many_are_saved_together_as_they_stand(shown: Shown):
+    hand = shown.controller.state.collection.hand
+    T = shown.controller.state.pose.T_object_root[None]
+    grasps = GraspSet.of(hand, np.repeat(T, 3, axis=0), np.repeat(hand.rest[None], 3, axis=0), object="sphere:0.03")
+    content = io.BytesIO()
+    np.savez(content, **grasps.arrays())
+    shown.one.upload(shown.panel.upload, "grasps.npz", content.getvalue())
+    assert shown.told("grasps.npz", "3 grasps")
+    until(lambda: shown.controller.state.job is None)
+    shown.controller.show(1)
+    shown.controller.set_joint(2, 0.3)
+    shown.controller.refine_many((2,))
+    until(lambda: shown.controller.state.job is None and shown.controller.state.unsaved == (1, 2))
+    works = shown.controller.state.works
+    shown.one.change(shown.panel.save_all, True)
+    name, saved = shown.one.download()
+    path = shown.panel.uploads.path / "again.npz"
+    path.write_bytes(saved)
+    again = load_grasps(path)
+    assert len(again) == 3 and name.endswith(".npz")
+    np.testing.assert_allclose(again.q[0], hand.rest)
+    np.testing.assert_allclose(again.q[1], works[1].pose.q)
+    np.testing.assert_allclose(again.q[2], works[2].pose.q)
+    np.testing.assert_allclose(again.squeeze.q[2], works[2].outcome.stage_q[0, -1])
+    until(lambda: shown.controller.state.unsaved == ())
 
 
 def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,6 +14,7 @@ from grasp_refine_apps.viewer.shapes import LinkPoses
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace, subsample
+from grasp_refine_apps.viewer.work import Work
 from open_viewer import example
 from refusals import assert_names, refused
 
@@ -118,7 +117,7 @@ def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
 
 def test_a_state_is_filmed_by_what_it_shows(collection: Collection, scene: Scene):
     pose = Pose(scene.T_world_root[0], scene.q[0])
-    state = State(collection, 0, scene, pose, pose, settings=None)
+    state = State(collection, 0, scene, pose, {0: Work(pose)}, settings=None)
     with refused(GraspRefineError):
         film_of(state)
-    assert len(film_of(replace(state, trace=coming(scene, 2))).frames) == 2
+    assert len(film_of(state.evolve(trace=coming(scene, 2))).frames) == 2

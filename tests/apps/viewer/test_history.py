@@ -10,7 +10,7 @@ import pytest
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer import editing
 from grasp_refine_apps.viewer.controller import Controller
-from open_viewer import controller
+from open_viewer import controller, settled
 
 
 @pytest.fixture
@@ -76,3 +76,15 @@ def test_only_so_many_steps_are_kept(viewer: Controller, monkeypatch: pytest.Mon
     for k in range(10):
         viewer.set_joint(0, 0.01 * k)
     assert [value for value, _ in undone(viewer)] == [0.08, 0.07, 0.06]
+
+
+def test_the_refined_grasp_comes_back_after_an_earlier_iteration_was_edited(viewer: Controller) -> None:
+    viewer.start()
+    settled(viewer)
+    refined, outcome = viewer.state.pose, viewer.state.outcome
+    viewer.scrub(3)
+    viewer.set_joint(0, 0.3)
+    viewer.undo()
+    assert viewer.state.pose.same(viewer.state.trace.pose(3)) and viewer.state.outcome is None
+    viewer.undo()
+    assert viewer.state.pose is refined and viewer.state.outcome is outcome is not None

@@ -19,7 +19,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer import opening
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.opening import MeshOptions, open_upload
+from grasp_refine_apps.viewer.opening import MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.saving import grasp_file
 from grasp_refine_apps.viewer.unpacking import UploadError
@@ -41,9 +41,15 @@ def present() -> tuple[Scene, Pose]:
 
 
 def put(name: str, content: bytes, folder: Path, options: MeshOptions | None = None) -> Problem:
-    folder = folder / str(len(list(folder.iterdir())))
+    return opened(name, content, folder, options).problem
+
+
+def opened(
+    name: str, content: bytes, folder: Path, options: MeshOptions | None = None, open_now: Opened | None = None
+) -> Opened:
+    folder = folder / f"upload {len(list(folder.iterdir()))}"
     folder.mkdir()
-    return open_upload(store_upload(name, content, folder), *present(), ignored(), options)
+    return open_upload(store_upload(name, content, folder), *present(), ignored(), options, open_now)
 
 
 def box(*sides: float) -> trimesh.Trimesh:
@@ -154,6 +160,38 @@ def test_grasps_are_opened_on_the_objects_that_they_name(tmp_path: Path):
     for i in range(3):
         np.testing.assert_allclose(collection.scene(i).q[0], own.rest + 0.01 * i, atol=1e-12)
         np.testing.assert_allclose(collection.scene(i).T_world_root[0], T, atol=1e-12)
+
+
+def test_a_mesh_attaches_to_the_grasps_that_name_it(tmp_path: Path):
+    """It took the place of all of them: 657 grasps became one."""
+    own = present()[0].hand
+    saved = grasp_file(own, grasps(), "ours")
+    first = opened(saved.name, saved.content, tmp_path)
+    assert first.stand_ins == {"vase"}
+    mesh = box(40, 50, 60).export(file_type="stl")
+    found = opened("Vase.stl", mesh, tmp_path, MeshOptions(unit="mm"), first)
+    assert found.attached == "vase" and not found.stand_ins
+    collection = Collection.of(found.problem, found.stand_ins)
+    assert [collection.label(i) for i in range(3)] == ["box:0.04,0.05,0.06 0", "vase 0", "box:0.04,0.05,0.06 1"]
+    # The file gives the vase half the size of its mesh.
+    np.testing.assert_allclose(collection.scene(1).object.mesh.extents, [0.02, 0.025, 0.03], rtol=1e-6)
+    assert collection.group(1).scale == pytest.approx(0.0005)
+    assert collection.scene(2).object is first.problem.groups[0].scene.object
+    assert not any("unknown" in note for note in found.problem.notes)
+    # One of another name does not, and takes the place of the object as before.
+    other = opened("bottle.stl", mesh, tmp_path, MeshOptions(unit="mm"), first)
+    assert not other.attached and len(other.problem) == 1
+
+
+def test_meshes_in_the_zip_of_grasps_are_their_objects(tmp_path: Path):
+    own = present()[0].hand
+    saved = grasp_file(own, grasps(), "ours")
+    files = {"grasps.npz": saved.content, "meshes/VASE.stl": box(0.04, 0.05, 0.06).export(file_type="stl")}
+    found = opened("all.zip", zipped(files), tmp_path)
+    assert not found.stand_ins and len(found.problem) == 3
+    np.testing.assert_allclose(
+        Collection.of(found.problem).scene(1).object.mesh.extents, [0.02, 0.025, 0.03], rtol=1e-6
+    )
 
 
 def test_targets_come_with_grasps(tmp_path: Path):

@@ -183,9 +183,9 @@ def test_words_say_what_comes_next(problem: Problem):
     made = controller(problem)
     state = made.state
     assert "**Start**" in job_text(state) and " mm" not in numbers(state)
-    moved = replace(state, trace=trace_of(4, len(state.pose.q)))
+    moved = state.evolve(trace=trace_of(4, len(state.pose.q)))
     assert " mm" not in numbers(moved) and numbers(moved) != numbers(state)
-    assert_names(numbers(replace(moved, frame=2)), "**Slide**", "8.10 mm", "0.00 mm")
+    assert_names(numbers(moved.evolve(frame=2)), "**Slide**", "8.10 mm", "0.00 mm")
     assert "**Start**" in job_text(moved) and job_text(moved) != job_text(state)
     made.close()
 

@@ -198,7 +198,7 @@ def test_another_object_takes_the_place_of_the_first(view: View, viewer: Control
 
 def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) -> None:
     shown = viewer.state.pose
-    bad = replace(viewer.state, pose=replace(shown, q=np.full_like(shown.q, np.nan)))
+    bad = viewer.state.evolve(pose=replace(shown, q=np.full_like(shown.q, np.nan)))
     view.draw(bad)
     assert np.isfinite(pose(view.nodes.hand.nodes[0])).all()
 

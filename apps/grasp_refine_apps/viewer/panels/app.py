@@ -8,9 +8,10 @@ from types import TracebackType
 from typing import Any
 
 from grasp_refine_apps.viewer.colors import distance_legend
-from grasp_refine_apps.viewer.contacts import distances_text
+from grasp_refine_apps.viewer.contacts import ContactMeter, distances_text
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
+from grasp_refine_apps.viewer.panels.banner import Banner
 from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
 from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
 from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
@@ -47,12 +48,13 @@ class Viewer:
         # No browser should show buttons that cannot be used yet.
         with server.atomic():
             self._heading = server.gui.add_html("")
+            self.banner = Banner(server.gui)
             tabs = server.gui.add_tab_group()
             self.panels: list[Any] = []
             for title, kind in PANELS:
                 with tabs.add_tab(title):
                     self.panels.append(kind(server, controller))
-            draws = (self._draw_heading, self._notify, *(panel.draw for panel in self.panels))
+            draws = (self._draw_heading, self.banner.draw, self._notify, *(panel.draw for panel in self.panels))
             # Functions that draw what need not follow each iteration of a refinement.
             slow_draws = [draw for panel in self.panels for draw in getattr(panel, "slow_draws", ())]
             for draw in (*draws, *slow_draws):
@@ -69,7 +71,7 @@ class Viewer:
         self._measuring.start()
 
     def _draw_heading(self, state: State) -> None:
-        text = _heading(state, self.view)
+        text = _heading(state, self.controller.contacts)
         if self._heading.content != text:
             self._heading.content = text
 
@@ -119,14 +121,15 @@ class Viewer:
         close_server(self.server)
 
 
-def _heading(state: State, view: View) -> str:
+def _heading(state: State, contacts_of: ContactMeter) -> str:
     """Name and measures of the shown grasp as HTML."""
-    collection, found = state.collection, view.contacts
+    collection = state.collection
     name = f"{collection.hand.name} on {collection.label(state.number)}"
     lines = [f"<b>{html.escape(name)}</b>"]
     if state.motion is not None:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
-    elif found is not None:
+    elif state.shown.finite:
+        found = contacts_of(state)
         lines.append(distances_text(found.contact_error, found.penetration))
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
     return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'

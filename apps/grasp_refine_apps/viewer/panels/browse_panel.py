@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Hashable
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -12,16 +13,19 @@ import numpy as np
 import viser
 
 from grasp_refine.validation.measures import COMPARED, Measure
+from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from grasp_refine_apps.viewer.marks import MARKS, Mark
 from grasp_refine_apps.viewer.measuring import unmeasured
-from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
-from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
+from grasp_refine_apps.viewer.present import here_text, present, signature
+from grasp_refine_apps.viewer.state import Job, State
 from grasp_refine_apps.viewer.table import page_of, pages, table_html
 from grasp_refine_apps.viewer.viser_private import click_script
+from grasp_refine_apps.viewer.work import Work
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
 MEASURE = "Measure all"
@@ -31,6 +35,7 @@ ALL = "all"
 IN_FILE = "as in the file"
 """Label of no sorting."""
 
+UNMEASURABLE = "could not be measured"
 METRICS_STYLE = """<style>
 .gr-metrics{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
 .gr-metrics table{border-collapse:collapse}
@@ -49,6 +54,9 @@ class BrowsePanel:
         self._lock = threading.RLock()
         self._listing, self._page = Listing(), 0
         self._collection: Collection | None = None
+        """Grasps as they are now, with what was made of them."""
+        self._signature: Hashable = None
+        self._work: Work | None = None
         self._number, self._last_click = -1, ""
         self._listed: np.ndarray = np.zeros(0, dtype=int)
         self._random = np.random.default_rng()
@@ -68,6 +76,15 @@ class BrowsePanel:
         self.clicks = gui.add_text("click", "", visible=False)
         self.table = gui.add_html("")
         self.measure = gui.add_button(MEASURE, hint="Compute quality and penetration of the grasps whose file has none")
+        with gui.add_folder("Several at once"):
+            self.which: Any = gui.add_dropdown("Grasps", CHOICES, hint="Which grasps the buttons below refine or test")
+            self.refine = gui.add_button(
+                "Refine", hint="Refine these grasps as they stand, with the settings of Refine"
+            )
+            self.test = gui.add_button("Test", hint="Simulate them, by the protocol of Validate")
+            self.bar: Any = gui.add_progress_bar(0.0, visible=False)
+            self.doing = gui.add_markdown("", visible=False)
+            self.stop = gui.add_button("Stop", visible=False, hint="Stop after this; what is done is kept")
         with gui.add_folder("Sort and filter", expand_by_default=False):
             self.key: Any = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
             self.descending: Any = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
@@ -83,16 +100,22 @@ class BrowsePanel:
     def draw(self, state: State) -> None:
         """Show a state."""
         with self._lock:
+            self._draw_job(state.job)
+            new = signature(state)
             other = self._collection is None or self._collection.problem is not state.collection.problem
-            changed = self._collection is not state.collection
-            if not changed and self._number == state.number and self.beside.value == state.side_by_side:
+            changed = new != self._signature
+            listed = changed or self._listing != state.listing
+            if not listed and self._number == state.number and self.beside.value == state.side_by_side:
                 return
-            self._collection = state.collection
-            if other:
-                self._listing, self._page = Listing(), 0
-            if changed:
-                self._listed = self._listing.numbers(state.collection)
-                self._draw_choices(state.collection)
+            if changed or self._collection is None:
+                self._collection, self._signature = present(state), new
+            if listed:
+                self._listed = state.listing.numbers(self._collection)
+                if self._listing != state.listing and not other:
+                    self._page = 0
+                self._listing = state.listing
+                self._draw_choices(self._collection)
+            self._work = state.work
             if other or self._number != state.number:
                 self._page = page_of(self._listed, state.number)
             # A grasp that is marked may leave the list.
@@ -109,31 +132,26 @@ class BrowsePanel:
         on_change(self.beside, self._controller.set_side_by_side)
         for name, widget in self.filters.items():
             on_change(widget, partial(self._filter, name))
-        self.steps.on_click(lambda event: self._go(event.target.value))
-        self.marks.on_click(lambda event: self._mark(event.target.value))
+        on_choice(self.steps, self._go)
+        on_choice(self.marks, self._mark)
         on_click(self.measure, self._controller.measure)
+        on_click(self.refine, lambda: self._controller.refine_many(self._chosen()))
+        on_click(self.test, lambda: self._controller.run_trials(self._chosen()))
+        on_click(self.stop, self._controller.stop)
         self.download.on_click(self._send_marks)
 
     # list
 
     def _list(self, **changes: Any) -> None:
         """List other grasps, or in another order."""
-        with self._lock:
-            if self._collection is None:
-                return
-            self._listing = replace(self._listing, **changes)
-            self._listed = self._listing.numbers(self._collection)
-            self._page = 0
-            self._draw_choices(self._collection)
-            self._draw_table()
+        self._controller.set_listing(replace(self._controller.state.listing, **changes))
 
     def _sort(self, key: str) -> None:
         """Sort by a column, the best first; by the same one again: in reverse."""
-        with self._lock:
-            if self._collection is None:
-                return
-            again = key == self._listing.key
-            down = not self._listing.descending if again else first_descending(self._collection, key)
+        collection, listing = self._collection, self._controller.state.listing
+        if collection is not None:
+            again = key == listing.key
+            down = not listing.descending if again else first_descending(collection, key)
             self._list(key=key, descending=down)
 
     def _filter(self, name: str, value: str) -> None:
@@ -155,11 +173,11 @@ class BrowsePanel:
             if click == self._last_click:
                 return
             self._last_click = click
-            if what == "sort" and value in self._keys().values():
-                self._sort(value)
-            elif what == "page" and value.isascii() and value.isdigit():
+            if what == "page" and value.isascii() and value.isdigit():
                 self._page = min(int(value[:9]), pages(self._listed) - 1)
                 self._draw_table()
+        if what == "sort" and value in self._keys().values():
+            self._sort(value)
         if what == "open" and value.isascii() and value.isdigit():
             self._controller.show(int(value[:9]))
 
@@ -197,7 +215,23 @@ class BrowsePanel:
         if not any(marks.by_row for marks in collection.marks):
             self._controller.notify("no grasp is marked yet", bad=True)
 
+    def _chosen(self) -> tuple[int, ...]:
+        """Numbers of the chosen grasps."""
+        found = chosen(self._controller.state, self.which.value)
+        if not found:
+            self._controller.notify(f"no grasp is {self.which.value}: choose others", bad=True)
+        return found
+
     # widgets
+
+    def _draw_job(self, job: Job | None) -> None:
+        """Show the progress of a command on several grasps."""
+        ours = job is not None and job.kind == "batch"
+        self.refine.disabled = self.test.disabled = job is not None and job.kind != "measure"
+        self.bar.visible = self.doing.visible = self.stop.visible = ours
+        if ours and job is not None:
+            self.bar.value = round(100.0 * (job.share or 0.0))
+            self.doing.content = job.what
 
     def _draw_table(self) -> None:
         """Update the table and the line above it."""
@@ -205,7 +239,7 @@ class BrowsePanel:
         if collection is not None:
             script = click_script(self.clicks)
             self.table.content = table_html(collection, self._listing, self._listed, self._page, number, script)
-            self.metrics.content = metrics_html(collection, number)
+            self.metrics.content = metrics_html(collection, number, self._work)
 
     def _draw_choices(self, collection: Collection) -> None:
         """Update the choices of the filters."""
@@ -227,12 +261,13 @@ class BrowsePanel:
             widget.visible, widget.value = shown[name], getattr(self._listing, name) or ALL
         self.key.value = chosen
         self.descending.value = self._listing.descending
-        self.measure.visible = bool(unmeasured(collection).any())
+        self.measure.visible = bool(unmeasured(self._controller.state.collection).any())
 
 
-def metrics_html(collection: Collection, number: int) -> str:
+def metrics_html(collection: Collection, number: int, work: Work | None = None) -> str:
     """Return name, status, verdict and measures of a grasp as HTML; of a refined one, before and after."""
-    heading = [f"<b>{escape(collection.label(number))}</b> as in its file"]
+    done = "" if work is None else here_text(work)
+    heading = [f"<b>{escape(collection.label(number))}</b> {escape(done or 'as in its file')}"]
     status, held, reason = (collection.columns.get(column.key) for column in (STATUS, HELD, REASON))
     if status is not None and status.known[number]:
         heading.append(escape(status.text(number)))
@@ -244,7 +279,8 @@ def metrics_html(collection: Collection, number: int) -> str:
         heading.append(f"marked {escape(collection.mark(number))}")
     rows = [row for measure in COMPARED if (row := _row(collection, measure, number))]
     if not rows:
-        text = "not measured yet" if unmeasured(collection)[number] else "could not be measured"
+        edited = work is not None and work.changed
+        text = "not measured" if edited else "not measured yet" if unmeasured(collection)[number] else UNMEASURABLE
     else:
         refined = any(len(row) > 2 for row in rows)
         head = ("", "before", "after") if refined else ()

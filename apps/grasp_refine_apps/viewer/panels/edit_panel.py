@@ -7,12 +7,11 @@ from functools import partial
 import numpy as np
 import viser
 
-from grasp_refine.core.se3 import exp_so3, log_so3, transform_points
-from grasp_refine.hands.hand import Hand
+from grasp_refine.core.se3 import exp_so3, log_so3
+from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.joints import Joints
-from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_click
-from grasp_refine_apps.viewer.shapes import LinkPoses
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_choice, on_click
 from grasp_refine_apps.viewer.state import Gizmo, State
 
 
@@ -45,7 +44,7 @@ class EditPanel:
             )
             self.targets = gui.add_markdown("")
             self.delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Delete one target")
-            self.delete.on_click(lambda event: self._delete(event.target.value))
+            on_choice(self.delete, self._delete)
             self.auto = gui.add_button("Auto", icon=viser.Icon.WAND, hint="No targets: links touch where they can")
             self.nearest = gui.add_button(
                 "Nearest points", icon=viser.Icon.TARGET, hint="Where links are nearest now, to be dragged from there"
@@ -67,7 +66,6 @@ class EditPanel:
         on_click(self.nearest, controller.target_nearest_points)
         self.joints = Joints(gui, controller)
         self.slow_draws = (self._draw_numbers,)
-        self._poses: tuple[Hand, LinkPoses] | None = None
 
     def draw(self, state: State) -> None:
         """Show a state."""
@@ -86,10 +84,8 @@ class EditPanel:
     def _draw_numbers(self, state: State) -> None:
         """Update numbers and sliders, which would follow every iteration of a refinement."""
         shown, hand = state.shown, state.collection.hand
-        if self._poses is None or self._poses[0] is not hand:
-            self._poses = hand, LinkPoses.of(hand)
         T = shown.T_object_root
-        self.targets.content = targets_text(state, self._poses[1])
+        self.targets.content = targets_text(state, self._controller.contacts(state))
         links = tuple(target.link for target in state.targets)
         if links:
             self.delete.options = links
@@ -123,8 +119,8 @@ class EditPanel:
         self._controller.move_root(T)
 
 
-def targets_text(state: State, poses: LinkPoses) -> str:
-    """Text in Markdown on the effect of the next click, and on the targets with their misses."""
+def targets_text(state: State, contacts: Contacts) -> str:
+    """Text in Markdown on the effect of the next click, and on the targets with the contact errors of their links."""
     lines = []
     if state.picked is not None:
         lines.append(f"**{state.picked[0]}** is chosen: now click the object where it should touch.")
@@ -133,11 +129,10 @@ def targets_text(state: State, poses: LinkPoses) -> str:
     if not state.targets:
         lines.append("None: links that are within reach touch where they can.")
         return "\n\n".join(lines)
-    T = poses(state.shown.T_object_root, state.shown.q)
+    error = dict(zip(contacts.link, contacts.error, strict=True))
     rows = []
     for target in state.targets:
-        miss = np.linalg.norm(transform_points(T[target.link], target.point_link) - target.point_object)
         x, y, z = (f"{1e3 * value:.0f}" for value in target.point_object)
-        rows.append(f"| {target.link} | {1e3 * miss:.2f} | {x}, {y}, {z} |")
-    lines.append("\n".join(("| link | miss, mm | on object, mm |", "|:---|---:|---:|", *rows)))
+        rows.append(f"| {target.link} | {1e3 * error.get(target.link, np.nan):.2f} | {x}, {y}, {z} |")
+    lines.append("\n".join(("| link | error, mm | on object, mm |", "|:---|---:|---:|", *rows)))
     return "\n\n".join(lines)

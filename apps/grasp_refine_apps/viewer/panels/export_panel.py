@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import viser
@@ -14,11 +15,14 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine_apps.viewer.animation import animation_html, film_of
+from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, open_upload
-from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set
+from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
+from grasp_refine_apps.viewer.panels.widgets import on_change
+from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set, grasp_sets
 from grasp_refine_apps.viewer.state import JobKind, State
+from grasp_refine_apps.viewer.store import BUSY_MESSAGE
 from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
 from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
 from grasp_refine_apps.viewer.worker import Control
@@ -29,7 +33,6 @@ RENDER_TIMEOUT_S = 15.0
 """Seconds within which a browser must draw a picture; one that is hidden or hangs never does."""
 MAX_PICTURE_PIXELS = 4096
 """Maximum pixels of a picture's longer side; browsers may report any size."""
-BUSY_MESSAGE = "another job is running: wait until it ends, or stop it, then try again"
 
 
 class ExportPanel:
@@ -43,6 +46,9 @@ class ExportPanel:
         gui = server.gui
         self.opened = gui.add_html("")
         with gui.add_folder("Open"):
+            self.shelf: Any = gui.add_dropdown(
+                "Show", ("-",), visible=False, hint="Files that were opened, as you left them"
+            )
             self.upload = gui.add_upload_button(
                 "Upload mesh, hand or grasps",
                 icon=viser.Icon.UPLOAD,
@@ -63,6 +69,10 @@ class ExportPanel:
             self.save = gui.add_button(
                 "Save grasp", icon=viser.Icon.DOWNLOAD, hint="Download the hand as it is shown, in this format"
             )
+            self.which = gui.add_dropdown("Several", CHOICES, hint="Which grasps the next button saves")
+            self.save_all = gui.add_button(
+                "Save them all", icon=viser.Icon.DOWNLOAD, hint="Download these grasps as they stand, in this format"
+            )
             self.picture = gui.add_button(
                 "Screenshot (PNG)", icon=viser.Icon.CAMERA, hint="Download what you see of the scene"
             )
@@ -72,7 +82,9 @@ class ExportPanel:
                 hint="Download the last refinement, or the simulation that is shown, as a page that plays anywhere",
             )
         self.upload.on_upload(self._uploaded)
+        on_change(self.shelf, self._reopen)
         self.save.on_click(self._save_grasp)
+        self.save_all.on_click(self._save_several)
         self.picture.on_click(self._send_picture)
         self.animation.on_click(self._animate)
         limit_uploads(server, MAX_UPLOAD_BYTES, self._refused)
@@ -84,6 +96,11 @@ class ExportPanel:
             self._collection = state.collection
             if other:
                 self.opened.content = open_html(state.collection)
+        titles = shelf_titles(state)
+        if self.shelf.options != titles:
+            self.shelf.options = titles
+        self.shelf.visible = len(titles) > 1
+        self.shelf.value = titles[0]
 
     def close(self) -> None:
         """Delete what was uploaded."""
@@ -108,14 +125,21 @@ class ExportPanel:
             upload = self.uploads.receive(file.name, file.content)
             control.check()
             control.describe(f"opening {shown}")
-            problem = open_upload(upload, now.scene, pose, control, options)
-            found = Collection.of(problem)
+            open_now = Opened(now.collection.problem, now.collection.stand_ins)
+            opened = open_upload(upload, now.scene, pose, control, options, open_now)
+            found = Collection.of(opened.problem, opened.stand_ins)
             control.check()
-            self._controller.change_collection(found)
+            self._controller.change_collection(found, now.number if opened.attached else 0)
             self._controller.measure()
-            self._controller.notify(f"{shown} is open: {_sentence(found)}")
+            self._controller.notify(opened_text(shown, found, opened, now.collection))
 
         self._run("load", f"opening {shown}", work)
+
+    def _reopen(self, title: str) -> None:
+        """Show grasps again that were open before."""
+        titles = shelf_titles(self._controller.state)
+        if title in titles[1:]:
+            self._controller.reopen(titles.index(title) - 1)
 
     # export
 
@@ -133,10 +157,35 @@ class ExportPanel:
             saved = grasp_file(now.collection.hand, grasps, to)
             control.check()
             self._send(client, saved)
+            self._controller.mark_saved({now.number: pose})
             if saved.notes:
                 self._controller.notify(f"{saved.name}: {'; '.join(saved.notes)}")
 
         self._run("export", f"saving as {to}", work)
+
+    def _save_several(self, event: viser.GuiEvent) -> None:
+        """Send all chosen grasps as they stand, as one file."""
+        now, to, client = self._controller.state, self.format.value, event.client
+        if client is None:
+            return
+        works = {n: now.works.get(n) or now.collection.work(n) for n in chosen(now, self.which.value)}
+        if not works:
+            self._controller.notify(f"no grasp is {self.which.value}: choose others", bad=True)
+            return
+        what = f"saving {count_text(len(works), 'grasp')} as {to}"
+
+        def work(control: Control) -> None:
+            control.describe(what)
+            grasps = grasp_sets(now.collection, works, control.check)
+            control.check()
+            saved = grasp_file(now.collection.hand, grasps, to)
+            control.check()
+            self._send(client, saved)
+            self._controller.mark_saved({number: one.standing for number, one in works.items()})
+            notes = "".join(f"; {note}" for note in saved.notes)
+            self._controller.notify(f"{count_text(len(works), 'grasp')} saved as {saved.name}{notes}")
+
+        self._run("export", what, work)
 
     def _send_picture(self, event: viser.GuiEvent) -> None:
         """Send a picture of the scene as the browser shows it."""
@@ -174,6 +223,29 @@ class ExportPanel:
         """Send a file to a browser, if it is still connected."""
         if client.client_id in self._server.get_clients():
             client.send_file_download(saved.name, saved.content, save_immediately=True)
+
+
+def shelf_titles(state: State) -> tuple[str, ...]:
+    """Titles of the open grasps and of those on the shelf, all different."""
+    titles: list[str] = []
+    for collection in (state.collection, *(each.collection for each in state.shelf)):
+        title, count = collection.title, 2
+        while title in titles:
+            title, count = f"{collection.title} ({count})", count + 1
+        titles.append(title)
+    return tuple(titles)
+
+
+def opened_text(name: str, found: Collection, opened: Opened, before: Collection) -> str:
+    """Sentence on what an upload became."""
+    if opened.attached:
+        count = int((found.objects == opened.attached).sum())
+        return f"{name} is the object '{opened.attached}' of {count_text(count, 'grasp')}"
+    text = f"{name} is open: {_sentence(found)}"
+    if before.stand_ins and found.problem.sampled.startswith("upload:"):
+        missing = ", ".join(sorted(before.stand_ins))[:200]
+        text += f". It is not named like an object that is missing ({missing}): to attach a mesh, name its file so"
+    return f"{text}. What was open before is under Show" if len(before) else text
 
 
 def open_html(collection: Collection) -> str:

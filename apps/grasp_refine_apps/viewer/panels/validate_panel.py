@@ -13,7 +13,7 @@ import viser
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
-from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
+from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
 from grasp_refine_apps.viewer.shown_motion import FRAME_RATE_HZ, ShownMotion
 from grasp_refine_apps.viewer.state import Job, State
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
@@ -84,9 +84,10 @@ class ValidatePanel:
         self.end = gui.add_button("Close replay", visible=False, hint="Back to the grasp")
         self.notes = gui.add_html("")
         on_change(self.protocol, self._choose)
-        on_click(self.test, lambda: controller.run_trial(self.protocol.value, self._other_friction()))
+        on_change(self.friction, lambda friction: self._set_protocol())
+        on_click(self.test, controller.run_trial)
         on_click(self.stop, controller.stop)
-        self.watch.on_click(lambda event: controller.record(event.target.value))
+        on_choice(self.watch, controller.record)
         on_click(self.end, self._end)
 
     def close(self) -> None:
@@ -103,6 +104,11 @@ class ValidatePanel:
     def _choose(self, protocol: str) -> None:
         """Choose another protocol, with its friction."""
         self.friction.value = PROTOCOLS[protocol].friction
+        self._set_protocol()
+
+    def _set_protocol(self) -> None:
+        """Choose the protocol of the next simulations, and their friction."""
+        self._controller.set_protocol(self.protocol.value, self._other_friction())
 
     def _other_friction(self) -> float | None:
         """The coefficient of friction; None where it is that of the protocol."""

@@ -1,0 +1,48 @@
+"""Banner over the scene: what a picture cannot show, such as that the object is only a stand-in."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+import viser
+
+if TYPE_CHECKING:
+    from grasp_refine_apps.viewer.state import State
+
+STYLE = (
+    "position:fixed;left:16px;bottom:16px;max-width:min(34em,60vw);z-index:3;padding:.5em .9em;border-radius:6px;"
+    "font:14px/1.4 system-ui,sans-serif;color:#4a3000;background:#fff3bf;border:1px solid #e8b800;pointer-events:none"
+)
+"""Style of the banner; it is fixed to the window, whose left part is the scene."""
+
+
+class Banner:
+    """Text over the scene; nothing where there is nothing to tell."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        """Make the banner, empty."""
+        self.html = gui.add_html("", visible=False)
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        text = banner_text(state)
+        self.show(text)
+
+    def show(self, text: str) -> None:
+        """Show a text; empty: nothing."""
+        content = f'<div style="{STYLE}">{escape(text)}</div>' if text else ""
+        if self.html.content != content:
+            self.html.content = content
+            self.html.visible = bool(text)
+
+
+def banner_text(state: State) -> str:
+    """Text of the banner; empty: none."""
+    name = state.collection.group(state.number).object
+    if name not in state.collection.stand_ins:
+        return ""
+    return (
+        f"Stand-in: the grasp is for '{name}', whose mesh is not known; '{state.scene.object.name}' is drawn in its "
+        "place. Upload the mesh, named like the object, in Files."
+    )
