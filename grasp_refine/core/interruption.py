@@ -32,7 +32,7 @@ _PR_SET_PDEATHSIG = 1
 
 @contextmanager
 def interruptible(end: Callable[[], None]) -> Iterator[Event]:
-    """Let SIGNALS raise KeyboardInterrupt in the main thread; yields an event that is set once one did.
+    """Let SIGNALS raise KeyboardInterrupt(number) in the main thread; yields an event that is set once one did.
 
     Signals that the caller of this process ignores, as nohup does, stay ignored. During an import nothing is raised:
     some packages catch every exception while they are loaded, and go on.
@@ -48,7 +48,7 @@ def interruptible(end: Callable[[], None]) -> Iterator[Event]:
         signal.setitimer(signal.ITIMER_REAL, _RETRY_S if importing else 0.0)
         if not importing:
             noticed.set()
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(number)
 
     def watch() -> None:
         # Signals wait while the main thread blocks them.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 import time
 import webbrowser
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +19,7 @@ from tyro.conf import Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
+from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.grasps.formats.listing import OURS
 from grasp_refine.grasps.formats.reading import Reading
@@ -90,23 +92,32 @@ class View:
             raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine_apps.viewer.access import PUBLIC_WARNING
         from grasp_refine_apps.viewer.page import close_server, open_server
+        from grasp_refine_apps.viewer.panels.banner import Banner
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
-        # First, so that a browser can load the page while the rest loads.
+        # Refused before anything is shown.
+        self.settings.config()
+        # First, so that a browser can load the page, and tell what goes on, while the rest loads.
         page = open_server(self.serving.host, self.serving.port)
         try:
+            screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
+            sys.stdout.flush()
+            if page.access.token:
+                screen(stderr=True).print(f"Warning: {PUBLIC_WARNING}", highlight=False)
+            where = {"address": page.address, "host": page.server.get_host(), "port": page.server.get_port()}
+            save_document(self.serving.json, "view", where)
+            if self.serving.open and _has_screen():
+                webbrowser.open(page.address)
+            loading = Banner(page.server.gui)
+            loading.show("Opening: loading the viewer …")
+            # Loads packages for seconds.
             from grasp_refine_apps.viewer.panels.app import Viewer
 
-            with Viewer(page, self._controller()):
-                screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
-                if page.access.token:
-                    screen(stderr=True).print(f"Warning: {PUBLIC_WARNING}", highlight=False)
-                server = page.server
-                where = {"address": page.address, "host": server.get_host(), "port": server.get_port()}
-                save_document(self.serving.json, "view", where)
-                if self.serving.open and _has_screen():
-                    webbrowser.open(page.address)
-                _wait()
+            controller = self._controller(lambda what: loading.show(f"Opening: {what} …"))
+            loading.show("Opening: drawing …")
+            with Viewer(page, controller):
+                loading.show("")
+                _wait(controller)
         except KeyboardInterrupt:
             # Interrupted while loading.
             return 0
@@ -114,14 +125,14 @@ class View:
             close_server(page.server)
         return 0
 
-    def _controller(self) -> Controller:
-        """Load the grasps of the files, with the results of documents about them."""
+    def _controller(self, tell: Callable[[str], None] = lambda what: None) -> Controller:
+        """Load the grasps of the files, with the results of documents about them; `tell` is called with each step."""
+        tell("reading the grasps")
         from grasp_refine_apps.viewer.collection import Collection
         from grasp_refine_apps.viewer.controller import Controller
         from grasp_refine_apps.viewer.shown_motion import is_replay
         from grasp_refine_apps.viewer.validation_file import read_validation
 
-        self.settings.config()
         documents = [read_validation(path) for path in self.files if path.suffix.lower() == ".json"]
         grasps = [path for path in self.files if path.suffix.lower() != ".json"]
         if len(grasps) > 1 or (grasps and self.inputs.grasps is not None):
@@ -131,11 +142,20 @@ class View:
             )
         inputs = self.inputs if not grasps else replace(self.inputs, grasps=grasps[0])
         with Reporter(screen(stderr=True)) as reporter:
+
+            def say(line: str) -> None:
+                reporter.say(line)
+                tell(line)
+
+            def wait(what: str) -> None:
+                reporter.wait(what)
+                tell(what)
+
             if grasps and is_replay(grasps[0]):
                 return self._replay_controller(grasps[0], reporter)
             if documents and inputs.grasps is None:
                 inputs = replace(inputs, grasps=_grasp_file(documents[0]))
-            loader = Loader(inputs, self.settings.seed, reporter.say, reporter.wait)
+            loader = Loader(inputs, self.settings.seed, say, wait)
             problem = loader.cut(loader.draft())
             for note in problem.notes:
                 reporter.note(note)
@@ -210,12 +230,27 @@ def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
     return Reading(grasps, OURS, (), ())
 
 
-def _wait() -> None:
-    """Wait for an interrupt; from then on, the time for cleaning up is limited."""
-    with suppress(KeyboardInterrupt):
-        while True:
-            # If another thread gets the signal, this one is not woken by it.
-            time.sleep(SIGNAL_POLL_S)
+def _wait(controller: Controller) -> None:
+    """Wait for an interrupt; from then on, the time for cleaning up is limited.
+
+    The first Ctrl-C only tells of grasps that are not saved, if there are any.
+    """
+    asked = False
+    while True:
+        try:
+            while True:
+                # If another thread gets the signal, this one is not woken by it.
+                time.sleep(SIGNAL_POLL_S)
+        except KeyboardInterrupt as interrupt:
+            count = controller.state.num_unsaved
+            if asked or not count or interrupt.args != (signal.SIGINT,):
+                break
+            asked = True
+            screen(stderr=True).print(
+                f"{count_text(count, 'grasp')} edited or refined and not saved: save them in the page, tab Files, or "
+                "press Ctrl-C again to end",
+                highlight=False,
+            )
     last = threading.Timer(CLEANUP_LIMIT_S, os._exit, (0,))
     last.daemon = True
     last.start()

@@ -11,21 +11,25 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import rich
 import viser
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.access import Access
-from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.viser_private import forbid_sharing, guarded
+
+if TYPE_CHECKING:
+    # The page is served before what the state needs is loaded.
+    from grasp_refine_apps.viewer.state import State
 
 DRAW_PERIOD_S, SLOW_PERIOD_S = 1.0 / 30.0, 0.2
 """Minimum seconds between two drawings, and between two of plots and numbers."""
 
 TITLE = "grasp-refine"
 
-Draw = Callable[[State], None]
+Draw = Callable[["State"], None]
 """Function that shows a state on a part of the page."""
 
 
