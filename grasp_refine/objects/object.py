@@ -18,7 +18,7 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
-from grasp_refine.geometry.pieces import Piece, cut_meshes
+from grasp_refine.geometry.pieces import Piece, cut_meshes, hull
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.objects.folders import given_pieces, surface
@@ -43,6 +43,8 @@ class Object:
     """Whether it is one convex piece."""
     notes: tuple[str, ...]
     """Repairs of the mesh, or faults of given pieces, for the user."""
+    rough: bool = False
+    """Whether `body` is only the convex hull of a mesh that is still to be cut."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
@@ -63,6 +65,16 @@ class UncutObject:
     """Whether it is one convex piece, see `Object.convex`."""
     notes: tuple[str, ...]
     """Notes for the user, see `Object.notes`."""
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether its mesh has to be cut, which may take minutes."""
+        return not self.pieces and not self.convex
+
+    def rough(self) -> Object:
+        """Return the object with its convex hull instead of its pieces, to be shown until it is cut."""
+        body = build_body(self.name, [hull(self.mesh.vertices)])
+        return Object(self.name, self.mesh, body, self.convex, self.notes, rough=True)
 
 
 def load_object(

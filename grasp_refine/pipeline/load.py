@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -167,9 +167,21 @@ class Loader:
         return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}")
 
     @stage("loading")
-    def cut(self, draft: Draft) -> Problem:
-        """Decompose the objects of a draft into convex pieces, several at a time, and return the problem."""
-        return draft.finish(self._cut([group.uncut for group in draft.groups]))
+    def cut(self, draft: Draft, rough: Collection[int] = ()) -> Problem:
+        """Decompose the objects of a draft into convex pieces, several at a time, and return the problem.
+
+        Args:
+            draft: The draft.
+            rough: Groups whose objects are not decomposed yet, see `UncutObject.rough`.
+        """
+        uncut = [group.uncut for group in draft.groups]
+        cut = iter(self._cut([one for at, one in enumerate(uncut) if at not in rough]))
+        return draft.finish([one.rough() if at in rough else next(cut) for at, one in enumerate(uncut)])
+
+    def cut_object(self, uncut: UncutObject) -> Object:
+        """Decompose one object."""
+        (found,) = self._cut([uncut])
+        return found
 
     def read(self, path: Path) -> Reading:
         """Return all grasps of the file `path`, with the targets of the specification.

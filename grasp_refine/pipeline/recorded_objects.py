@@ -106,7 +106,7 @@ def check_objects(
 
 
 def _digests(obj: UncutObject | Object) -> dict[str, str]:
-    pieces = {"pieces": pieces_digest(obj.body.pieces)} if isinstance(obj, Object) else {}
+    pieces = {"pieces": pieces_digest(obj.body.pieces)} if isinstance(obj, Object) and not obj.rough else {}
     return {"mesh": surface_digest(obj.mesh), **pieces}
 
 

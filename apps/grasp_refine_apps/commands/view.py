@@ -10,6 +10,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -155,11 +156,19 @@ class View:
                 return self._replay_controller(grasps[0], reporter)
             if documents and inputs.grasps is None:
                 inputs = replace(inputs, grasps=_grasp_file(documents[0]))
-            loader = Loader(inputs, self.settings.seed, say, wait)
-            problem = loader.cut(loader.draft())
+            loader, quiet = Loader(inputs, self.settings.seed, say, wait), Loader(inputs, self.settings.seed)
+            # All objects are read and checked; of those that are not shown yet, none is cut.
+            draft = loader.draft()
+            first = next((at for at, group in enumerate(draft.groups) if 0 in group.place), 0)
+            uncut = {
+                at: partial(quiet.cut_object, group.uncut)
+                for at, group in enumerate(draft.groups)
+                if at != first and group.uncut.takes_long
+            }
+            problem = loader.cut(draft, uncut)
             for note in problem.notes:
                 reporter.note(note)
-        collection = Collection.of(problem)
+        collection = Collection.of(problem, uncut=uncut)
         for document in documents:
             collection = collection.with_trials(document.of(collection))
         return Controller(collection, self.settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.array_records import take
 from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
@@ -21,6 +22,9 @@ from grasp_refine_apps.viewer.pose import Pose, targets_of
 from grasp_refine_apps.viewer.recorded import read_records
 from grasp_refine_apps.viewer.validated import TrialResult
 from grasp_refine_apps.viewer.work import Work
+
+Cut = Callable[[], Object]
+"""Function that cuts an object into convex pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +55,16 @@ class Collection:
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
     stand_ins: frozenset[str] = frozenset()
     """Names of the objects whose meshes are not known: their grasps are shown on another object."""
+    uncut: Mapping[int, Cut] = field(default_factory=dict)
+    """Number of a group whose object is only its convex hull yet -> function that cuts it, which may take minutes."""
     trials: Mapping[int, TrialResult] = field(default_factory=dict)
     """Simulation results of the grasps as in their file, by number, where known."""
 
     @staticmethod
-    def of(problem: Problem, stand_ins: frozenset[str] = frozenset()) -> Collection:
-        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` as the field.
+    def of(
+        problem: Problem, stand_ins: frozenset[str] = frozenset(), uncut: Mapping[int, Cut] | None = None
+    ) -> Collection:
+        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` and `uncut` as the fields.
 
         Raises:
             GraspFileError: a result file, or the file of marks beside it, is damaged.
@@ -81,7 +89,9 @@ class Collection:
             columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins)
+        return Collection(
+            problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins, uncut or {}
+        )
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -96,6 +106,18 @@ class Collection:
     def objects(self) -> Shaped[np.ndarray, " N"]:
         """The name of each grasp's object (N,)."""
         return np.array([group.object for group in self.problem.groups])[self.group_of]
+
+    def same_grasps(self, other: Collection) -> bool:
+        """Return whether another collection has the same grasps, perhaps with more known of them."""
+        return self.row is other.row
+
+    def with_object(self, at: int, obj: Object) -> Collection:
+        """Return the collection with the object of group `at`, which has been cut now."""
+        problem, group = self.problem, self.problem.groups[at]
+        cut = replace(group, scene=replace(group.scene, object=obj))
+        groups = (*problem.groups[:at], cut, *problem.groups[at + 1 :])
+        uncut = {other: make for other, make in self.uncut.items() if other != at}
+        return replace(self, problem=replace(problem, groups=groups), uncut=uncut)
 
     @property
     def title(self) -> str:

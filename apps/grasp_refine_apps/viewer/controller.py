@@ -6,41 +6,31 @@ one worker thread; listeners are called with every new state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
 from typing import Any
 
-import numpy as np
-
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.plurals import count_text
-from grasp_refine.refinement.config import Config
-from grasp_refine.results.outcome import Outcome
-from grasp_refine_apps.viewer.batches import batches, pose_of, refine_batch
 from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.contacts import ContactMeter
 from grasp_refine_apps.viewer.counted import Counted
-from grasp_refine_apps.viewer.editing import MAX_STEPS, Editor
-from grasp_refine_apps.viewer.listing import Listing
+from grasp_refine_apps.viewer.many import ManyGrasps, now
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
+from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import DisplayOptions, State
-from grasp_refine_apps.viewer.store import BUSY_MESSAGE, Change
+from grasp_refine_apps.viewer.store import Change
 from grasp_refine_apps.viewer.trace import Trace
-from grasp_refine_apps.viewer.validated import TrialResult
-from grasp_refine_apps.viewer.validating import PosedGrasp, protocol_of, record_direction, run_trial, world_cache
-from grasp_refine_apps.viewer.work import NO_RESULTS, Work
+from grasp_refine_apps.viewer.validating import protocol_of, record_direction, run_trial
+from grasp_refine_apps.viewer.work import NO_RESULTS
 from grasp_refine_apps.viewer.worker import Control, Stopped
 
 MAX_SHELVED = 6
 """Number of the last opened files that are kept; those with unsaved grasps are kept in any case."""
 
 
-class Controller(Editor):
+class Controller(ManyGrasps):
     """Commands on the open grasps."""
 
     def __init__(self, collection: Collection, settings: Any) -> None:
@@ -48,9 +38,6 @@ class Controller(Editor):
         super().__init__(_first_state(collection, 0, settings))
         self.contacts = ContactMeter()
         """Contacts of the shown grasp of a state."""
-        self._world = world_cache()
-        self._measuring = False
-        """Whether measuring resumes when the worker is free."""
 
     # display
 
@@ -60,7 +47,7 @@ class Controller(Editor):
         Other grasps go to the shelf, unless the new ones are the same with more known of their objects.
         """
         with self._lock:
-            same_grasps = collection.problem is self._state.collection.problem
+            same_grasps = collection.same_grasps(self._state.collection)
             if same_grasps and number == self._state.number:
                 self._set(collection=collection)
                 return
@@ -70,6 +57,7 @@ class Controller(Editor):
                 if self._state.job is not None and self._state.job.kind in ("measure", "batch"):
                     self._halt()
             self._become(_showing(self._state, collection, number))
+            self._cut_shown()
 
     def reopen(self, at: int) -> None:
         """Show grasps of the shelf again, as they were left; those that are open take their place."""
@@ -124,7 +112,7 @@ class Controller(Editor):
                 finally:
                     self._measuring &= again
 
-            self._measuring = True
+            self._measuring = self._measured = True
             self.run_job("measure", "measuring grasps", work)
 
     def stop(self) -> None:
@@ -132,17 +120,19 @@ class Controller(Editor):
         with self._lock:
             job = self._state.job
             self._measuring &= job is None or job.kind != "measure"
+            if job is not None and job.kind == "cut":
+                self._not_cut |= set(self._state.collection.uncut.values())
             super().stop()
 
     def _ended(self) -> None:
-        if self._measuring:
+        if not self._cut_shown() and self._measuring:
             self.measure()
 
     def _keep_measures(self, found: Collection) -> None:
         """Keep new measures, also when measuring was stopped."""
         with self._lock:
             now = self._state.collection
-            if now.problem is found.problem:
+            if now.same_grasps(found):
                 self._set(collection=now.with_columns(*found.columns.values()))
 
     # refinement
@@ -159,7 +149,7 @@ class Controller(Editor):
                 if job.paused and not paused:
                     self._hold(False)
                 return
-            if job is not None and job.kind != "measure":
+            if (job is not None and job.kind != "measure") or not self.ready():
                 return
             # Invalid options are refused before anything starts.
             config = self._checked(self._state.settings.config)
@@ -184,104 +174,6 @@ class Controller(Editor):
             self.run_job("refine", "refining", work)
             if paused and self._control is not None:
                 self._hold(True)
-
-    def refine_many(self, numbers: Sequence[int]) -> None:
-        """Refine grasps as they stand, but those that these settings have refined; each is kept as soon as it is."""
-        with self._lock:
-            config = self._checked(self._state.settings.config)
-            if config is None:
-                return
-            collection, works = self._state.collection, self._works(numbers)
-            todo = {n: work for n, work in works.items() if work.outcome is None or work.config != config}
-            if not todo:
-                self.notify("all of them are refined with these settings: change the settings, or reset a grasp")
-                return
-
-            def work(control: Control) -> None:
-                done = 0
-                for batch in batches(collection, todo):
-                    control.report(done / len(todo), f"refining {done + 1} of {len(todo)} grasps")
-                    control.check()
-                    prepared = self._hand_object(batch.group.scene)
-                    outcome = refine_batch(batch, config, prepared, control)
-                    for i, number in enumerate(batch.numbers):
-                        self._keep_refined(control, number, todo[number], outcome.select(np.array([i])), config)
-                    done += len(batch.numbers)
-                self.notify(f"{count_text(done, 'grasp')} refined: they are listed in Browse, and not saved yet")
-
-            self._run_batch("refining", work)
-
-    def run_trials(self, numbers: Sequence[int]) -> None:
-        """Simulate grasps as they stand, but those that the protocol has tested; each result is kept at once."""
-        with self._lock:
-            protocol = self._checked(lambda: protocol_of(*self._state.protocol))
-            if protocol is None:
-                return
-            works = self._works(numbers)
-            todo = {n: work for n, work in works.items() if work.trial is None or work.trial.protocol != protocol}
-            if not todo:
-                self.notify("all of them are tested by this protocol")
-                return
-            grasps = {number: self._posed_grasp(work.standing, number) for number, work in todo.items()}
-
-            def work(control: Control) -> None:
-                for done, (number, grasp) in enumerate(grasps.items()):
-                    quiet = Control(lambda share, what: control.check())
-                    control.report(done / len(grasps), f"testing {done + 1} of {len(grasps)} grasps")
-                    control.check()
-                    prepared = replace(grasp, prepared=self._hand_object(grasp.scene))
-                    found = run_trial(self._world, prepared, protocol, quiet)
-                    self._keep_trial(control, number, todo[number], found)
-                trials = [self._state.works[number].trial for number in grasps]
-                held = sum(trial is not None and trial.held for trial in trials)
-                self.notify(f"{count_text(len(grasps), 'grasp')} tested: {held} held")
-
-            self._run_batch("testing", work)
-
-    def mark_saved(self, poses: Mapping[int, Pose]) -> None:
-        """Note that grasps were saved at these poses."""
-        with self._lock:
-            state = self._state
-            for number in poses.keys() & state.works.keys():
-                state = state.with_work(number, replace(state.works[number], saved=poses[number]))
-            self._become(state)
-
-    def set_listing(self, listing: Listing) -> None:
-        """List other grasps, or in another order."""
-        self._set(listing=listing)
-
-    def _works(self, numbers: Sequence[int]) -> dict[int, Work]:
-        """Works on some grasps."""
-        state = self._state
-        return {n: state.works.get(n) or state.collection.work(n) for n in numbers if 0 <= n < len(state.collection)}
-
-    def _run_batch(self, what: str, work: Callable[[Control], None]) -> None:
-        if not self.run_job("batch", what, work):
-            self.notify(BUSY_MESSAGE, bad=True)
-
-    def _keep_refined(self, control: Control, number: int, start: Work, outcome: Outcome, config: Config) -> None:
-        """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
-        counted = Counted(outcome.touching[0], config.margin)
-        refined: dict[str, Any] = {"pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
-        refined |= {"config": config, "refined_at": now(), "trial": None, "tested_at": None}
-
-        def change(work: Work) -> Work:
-            steps = (*work.undo_steps, *work.snapshots)[-MAX_STEPS:]
-            return replace(work, **refined, trace=None, frame=None, undo_steps=steps, redo_steps=())
-
-        self._keep(control, number, start, change)
-
-    def _keep_trial(self, control: Control, number: int, start: Work, trial: TrialResult) -> None:
-        """Keep the result of one of many simulations, unless the grasp was changed meanwhile."""
-        self._keep(control, number, start, lambda work: replace(work, trial=trial, tested_at=now()))
-
-    def _keep(self, control: Control, number: int, start: Work, change: Callable[[Work], Work]) -> None:
-        """Change the work on a grasp for a job, unless the job was stopped or the grasp changed since `start`."""
-        with self._lock:
-            control.check()
-            present = self._state.works.get(number, start)
-            if present.standing.same(start.standing) and present.targets is start.targets:
-                self._become(self._state.with_work(number, change(present)))
 
     def pause(self) -> None:
         """Pause the refinement, or resume it."""
@@ -318,7 +210,7 @@ class Controller(Editor):
         """Simulate the shown grasp in MuJoCo, by the chosen protocol or another one (name, friction)."""
         with self._lock:
             protocol = self._checked(lambda: protocol_of(*(protocol_and_friction or self._state.protocol)))
-            if protocol is None:
+            if protocol is None or not self.ready():
                 return
             grasp = self._posed_grasp(self._state.standing)
 
@@ -349,14 +241,6 @@ class Controller(Editor):
 
             self.run_job("replay", f"recording the push along {direction}", work)
 
-    def _posed_grasp(self, pose: Pose, number: int | None = None) -> PosedGrasp:
-        """Return a grasp, by default the shown one, at a pose, as in its file with pregrasp and squeeze."""
-        collection = self._state.collection
-        number = self._state.number if number is None else number
-        row = collection.member[number : number + 1]
-        group = collection.group(number)
-        return PosedGrasp(collection.scene(number), pose, group.grasps.select(row), row=int(group.rows[row[0]]))
-
     def show_motion_frame(self, frame: int) -> None:
         """Show a frame of the simulation."""
         with self._lock:
@@ -373,11 +257,6 @@ class Controller(Editor):
         self._set(motion=None, motion_frame=0)
 
 
-def now() -> datetime:
-    """Return the present time, of this machine's clock."""
-    return datetime.now().astimezone()
-
-
 def _first_state(collection: Collection, number: int, settings: Any) -> State:
     """Return the state that shows a grasp as in its file, without anything made of any."""
     works = {number: collection.work(number)}
@@ -387,7 +266,7 @@ def _first_state(collection: Collection, number: int, settings: Any) -> State:
 def _showing(state: State, collection: Collection, number: int) -> State:
     """Return the state with another grasp shown; what was made of grasps of the same file stays, and so do options."""
     shown = _first_state(collection, number, state.settings)
-    same = collection.problem is state.collection.problem
+    same = collection.same_grasps(state.collection)
     kept = {name: getattr(state, name) for name in ("job", "gizmo", "display", "side_by_side", "notice", "protocol")}
     kept["change"] = state.change
     if same:

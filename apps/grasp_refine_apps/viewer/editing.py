@@ -144,7 +144,7 @@ class Editor(Store):
         with self._lock:
             now = self._state
             config = self._checked(now.settings.config)
-            if config is None:
+            if config is None or not self.ready():
                 return
 
             def work(control: Control) -> Change | None:
@@ -156,6 +156,10 @@ class Editor(Store):
             self.run_job("targets", "looking for the nearest points", work)
 
     # internals
+
+    def ready(self) -> bool:
+        """Return whether the object of the shown grasp can be queried."""
+        return True
 
     def _hand_object(self, scene: Scene) -> HandObject:
         """Return hand and object of a scene, prepared once for refinement and simulation; for the worker."""

@@ -17,12 +17,12 @@ BATCH_SIZE = 8
 
 
 def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
-    """True for grasps (N,) without measures, from a file or from measuring."""
+    """True for grasps (N,) without measures, from a file or from measuring, whose object is cut."""
     known = np.zeros(len(collection), dtype=bool)
     for key in MEASURED:
         if key in collection.columns:
             known |= collection.columns[key].known
-    return ~known
+    return ~known & ~np.isin(collection.group_of, list(collection.uncut))
 
 
 def with_measures(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -17,13 +18,14 @@ from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import list_hands
-from grasp_refine.objects.object import Object, load_object
+from grasp_refine.objects.object import Object, UncutObject, cut_objects, load_object, read_object
 from grasp_refine.objects.source import needs_no_file
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.collection import Cut
 from grasp_refine_apps.viewer.mesh_bounds import check_faces, check_mesh_file
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.unpacking import UploadError
@@ -59,6 +61,8 @@ class Opened:
     """The grasps."""
     stand_ins: frozenset[str] = frozenset()
     """Names of the objects whose meshes are not known: their grasps are shown on another object."""
+    uncut: Mapping[int, Cut] = field(default_factory=dict)
+    """Groups whose objects are to be cut when they are opened, as `Collection.uncut`."""
     attached: str = ""
     """Name of the object of the open grasps that an uploaded mesh was attached to; empty: none."""
 
@@ -141,7 +145,7 @@ def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions,
     others = [note for note in problem.notes if not note.startswith(_stand_in_note(name))]
     doubts = [note for note in convention_notes([group.scene for group in groups]) if note not in others]
     changed = replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys([*others, *notes, *doubts])))
-    return Opened(changed, open_now.stand_ins - {name}, name)
+    return Opened(changed, open_now.stand_ins - {name}, open_now.uncut, name)
 
 
 def _load_mesh(path: Path, scale: float, options: MeshOptions, control: Control) -> Object:
@@ -191,7 +195,10 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
             f"{upload.name}: has grasps on {len(keys)} objects and scales, more than {MAX_OBJECTS}; upload a part"
         )
     hand = _hand_of(grasps, scene.hand, upload, control)
-    notes, objects, stand_ins = [*read.notes, *hand.notes], {}, set()
+    notes, stand_ins = [*read.notes, *hand.notes], set()
+    objects: dict[tuple[str, float], Object] = {}
+    uncut: dict[int, Cut] = {}
+    first = grasps.object[0], grasps.scale[0]
     meshes = [path for path in sorted(upload.folder.rglob("*")) if path.suffix.lower() in MESH_SUFFIXES]
     for name, scale in sorted(keys, key=lambda key: named.index(key[0])):
         control.check()
@@ -200,7 +207,11 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
             objects[name, scale] = load_object(name, scale=scale, progress=control.describe)
         elif mesh is not None:
             check_faces(check_mesh_file(mesh, f"{upload.name}: {mesh.name}"), upload.name)
-            objects[name, scale] = _load_mesh(mesh, scale, options, control)
+            known = read_object(mesh, scale=scale, unit=options.unit, holes=options.holes)
+            cut = partial(_cut, known)
+            if (name, scale) != first and known.takes_long:
+                uncut[len(objects)] = cut
+            objects[name, scale] = known.rough() if len(objects) in uncut else cut()
         else:
             # A name is never taken as a path.
             objects[name, scale] = scene.object
@@ -212,7 +223,13 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
     others = (_for_uploader(note, upload) for note in check_objects(read.files, objects, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
     found = replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
-    return Opened(found, frozenset(stand_ins))
+    return Opened(found, frozenset(stand_ins), uncut)
+
+
+def _cut(uncut: UncutObject) -> Object:
+    """Cut an object into convex pieces."""
+    (found,) = cut_objects([uncut])
+    return found
 
 
 def _stand_in_note(name: str) -> str:

@@ -21,7 +21,7 @@ from grasp_refine_apps.viewer.work import Work, Works
 if TYPE_CHECKING:
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
 
-JobKind = Literal["load", "measure", "targets", "refine", "batch", "validate", "replay", "export"]
+JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 

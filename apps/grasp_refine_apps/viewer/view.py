@@ -44,7 +44,7 @@ class View:
         made, nodes = (state.scene.hand, state.scene.object, state.display), self.nodes
         with self.server.atomic():
             if nodes is None or self._made != made:
-                same = nodes is not None and self._made is not None and self._made[:2] == made[:2]
+                same = nodes is not None and self._made is not None and _looks_same(self._made, made)
                 if nodes is not None:
                     nodes.remove()
                     self.nodes = self._made = None
@@ -87,3 +87,8 @@ class View:
         for place in places:
             place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
             place.position, place.look_at = camera.position, camera.look_at
+
+
+def _looks_same(one: tuple[Hand, Object, DisplayOptions], other: tuple[Hand, Object, DisplayOptions]) -> bool:
+    """Return whether hand and object are the same, apart from convex pieces that were cut meanwhile."""
+    return one[0] is other[0] and one[1].mesh is other[1].mesh

@@ -7,13 +7,21 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.objects.object import Object, UncutObject, cut_objects
+from grasp_refine.pipeline import load
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
@@ -169,6 +177,67 @@ def test_on_the_network_the_address_has_a_token_and_a_warning(tmp_path: Path) ->
         process.kill()
         process.communicate()
     assert process.returncode == 0 and error.startswith("Warning: ") and "ssh -L" in error
+
+
+@pytest.fixture
+def several(tmp_path: Path) -> Path:
+    """Grasps of the Allegro hand on three objects that have to be cut, with their meshes beside them."""
+    hand = load_hand("allegro", candidates=16)
+    names = ("one", "two", "three", "two")
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    for turns, name in enumerate(dict.fromkeys(names)):
+        side = trimesh.creation.box((0.02, 0.02, 0.06 + 0.01 * turns))
+        mesh = side.union(side.copy().apply_transform(trimesh.transformations.rotation_matrix(1.2, (0, 1, 0))))
+        mesh.export(meshes / f"{name}.stl")
+    T = np.tile(np.array([0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0]), (4, 1))
+    grasps = GraspSet.of(hand, T, np.tile(hand.rest, (4, 1)))
+    np.savez(tmp_path / "grasps.npz", **replace(grasps, object=np.array(names)).arrays())
+    return tmp_path
+
+
+def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All objects were cut before anything was shown: 15 minutes for 14."""
+    done: list[str] = []
+
+    def cut_and_note(objects: Sequence[UncutObject], *given: Any, **options: Any) -> list[Object]:
+        done.extend(uncut.name for uncut in objects)
+        return cut_objects(objects, *given, **options)
+
+    monkeypatch.setattr(load, "cut_objects", cut_and_note)
+    viewer = View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
+    try:
+        assert done == ["one"] and len(viewer.state.collection) == 4
+        viewer.set_joint(0, 0.1)
+        viewer.measure()
+        settled(viewer)
+        quality = "penetration_after"
+        assert np.isnan(viewer.state.collection.columns[quality].values).tolist() == [False, True, True, True]
+        viewer.show(2)
+        assert viewer.state.scene.object.rough and viewer.state.job.kind == "cut"
+        viewer.start()
+        assert viewer.state.job.kind == "cut"
+        settled(viewer)
+        assert done == ["one", "two"] and not viewer.state.scene.object.rough
+        assert len(viewer.state.scene.object.body.pieces) > 1
+        # What belongs to the others stays, and the new ones are measured, too.
+        assert np.isnan(viewer.state.collection.columns[quality].values).tolist() == [False, False, False, True]
+        assert viewer.state.unsaved == (0,) and not viewer.state.shelf
+        # For a command on all, the rest is cut.
+        viewer.set_settings(Settings(geometry_only=True, iterations=2))
+        viewer.refine_many(range(4))
+        settled(viewer, 60.0)
+        assert done == ["one", "two", "three"] and len(viewer.state.works) == 4
+        assert not any(group.scene.object.rough for group in viewer.state.collection.problem.groups)
+    finally:
+        viewer.close()
+
+
+def test_units_of_all_objects_are_checked_before_any_is_cut(several: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load, "cut_objects", None)
+    trimesh.load(several / "meshes" / "three.stl").apply_scale(1000.0).export(several / "meshes" / "three.stl")
+    with refused(GraspRefineError, "three", "--unit"):
+        View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
 
 
 def test_settings_of_the_command_line_are_those_of_the_page() -> None:

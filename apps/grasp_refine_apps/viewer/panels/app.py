@@ -8,8 +8,9 @@ from types import TracebackType
 from typing import Any
 
 from grasp_refine_apps.viewer.colors import distance_legend
-from grasp_refine_apps.viewer.contacts import ContactMeter, distances_text
+from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
 from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel

@@ -40,6 +40,11 @@ class Banner:
 def banner_text(state: State) -> str:
     """Text of the banner; empty: none."""
     name = state.collection.group(state.number).object
+    if state.scene.object.rough:
+        return (
+            f"'{name}' is still to be cut into convex pieces: until then, contacts are those of its convex hull. "
+            "Refinement and tests wait for it."
+        )
     if name not in state.collection.stand_ins:
         return ""
     return (

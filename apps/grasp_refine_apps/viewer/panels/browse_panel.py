@@ -35,7 +35,6 @@ ALL = "all"
 IN_FILE = "as in the file"
 """Label of no sorting."""
 
-UNMEASURABLE = "could not be measured"
 METRICS_STYLE = """<style>
 .gr-metrics{font:13px/1.45 system-ui,sans-serif;margin:.2em .8em .6em;overflow-wrap:anywhere}
 .gr-metrics table{border-collapse:collapse}
@@ -102,7 +101,7 @@ class BrowsePanel:
         with self._lock:
             self._draw_job(state.job)
             new = signature(state)
-            other = self._collection is None or self._collection.problem is not state.collection.problem
+            other = self._collection is None or not self._collection.same_grasps(state.collection)
             changed = new != self._signature
             listed = changed or self._listing != state.listing
             if not listed and self._number == state.number and self.beside.value == state.side_by_side:
@@ -279,13 +278,21 @@ def metrics_html(collection: Collection, number: int, work: Work | None = None) 
         heading.append(f"marked {escape(collection.mark(number))}")
     rows = [row for measure in COMPARED if (row := _row(collection, measure, number))]
     if not rows:
-        edited = work is not None and work.changed
-        text = "not measured" if edited else "not measured yet" if unmeasured(collection)[number] else UNMEASURABLE
+        text = _without_measures(collection, number, edited=work is not None and work.changed)
     else:
         refined = any(len(row) > 2 for row in rows)
         head = ("", "before", "after") if refined else ()
         text = "<table>" + "".join(_line(row) for row in ([head] if head else []) + rows) + "</table>"
     return f'{METRICS_STYLE}<div class="gr-metrics">{" · ".join(heading)}<br>{text}</div>'
+
+
+def _without_measures(collection: Collection, number: int, *, edited: bool) -> str:
+    """Text on a grasp without measures."""
+    if collection.group_of[number] in collection.uncut:
+        return "its object is not cut yet"
+    if edited:
+        return "not measured"
+    return "not measured yet" if unmeasured(collection)[number] else "could not be measured"
 
 
 def _row(collection: Collection, measure: Measure, number: int) -> tuple[str, ...]:

@@ -92,7 +92,7 @@ class ExportPanel:
     def draw(self, state: State) -> None:
         """Show a state."""
         if state.collection is not self._collection:
-            other = self._collection is None or self._collection.problem is not state.collection.problem
+            other = self._collection is None or not self._collection.same_grasps(state.collection)
             self._collection = state.collection
             if other:
                 self.opened.content = open_html(state.collection)
@@ -125,9 +125,9 @@ class ExportPanel:
             upload = self.uploads.receive(file.name, file.content)
             control.check()
             control.describe(f"opening {shown}")
-            open_now = Opened(now.collection.problem, now.collection.stand_ins)
+            open_now = Opened(now.collection.problem, now.collection.stand_ins, now.collection.uncut)
             opened = open_upload(upload, now.scene, pose, control, options, open_now)
-            found = Collection.of(opened.problem, opened.stand_ins)
+            found = Collection.of(opened.problem, opened.stand_ins, opened.uncut)
             control.check()
             self._controller.change_collection(found, now.number if opened.attached else 0)
             self._controller.measure()
@@ -146,7 +146,7 @@ class ExportPanel:
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
         now, to, client = self._controller.state, self.format.value, event.client
-        if client is None:
+        if client is None or not self._controller.ready():
             return
         pose = now.standing
         group = now.collection.group(now.number)
@@ -176,7 +176,7 @@ class ExportPanel:
 
         def work(control: Control) -> None:
             control.describe(what)
-            grasps = grasp_sets(now.collection, works, control.check)
+            grasps = grasp_sets(self._controller.cut_all(works, control), works, control.check)
             control.check()
             saved = grasp_file(now.collection.hand, grasps, to)
             control.check()
