@@ -16,8 +16,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from grasp_refine.core.errors import GraspRefineError, quote_value, visible
 from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
-from grasp_refine.grasps.formats.reading import SUFFIXES
+from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
 from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
@@ -116,6 +117,7 @@ def _grasp_files_below(folder: Path, within: Path) -> list[tuple[str, Path]]:
         # Hidden files are partial files of another batch.
         found += [Path(place, file) for file in files if not file.startswith(".")]
     found = [file for file in found if file.suffix.lower() in SUFFIXES and file.is_file()]
+    found = [file for file in found if not may_be_other(file) or holds_grasps(file)]
     found.sort(key=lambda file: natural(file.relative_to(folder).as_posix()))
     return [(_job_name(file, within), file) for file in found]
 

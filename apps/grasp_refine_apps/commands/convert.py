@@ -17,14 +17,14 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable
-from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement
+from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement, check_same
 from grasp_refine.grasps.formats.format import Format, Load
 from grasp_refine.grasps.formats.listing import FormatName, format_named
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.source import check_known
+from grasp_refine.hands.source import check_known, is_known
 from grasp_refine.scene.convention_check import joint_notes, position_notes
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
@@ -40,10 +40,11 @@ class Convert:
 
     ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
+    isaac_grasp: one .yaml file per object.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
-    in the conversion. A folder is never replaced. Pickles are read without executing them. Non-finite grasps are left
-    out, and counted.
+    in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles are read
+    without executing them. Non-finite grasps are left out, and counted.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]
@@ -99,18 +100,31 @@ class Convert:
                 lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]
             check_output(self.output, to, parts)
             bar.update(task, description="writing and checking", total=None)
-            loaded = load(grasps.base_link)
-            doubts = (*joint_notes(loaded, match_joints(grasps, loaded)[0]), *position_notes(grasps.hand_pose))
+            known_hand = self.hand is not None or is_known(grasps.hand)
+            loaded = load(grasps.base_link) if known_hand else None
+            doubts = position_notes(grasps.hand_pose)
+            if loaded is not None:
+                doubts = (*joint_notes(loaded, match_joints(grasps, loaded)[0]), *doubts)
             # They may explain a written file that does not agree.
             _print_notes(doubts, messages)
             try:
                 with written(self.output, to, parts) as (place, rows):
-                    again = reading(place, format=self.to, hand=load(grasps.base_link))
-                    difference = check_agreement(grasps.select(rows), again.grasps, load)
+                    again = reading(place, format=self.to, hand=loaded)
+                    chosen = grasps.select(rows)
+                    if again.grasps.hand != grasps.hand and self.hand is None:
+                        # A format that does not name the hand.
+                        check_known(grasps.hand, self.source)
+                    difference = (
+                        check_same(chosen, again.grasps)
+                        if loaded is None
+                        else check_agreement(chosen, again.grasps, load)
+                    )
                     changed = _changes(grasps.select(rows), again.grasps)
             except DisagreementError as found:
                 messages.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
+        if loaded is None:
+            lost = [*lost, f"hand '{grasps.hand}' is not at hand: poses and joints are compared instead of fingertips"]
         notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
         _print_notes(notes[len(doubts) :], messages)
         save_document(
@@ -129,18 +143,18 @@ class Convert:
                 "wall_s": time.perf_counter() - began,
             },
         )
-        for line in _summary(read, self.source, self.output, to, len(parts), difference):
+        for line in _summary(read, self.source, self.output, to, len(parts), difference, loaded is not None):
             console.print(line, soft_wrap=True, markup=False)
         return 0
 
     def _load(self, grasps: GraspSet) -> Load:
         """Return the loader of the hand of the grasps, by base link."""
         source = self.hand or grasps.hand
-        if self.hand is None:
-            check_known(source, self.source)
 
         @cache
         def load(base_link: str) -> Hand:
+            if self.hand is None:
+                check_known(source, self.source)
             return load_hand(source, base_link=base_link, urdf=self.urdf, candidates=NUM_CANDIDATES)
 
         return load
@@ -161,13 +175,16 @@ def _object_texts(grasps: GraspSet) -> Sequence[str]:
     return [f"object '{n}' of scale {s:g}" for n, s in zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)]
 
 
-def _summary(read: Reading, source: Path, output: Path, to: Format, files: int, difference: float) -> list[str]:
+def _summary(
+    read: Reading, source: Path, output: Path, to: Format, files: int, difference: float, fingertips: bool
+) -> list[str]:
     objects = len(np.unique(read.grasps.object))
+    what, unit = ("fingertips", " m") if fingertips else ("poses and joints", "")
     return [
         f"read   {source}: {read.format.name}, {_count(len(read.files), 'file')}",
         f"       {_count(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {_count(objects, 'object')}",
         f"wrote  {output}: {to.name}, {_count(files, 'file')}",
-        f"check  read again, fingertips differ by at most {difference:.2g} m (limit {MAX_DIFFERENCE_M:g} m)",
+        f"check  read again, {what} differ by at most {difference:.2g}{unit} (limit {MAX_DIFFERENCE_M:g}{unit})",
     ]
 
 

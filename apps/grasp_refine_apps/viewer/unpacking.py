@@ -12,6 +12,7 @@ from pathlib import Path
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
+from grasp_refine.grasps.formats.content import SUFFIXES
 
 MAX_FILES = 2000
 """Maximum files in a zip: a hand has about a hundred, a folder of grasps one per grasp."""
@@ -26,7 +27,7 @@ MAX_LEVELS = 12
 """Maximum levels of a path; ROS packages have five."""
 MAX_PATH_BYTES = 240
 """Maximum bytes of a file's path in the zip; file systems take 255 for each part."""
-GRASP_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
+GRASP_SUFFIXES = SUFFIXES
 """Suffixes of grasp files."""
 KEPT_SUFFIXES = (".urdf", ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
 """Suffixes of unpacked files; nothing here reads other files, such as textures and programs."""

@@ -17,6 +17,8 @@ from typing import Literal
 
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.hands.hand_toml import HAND_TOML
+from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
+from grasp_refine.hands.source import HAND_TOML
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack
@@ -111,7 +113,7 @@ def store_upload(name: str, content: bytes, folder: Path) -> Upload:
         )
     if not content:
         raise UploadError(f"{shown}: is empty")
-    if (suffix in (".zip", ".npz")) != content.startswith(ZIP_SIGNATURES):
+    if (suffix in (".zip", ".npz", ".pt", ".pth")) != content.startswith(ZIP_SIGNATURES):
         raise UploadError(f"{shown}: its content does not match its suffix {suffix}; rename it")
     if suffix == ".zip":
         # Hands are named after the folder of their hand.toml.
@@ -144,9 +146,14 @@ def too_large(name: str, size: int) -> str:
     )
 
 
+def _may_hold_grasps(path: Path) -> bool:
+    """Return False for what lies beside grasps, hands and meshes, such as settings."""
+    return not may_be_other(path) or holds_grasps(path)
+
+
 def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
     """Classify a zip: a hand where it has a URDF or hand.toml, else grasps, else a mesh."""
-    grasps = [path for path in files if path.suffix.lower() in GRASP_SUFFIXES]
+    grasps = [path for path in files if path.suffix.lower() in GRASP_SUFFIXES and _may_hold_grasps(path)]
     meshes = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
     if any(path.suffix.lower() == ".urdf" or path.name == HAND_TOML for path in files):
         notes = (f"{len(grasps)} grasp files in {name} are not opened: upload them after the hand",) if grasps else ()

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.formats.format import Load
-from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 
@@ -36,6 +36,31 @@ def check_agreement(before: GraspSet, after: GraspSet, load: Load) -> float:
             f"their original positions, more than {MAX_DIFFERENCE_M:g} m"
         )
     return float(distances[worst])
+
+
+def check_same(before: GraspSet, after: GraspSet) -> float:
+    """Return the largest distance in metres or rad of the poses and joints in a written file from what they were.
+
+    It takes the place of `check_agreement` where the hand is not at hand.
+
+    Raises:
+        DisagreementError: it is above `MAX_DIFFERENCE_M`, or hands, links or joints differ.
+    """
+    told = [(grasps.hand, grasps.base_link, len(grasps), sorted(grasps.joint_names)) for grasps in (before, after)]
+    if told[0] != told[1]:
+        raise DisagreementError(f"{told[0]} was written, {told[1]} is read")
+    columns = [after.joint_names.index(name) for name in before.joint_names]
+    shared = [name for name in before.other_stages if name in after.other_stages]
+    pairs: list[tuple[GraspSet | Stage, GraspSet | Stage]] = [(before, after)]
+    pairs += [(before.other_stages[name], after.other_stages[name]) for name in shared]
+    differences = [np.zeros(1)]
+    for one, other in pairs:
+        T_one, T_other = (transform_from_pose(np.asarray(stage.hand_pose, dtype=float)) for stage in (one, other))
+        differences += [(T_one - T_other).ravel(), (one.q - other.q[:, columns]).ravel()]
+    worst = float(np.abs(np.nan_to_num(np.concatenate(differences), nan=np.inf)).max())
+    if worst > MAX_DIFFERENCE_M:
+        raise DisagreementError(f"read again, poses or joints are {worst:.3g} from what they were")
+    return worst
 
 
 def fingertip_distances(one: GraspSet, other: GraspSet, load: Load) -> Float[np.ndarray, " N"]:

@@ -1,4 +1,4 @@
-"""Contents of a file of another program: an array file or a pickle, read without running anything, of bounded size."""
+"""Contents of a file of another program, whatever holds them: read without running anything, of bounded size."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import MAGIC, array_header
 from grasp_refine.grasps.formats.pickled import ARRAY_KINDS, Refused, check_text, unpickle
+from grasp_refine.grasps.formats.texts import YAML_SUFFIXES, is_json, is_yaml, load_json, load_yaml
+from grasp_refine.grasps.formats.torch_files import is_torch_file, load_torch
+
+ARRAY_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
+"""Endings of files that can hardly be anything but grasps in a folder of such."""
+OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth")
+"""Endings of files that may be grasps, or what lies beside them."""
+SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
+"""Endings of grasp files."""
 
 MAX_FILE_BYTES = 2**28
 """Largest size of a file in bytes; nearly all of a valid one are arrays."""
@@ -22,7 +31,10 @@ PICKLE_START = b"\x80"
 
 
 def load_content(path: Path) -> Any:
-    """Return the contents of an .npy file or a pickle, as from `unpickle`; those of a plain array file are an array.
+    """Return the contents of a file as plain containers, numbers, text and arrays, as from `unpickle`.
+
+    An .npy file, a pickle, a file of `torch.save`, JSON and YAML are told apart by how they begin, YAML by its name
+    too. Those of a plain array file are an array.
 
     Raises:
         GraspFileError: it is missing, too large, damaged, or would run code.
@@ -43,13 +55,26 @@ def load_content(path: Path) -> Any:
     if not data:
         raise GraspFileError(f"{path}: is empty")
     try:
-        return _array(data) if data.startswith(MAGIC) else unpickle(data)
+        return _read(data, path.suffix.lower())
     except Refused as error:
         if data.startswith((MAGIC, PICKLE_START)):
             raise GraspFileError(f"{path}: {error}") from None
         raise GraspFileError(
-            f"{path}: {error}; it may not be a grasp file: ours are .npz, those of other programs .npy or pickles"
+            f"{path}: {error}; it may not be a grasp file, which end with {', '.join(SUFFIXES)}"
         ) from None
+
+
+def _read(data: bytes, suffix: str) -> Any:
+    """Contents of the bytes of a file with some ending."""
+    if data.startswith(MAGIC):
+        return _array(data)
+    if is_torch_file(data):
+        return load_torch(data)
+    if suffix not in YAML_SUFFIXES and is_json(data):
+        return load_json(data)
+    if suffix in YAML_SUFFIXES or is_yaml(data):
+        return load_yaml(data)
+    return unpickle(data)
 
 
 def _array(data: bytes) -> Any:

@@ -12,7 +12,8 @@ import pickle
 import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from typing import Any, ClassVar
@@ -48,7 +49,7 @@ class Refused(Exception):
 
 
 @dataclass
-class _Budget:
+class Budget:
     """Size of what a pickle may still copy or return."""
 
     size: int
@@ -82,7 +83,7 @@ class _Dtype:
 
 
 @dataclass(eq=False)
-class _Array:
+class Array:
     """A NumPy array, or its entries where those are objects; Ellipsis until the pickle has given all of it."""
 
     value: Any = ...
@@ -179,9 +180,9 @@ def _small(value: Any) -> Any:
 
 
 STAND_INS: dict[str, Callable[..., Any]] = {
-    **{f"numpy.{core}.multiarray._reconstruct": lambda *_: _Array() for core in ("core", "_core")},
+    **{f"numpy.{core}.multiarray._reconstruct": lambda *_: Array() for core in ("core", "_core")},
     **{f"numpy.{core}.multiarray.scalar": _scalar for core in ("core", "_core")},
-    **{f"numpy.{core}.numeric._frombuffer": lambda *parts: _Array(_values(*parts)) for core in ("core", "_core")},
+    **{f"numpy.{core}.numeric._frombuffer": lambda *parts: Array(_values(*parts)) for core in ("core", "_core")},
     "numpy.dtype": _dtype,
     "numpy.ndarray": lambda: None,
     "_codecs.encode": _encode,
@@ -210,7 +211,7 @@ class _Bytes(io.BytesIO):
         return found
 
 
-class _Unpickler(pickle._Unpickler):
+class Unpickler(pickle._Unpickler):
     """Python's unpickler with stand-ins for all that a pickle names, and lists for sets.
 
     It is the one in Python. That in C gives its memo 2^32 places for a pickle of 6 bytes, and hashes keys of any depth.
@@ -229,7 +230,8 @@ class _Unpickler(pickle._Unpickler):
     memo: dict[int, Any]
     """Place -> value that may be named again."""
 
-    def __init__(self, data: bytes, budget: _Budget) -> None:
+    def __init__(self, data: bytes, budget: Budget) -> None:
+        """Start at the first of the bytes of a pickle."""
         file = _Bytes(data)
         file.left = MAX_READS
         super().__init__(file, encoding="latin-1")
@@ -251,7 +253,7 @@ class _Unpickler(pickle._Unpickler):
     def load_build(self) -> None:
         """Fill an array or a type; any other object, a stand-in above all, has no state."""
         state = self.stack.pop()
-        if not isinstance(self.stack[-1], _Array | _Dtype):
+        if not isinstance(self.stack[-1], Array | _Dtype):
             raise Refused(f"holds an object with a state of its own, which is refused: {READABLE}")
         self._spend(state)
         self.stack[-1].set_state(state)
@@ -317,28 +319,35 @@ def unpickle(data: bytes) -> Any:
         Refused: it is damaged, names anything else, or would become much larger than it is.
     """
     size = min(MAX_GROWTH * len(data) + FREE_BYTES, MAX_BYTES)
+    with damaged_as_refused():
+        return plain(Unpickler(data, Budget(size, MAX_READS)).load(), Budget(size, MAX_READS))
+
+
+@contextmanager
+def damaged_as_refused() -> Iterator[None]:
+    """Raise Refused for errors of Python's unpickler in the block."""
     try:
         with warnings.catch_warnings():
             # Text of the oldest protocol may have escapes that Python does not know.
             warnings.simplefilter("ignore", DeprecationWarning)
-            return _plain(_Unpickler(data, _Budget(size, MAX_READS)).load(), _Budget(size, MAX_READS))
+            yield
     except DAMAGED as error:
         raise Refused(f"is a damaged or cut off pickle ({' '.join(str(error).split())[:80]})") from None
 
 
-def _plain(value: Any, budget: _Budget, depth: int = 0) -> Any:
+def plain(value: Any, budget: Budget, depth: int = 0) -> Any:
     """The value with arrays in place; a part that is named several times counts each time."""
     budget.spend(value)
     if depth > MAX_DEPTH:
         raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep")
-    if isinstance(value, _Array):
+    if isinstance(value, Array):
         if value.value is ...:
             raise Refused("holds an array without its entries")
-        return _plain(value.value, budget, depth + 1)
+        return plain(value.value, budget, depth + 1)
     if isinstance(value, list | tuple):
-        return type(value)(_plain(item, budget, depth + 1) for item in value)
+        return type(value)(plain(item, budget, depth + 1) for item in value)
     if isinstance(value, dict):
-        return {key: _plain(item, budget, depth + 1) for key, item in value.items()}
-    if isinstance(value, _Dtype) or callable(value):
+        return {key: plain(item, budget, depth + 1) for key, item in value.items()}
+    if not isinstance(value, np.ndarray | str | bytes | int | float | None):
         raise Refused(f"holds a function or a type: {READABLE}")
     return _small(value)

@@ -14,16 +14,14 @@ from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_file, is_folder
-from grasp_refine.grasps.formats.content import load_content
+from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, load_content
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
 from grasp_refine.grasps.formats.source import Source
+from grasp_refine.grasps.formats.torch_files import is_torch_archive
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
 from grasp_refine.hands.hand import Hand
-
-SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
-"""Endings of the files in a folder that are read."""
 
 MAX_LISTED_ROWS = 10
 """Most rows that a note lists."""
@@ -69,7 +67,8 @@ def reading(
     """The grasps of a file or a folder, with their format and notes.
 
     Args:
-        path: A file, or a folder whose .npz, .npy, .pickle and .pkl files, all of one format, are read.
+        path: A file, or a folder whose files, all of one format, are read. YAML, JSON and torch files in it that are
+            of no format are left out, as such files lie beside grasps as well.
         format: Its format; None: recognised by its contents.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
         on_file: Called with the number of files read and that of all files.
@@ -81,9 +80,8 @@ def reading(
     check_kind("path", path, str | Path)
     path = Path(path)
     wanted = None if format is None else format_named(format)
-    files = _files(path)
+    files, notes = _files(path, wanted)
     sets: list[GraspSet] = []
-    notes: list[str] = []
     found: Format | None = None
     for number, file in enumerate(files):
         content = _content(file)
@@ -111,19 +109,64 @@ def reading(
     return Reading(joined, found, tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
-def _files(path: Path) -> list[Path]:
+def may_be_other(file: Path) -> bool:
+    """Return True for a file that may be something other than grasps, by its ending."""
+    return file.suffix.lower() not in ARRAY_SUFFIXES
+
+
+def holds_grasps(file: Path) -> bool:
+    """Return True if a file is of a format."""
+    try:
+        return _is_of(_content(file), FORMATS)
+    except GraspFileError:
+        return False
+
+
+def _is_of(content: Any, formats: Sequence[Format]) -> bool:
+    return any(not known.mismatch(content) for known in formats)
+
+
+def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
+    """The files to be read, and notes on those that may hold grasps but cannot be read."""
     if not is_folder(path):
-        return [path]
+        return [path], []
     found = [file for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not found:
-        raise GraspFileError(f"{path}: no grasp files in this folder or below it; they end with {', '.join(SUFFIXES)}")
-    return sorted(found, key=lambda file: natural(file.relative_to(path).as_posix()))
+    files, notes, reason = [], [], ""
+    for file in sorted(found, key=lambda file: natural(file.relative_to(path).as_posix())):
+        if not may_be_other(file):
+            files.append(file)
+            continue
+        try:
+            content = _content(file)
+        except GraspFileError as error:
+            notes.append(f"left out: {error}")
+            continue
+        if _is_of(content, (wanted,) if wanted else FORMATS):
+            files.append(file)
+        elif not reason:
+            reason = f"; {_no_format(file, content)}"
+    if not files:
+        why = notes[0].removeprefix("left out: ") if notes else ""
+        reason = f"; {why}" if why else reason
+        raise GraspFileError(
+            f"{path}: no grasp files in this folder or below it; they end with {', '.join(SUFFIXES)}{reason}"
+        )
+    return files, notes
 
 
 def _content(file: Path) -> Any:
     """Contents of a file; None for an .npz, which our own format reads."""
-    ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file))
+    ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file) and not _is_torch(file))
     return None if ours else load_content(file)
+
+
+def _is_torch(file: Path) -> bool:
+    """Return True for a zip that `torch.save` wrote."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return is_torch_archive(archive)
+    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError):
+        return False
 
 
 def _recognise(file: Path, content: Any) -> Format:
@@ -137,8 +180,12 @@ def _recognise(file: Path, content: Any) -> Format:
         raise GraspFileError(
             f"{file}: fits the formats {' and '.join(known.name for known in fits)}: choose one with --format NAME"
         )
+    raise GraspFileError(f"{_no_format(file, content)}; --format NAME chooses one")
+
+
+def _no_format(file: Path, content: Any) -> str:
     reasons = "; ".join(f"{known.name}: {known.mismatch(content)}" for known in FORMATS)
-    raise GraspFileError(f"{file}: is of no known format ({reasons}); --format NAME chooses one")
+    return f"{file}: is of no known format ({reasons})"
 
 
 def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, list[str]]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -13,9 +14,15 @@ from jaxtyping import Int
 from grasp_refine.core.atomic_files import half_written_path, written_whole
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz
+from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format, Part
+from grasp_refine.grasps.formats.texts import dump_json, dump_yaml
+from grasp_refine.grasps.formats.torch_files import dump_torch
 from grasp_refine.grasps.grasp_set import GraspSet
+
+DUMPS: dict[str, Callable[[Any], bytes]] = {".yaml": dump_yaml, ".json": dump_json, ".pt": dump_torch}
+"""Ending of a file -> bytes of its contents; the others are array files."""
 
 
 def check_output(path: Path, to: Format, parts: Sequence[Part]) -> None:
@@ -31,7 +38,7 @@ def check_output(path: Path, to: Format, parts: Sequence[Part]) -> None:
         if path.is_dir():
             raise GraspFileError(f"{path}: is a folder; a file would be written there")
         return
-    if path.suffix.lower() in (".npy", ".npz"):
+    if path.suffix.lower() in SUFFIXES:
         files = "1 file named after its object" if len(parts) == 1 else f"{len(parts)} files"
         raise GraspFileError(f"{path}: format {to.name} makes {files}: give the name of a new folder")
     if path.exists() or path.is_symlink():
@@ -77,6 +84,9 @@ def _save(path: Path, part: Part) -> None:
     if isinstance(part.content, GraspSet):
         save_npz(path, part.content.arrays())
         return
-    content = part.content if isinstance(part.content, np.ndarray) else np.array(part.content, dtype=object)
     with path.open("wb") as stream:
-        np.save(stream, content)
+        kept = DUMPS.get(path.suffix.lower())
+        if kept is not None:
+            stream.write(kept(part.content))
+            return
+        np.save(stream, part.content if isinstance(part.content, np.ndarray) else np.array(part.content, dtype=object))

@@ -1,0 +1,206 @@
+"""isaac_grasp as Isaac Sim documents it, as GraspGen and GraspDataGen write it; round trips; what is wrong in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
+from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.writing import written
+from grasp_refine.grasps.grasp_set import GraspSet, Stage
+from grasp_refine.hands.hand import Hand
+from refusals import assert_names, refused
+
+Load = Callable[..., Hand]
+
+ISAAC_SIM = """
+format: isaac_grasp
+format_version: 1.0
+
+object_frame: /World/cup
+gripper_frame: /World/panda_hand
+
+grasps:
+  "grasp_0":
+    confidence: 1.0
+    position: [0.1, -0.02, 1e-3]
+    orientation: {w: 0.0, xyz: [1.0, 0.0, 0.0]}
+    cspace_position:
+      panda_finger_joint1: 0.01
+    pregrasp_cspace_position:
+      panda_finger_joint1: 0.04
+"""
+"""The keys of Isaac Sim's documentation, with numbers of ours."""
+GRASP_GEN = {
+    "format": "isaac_grasp",
+    "format_version": 1.0,
+    "grasps": {
+        f"grasp_{i}": {
+            "confidence": 0.5 + 0.1 * i,
+            "position": [0.0, 0.0, -0.1 - i],
+            "orientation": {"w": 1.0, "xyz": [0.0, 0.0, 0.0]},
+        }
+        for i in range(3)
+    },
+}
+"""What GraspGen writes."""
+GRASP_DATA_GEN = {
+    "format": "isaac_grasp",
+    "format_version": "1.0",
+    "created_with": "grasp_guess",
+    "created_at": "2026-01-01T00:00:00",
+    "object_file": "objects/cup.obj",
+    "object_scale": 0.5,
+    "gripper_file": "bots/onrobot_rg6.usd",
+    "gripper_frame_link": "base_frame",
+    "open_limit": "lower",
+    "bite_point": [0.02, 0.0, 0.05],
+    "grasps": {
+        f"grasp_{i}_5": {
+            "confidence": float(i),
+            "position": [0.0, 0.0, 0.1],
+            "orientation": {"w": 1.0, "xyz": [0.0, 0.0, 0.0]},
+            "cspace_position": dict(sorted({"a": 0.1, "b": 0.2}.items(), reverse=bool(i))),
+            "bite_point": [0.0, 0.0, 0.0],
+            "pregrasp_cspace_position": {"b": 0.4, "a": 0.3},
+            "pregrasp_bite_point": [0.0, 0.0, 0.0],
+        }
+        for i in range(2)
+    },
+}
+"""What GraspDataGen writes, its quaternions with w apart, too."""
+
+
+def save(path: Path, content: object) -> Path:
+    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def test_the_file_of_isaac_sims_documentation(tmp_path: Path):
+    read = reading(save(tmp_path / "a.yaml", ISAAC_SIM))
+    grasps = read.grasps
+    assert read.format.name == "isaac_grasp" and not read.notes
+    assert (grasps.hand, grasps.base_link, grasps.joint_names) == (
+        "franka_hand",
+        "panda_hand",
+        ("panda_finger_joint1",),
+    )
+    assert grasps.object.tolist() == ["cup"] and grasps.scale.tolist() == [1.0]
+    # A number without a point is text for PyYAML.
+    np.testing.assert_array_equal(grasps.hand_pose, [[0.1, -0.02, 1e-3, 0.0, 1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(grasps.q, [[0.01]])
+    assert grasps.pregrasp is not None
+    np.testing.assert_array_equal(grasps.pregrasp.q, [[0.04]])
+    former = ISAAC_SIM.replace("_frame:", "_frame_link:")
+    check_same(grasps, read_grasps(save(tmp_path / "b.yml", former)))
+
+
+def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
+    read = reading(save(tmp_path / "box.yaml", GRASP_GEN))
+    assert read.grasps.q.shape == (3, 0) and set(read.grasps.object) == {"box"}
+    joints, frame, confidence = read.notes
+    assert_names(joints, "no joint")
+    assert_names(frame, "gripper_frame", "--hand")
+    assert_names(confidence, "0.5 to 0.7")
+    given = reading(tmp_path / "box.yaml", hand=load("allegro", "base_link"))
+    assert (given.grasps.hand, given.grasps.base_link) == ("allegro", "base_link")
+    assert_names(given.notes[1], "gripper_frame", "base_link")
+
+
+def test_files_of_graspdatagen(tmp_path: Path):
+    read = reading(save(tmp_path / "x.yaml", GRASP_DATA_GEN))
+    grasps = read.grasps
+    assert (grasps.hand, grasps.base_link) == ("onrobot_rg6", "base_frame")
+    assert set(grasps.object) == {"cup"} and set(grasps.scale) == {0.5}
+    # By name: the second grasp lists its joints the other way round.
+    assert grasps.joint_names == ("a", "b")
+    np.testing.assert_array_equal(grasps.q, [[0.1, 0.2], [0.1, 0.2]])
+    assert grasps.pregrasp is not None
+    np.testing.assert_array_equal(grasps.pregrasp.q, [[0.3, 0.4], [0.3, 0.4]])
+    assert_names(read.notes[0], "confidence", "1 of 2", "failed")
+
+
+@pytest.mark.parametrize("hand", ["shadow", "allegro", "leap"])
+def test_round_trips_to_the_last_digit(hand: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
+    before = grasps(hand)
+    opened = Stage(before.hand_pose, before.q + 0.1)
+    known = format_named("isaac_grasp")
+    parts, lost = known.write(replace(before, pregrasp=opened), partial(load, hand))
+    assert len(parts) == 6 and any("squeeze" in note for note in lost) and any("confidence" in note for note in lost)
+    with written(tmp_path / "out", known, parts) as (_, rows):
+        pass
+    again = reading(tmp_path / "out")
+    assert again.format == known and again.grasps.hand == hand
+    expected = replace(before, pregrasp=opened).select(rows)
+    assert fingertip_distances(expected, again.grasps, partial(load, hand)).max() < 1e-14
+    assert again.grasps.object.tolist() == expected.object.tolist()
+    np.testing.assert_array_equal(again.grasps.scale, expected.scale)
+    assert again.grasps.pregrasp is not None and again.grasps.squeeze is None
+    check_same(expected, again.grasps)
+    # A hand that moves before it closes cannot be told.
+    parts, lost = known.write(before, partial(load, hand))
+    assert any("pregrasp" in note for note in lost)
+    with written(tmp_path / "moved", known, parts):
+        pass
+    assert reading(tmp_path / "moved").grasps.pregrasp is None
+
+
+def changed(**changes: object) -> dict:
+    """The contents of a sound file with changes; keys of a grasp are those of the first one."""
+    content = yaml.safe_load(yaml.safe_dump(GRASP_DATA_GEN))
+    for key, value in changes.items():
+        holder = content if key in content or key.startswith("format") else content["grasps"]["grasp_0_5"]
+        holder[key] = value
+    return content
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (changed(format_version=2.0), ("format_version", "'2.0'", "1.0")),
+        (changed(grasps=[]), ("grasps", "mapping")),
+        (changed(grasps={}), ("grasps",)),
+        (changed(grasps={"g": 3}), ("'g'", "int")),
+        (changed(position=[0, 0]), ("position", "grasp_0_5", "(3)", "(2,)")),
+        (changed(position=["a", 0, 0]), ("position", "grasp_0_5")),
+        (changed(orientation={"w": 1.0}), ("grasp_0_5", "xyz")),
+        (changed(orientation={"w": 2.0, "xyz": [0, 0, 0]}), ("orientation", "row 0", "2")),
+        (changed(cspace_position={"a": 0.1}), ("cspace_position", "grasp_1_5", "b", "a")),
+        (changed(cspace_position=[0.1]), ("cspace_position", "grasp_0_5", "mapping")),
+        (changed(cspace_position={}), ("cspace_position", "grasp_0_5", "grasp_1_5")),
+        (changed(object_scale=-1.0), ("object_scale", "-1")),
+        (changed(object_file=3), ("object_file", "int")),
+    ],
+)
+def test_defects_are_named(content: dict, named: tuple[str, ...], tmp_path: Path):
+    path = save(tmp_path / "a.yaml", content)
+    with refused(GraspFileError, path, *named):
+        reading(path)
+
+
+def test_a_grasp_that_is_not_finite_is_kept_apart(tmp_path: Path):
+    path = save(tmp_path / "a.yaml", changed(position=[0.0, float("nan"), 0.0]))
+    assert read_grasps(path).finite.tolist() == [False, True]
+
+
+def test_other_files_of_a_folder_are_left_out(tmp_path: Path):
+    save(tmp_path / "a.yaml", ISAAC_SIM)
+    save(tmp_path / "settings.yaml", {"a": 1})
+    (tmp_path / "summary.json").write_text("{}")
+    (tmp_path / "damaged.json").write_text("{")
+    read = reading(tmp_path)
+    assert [file.name for file in read.files] == ["a.yaml"]
+    (note,) = read.notes
+    assert_names(note, "damaged.json", "JSON")
+    (tmp_path / "a.yaml").unlink()
+    with refused(GraspFileError, tmp_path, ".yaml", "damaged.json"):
+        reading(tmp_path)
