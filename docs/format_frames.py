@@ -62,6 +62,10 @@ class Drawing:
 DRAWINGS = (
     Drawing("isaac_grasp", JAWS, (646, 140), ("out", "up", "left"), "panda_hand", "position, orientation",
             thing="object_frame", note="GraspGen's frame has x up the page instead, y into it"),
+    Drawing("multidex", FINGERS, (636, 114), ("out", "up", "left"), "forearm", "columns 0 to 8",
+            note="Shadow: the fingers along z, the palm looks along -y"),
+    Drawing("dro", FINGERS, (636, 114), ("out", "up", "left"), "forearm", "columns 0 to 5",
+            note="Shadow: the fingers along z, the palm looks along -y"),
 )  # fmt: skip
 
 

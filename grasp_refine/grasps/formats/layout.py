@@ -95,7 +95,7 @@ def layout_of(
     Raises:
         GraspFileError: no layout or several fit; shows the joints of the file and those of the hand.
     """
-    for_hand = [layout for layout in layouts if hand is None or _is_of(layout, hand)]
+    for_hand = [layout for layout in layouts if hand is None or is_of(layout, hand)]
     if names:
         return _by_name(source, for_hand, count, hand, names)
     fitting = [layout for layout in for_hand if len(layout.joints) == count]
@@ -128,7 +128,7 @@ def check_hand(source: Source, layout: Layout, hand: Hand | None) -> None:
     Raises:
         GraspFileError: it lacks the link or a joint of the layout; shows the joints of both.
     """
-    if hand is not None and not _is_of(layout, hand):
+    if hand is not None and not is_of(layout, hand):
         raise source.error(
             f"is for the hand {layout.hand}, with the joints {', '.join(layout.joints)}; hand '{hand.name}' has "
             f"{', '.join(hand.joint_names)}"
@@ -161,6 +161,6 @@ def _match(name: str, wanted: Collection[str], *, numbers: bool) -> str | None:
     return ends[0] if len(ends) == 1 else None
 
 
-def _is_of(layout: Layout, hand: Hand) -> bool:
+def is_of(layout: Layout, hand: Hand) -> bool:
     """Return True if a hand has the joints and the link of a layout."""
     return set(layout.joints) <= set(hand.joint_names) and layout.base_link in hand.links_by_name

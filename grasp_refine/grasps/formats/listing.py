@@ -9,16 +9,29 @@ from grasp_refine.grasps.formats.bodex import Bodex
 from grasp_refine.grasps.formats.dexgraspbench import DexGraspBench
 from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
 from grasp_refine.grasps.formats.dexonomy import Dexonomy
+from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
 from grasp_refine.grasps.formats.leap_cache import LeapCache
+from grasp_refine.grasps.formats.multidex import MultiDex
 from grasp_refine.grasps.formats.ours import Ours
 
-FormatName = Literal["ours", "dexgraspbench", "bodex", "dexonomy", "dexgraspnet", "leap_cache", "isaac_grasp"]
+FormatName = Literal[
+    "ours", "dexgraspbench", "bodex", "dexonomy", "dexgraspnet", "leap_cache", "isaac_grasp", "multidex", "dro"
+]
 """Names of the formats on the command line."""
 
 OURS = Ours()
-FOREIGN: tuple[Format, ...] = (DexGraspBench(), Bodex(), Dexonomy(), DexGraspNet(), LeapCache(), IsaacGrasp())
+FOREIGN: tuple[Format, ...] = (
+    DexGraspBench(),
+    Bodex(),
+    Dexonomy(),
+    DexGraspNet(),
+    LeapCache(),
+    IsaacGrasp(),
+    MultiDex(),
+    DRO(),
+)
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 
 

@@ -88,9 +88,13 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
     The grasp itself is used for a stage that they lack.
     """
     stage = grasps.other_stages.get(name, grasps)
-    T_world_root = transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base)
     columns = [grasps.joint_names.index(joint) for joint in layout.joints]
-    return np.concatenate([pose_from_transform(T_world_root), stage.q[:, columns]], axis=1)
+    return np.concatenate([root_poses(stage, layout), stage.q[:, columns]], axis=1)
+
+
+def root_poses(stage: GraspSet | Stage, layout: Layout) -> Float[np.ndarray, "N 7"]:
+    """Poses (N, 7) of the frame of a layout whose base link has the poses of a stage."""
+    return pose_from_transform(transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base))
 
 
 def missing_stage_notes(grasps: GraspSet) -> list[str]:
