@@ -74,7 +74,13 @@ def _elements(path: Path) -> Iterator[_Element]:
     from lxml import etree
 
     parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+        # MuJoCo reads bytes as UTF-8, whatever a file declares.
+        encoding="utf-8",
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        remove_comments=True,
+        remove_pis=True,
     )
     try:
         yield from etree.fromstring(path.read_bytes(), parser).iter()

@@ -29,7 +29,7 @@ MAX_PATH_BYTES = 240
 """Maximum bytes of a file's path in the zip; file systems take 255 for each part."""
 GRASP_SUFFIXES = SUFFIXES
 """Suffixes of grasp files."""
-KEPT_SUFFIXES = (".urdf", ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
+KEPT_SUFFIXES = (".urdf", ".xml", ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
 """Suffixes of unpacked files; nothing here reads other files, such as textures and programs."""
 IGNORED_PATHS = re.compile(r"(^|/)(__MACOSX/|\._)")
 """Metadata files that macOS adds to its zips, with the same suffixes."""

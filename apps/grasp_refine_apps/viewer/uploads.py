@@ -16,9 +16,9 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
-from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
-from grasp_refine.hands.source import HAND_TOML
+from grasp_refine.hands.hand_toml import HAND_TOML
+from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack
@@ -32,7 +32,7 @@ MAX_SESSION_BYTES = 2**29
 MAX_NAME_CHARS = 100
 """Maximum characters of a file's name that are kept."""
 
-UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", *GRASP_SUFFIXES)
+UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", ".xml", *GRASP_SUFFIXES)
 """Suffixes of files that can be uploaded."""
 ZIP_SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
 """Signatures of zips and .npz files."""
@@ -125,7 +125,7 @@ def store_upload(name: str, content: bytes, folder: Path) -> Upload:
     if suffix in MESH_SUFFIXES:
         check_mesh_file(path, shown)
         return Upload(shown, "mesh", folder, path)
-    if suffix == ".urdf":
+    if suffix in (".urdf", ".xml"):
         return Upload(shown, "hand", folder, check_hand(shown, folder, [path]))
     return Upload(shown, "grasps", folder, path)
 
@@ -152,10 +152,10 @@ def _may_hold_grasps(path: Path) -> bool:
 
 
 def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
-    """Classify a zip: a hand where it has a URDF or hand.toml, else grasps, else a mesh."""
+    """Classify a zip: a hand where it has a URDF, an MJCF or a hand.toml, else grasps, else a mesh."""
     grasps = [path for path in files if path.suffix.lower() in GRASP_SUFFIXES and _may_hold_grasps(path)]
     meshes = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
-    if any(path.suffix.lower() == ".urdf" or path.name == HAND_TOML for path in files):
+    if any(path.suffix.lower() == ".urdf" or path.name == HAND_TOML or is_mjcf(path) for path in files):
         notes = (f"{len(grasps)} grasp files in {name} are not opened: upload them after the hand",) if grasps else ()
         return Upload(name, "hand", folder, check_hand(name, folder, files), notes)
     if grasps:
@@ -164,9 +164,9 @@ def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
         check_mesh_file(meshes[0], f"{name}: {meshes[0].name}")
         return Upload(name, "mesh", folder, meshes[0])
     listing = ", ".join(path.relative_to(folder).as_posix() for path in meshes)[:200]
-    found = f"several meshes ({listing})" if meshes else "neither a URDF, nor grasps, nor a mesh"
+    found = f"several meshes ({listing})" if meshes else "neither a URDF or MJCF, nor grasps, nor a mesh"
     raise UploadError(
-        f"{name}: holds {found}; a zip is a hand (.urdf or {HAND_TOML}, and meshes), grasp files "
+        f"{name}: holds {found}; a zip is a hand (.urdf, MJCF or {HAND_TOML}, and meshes), grasp files "
         f"({', '.join(GRASP_SUFFIXES)}), or one mesh"
     )
 

@@ -303,7 +303,7 @@ def test_links_that_overlap_at_rest_are_named(tmp_path: Path) -> None:
 def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
     from grasp_refine_apps.report import hand_check
 
-    made = hand_check.urdf_model
+    made = hand_check.model_of
 
     def broken(hand: Hand):
         model = made(hand)
@@ -311,6 +311,6 @@ def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytes
         model.spec.add_exclude(bodyname1="palm", bodyname2="nowhere")
         return model
 
-    monkeypatch.setattr(hand_check, "urdf_model", broken)
+    monkeypatch.setattr(hand_check, "model_of", broken)
     assert main(["hands", "--check", str(pincers(workplace))]) == 1
     assert_names(" ".join(capsys.readouterr().out.split()), "MuJoCo", "nowhere")

@@ -113,10 +113,59 @@ def test_a_hand_toml_names_no_urdf_that_cannot_be(folder: Path):
     assert_names(refused(zipped({"hand/hand.toml": f'urdf = "{"a/" * 3000}b"'}), folder), "URDF", "'b'")
 
 
-def test_mjcf_is_not_read_from_uploads(folder: Path):
-    """It can include any file, and sizes in it can fill the memory."""
+MJCF = """<mujoco model="pincers">{head}<compiler meshdir="../meshes"/>
+  <asset><mesh name="tip" file="tip.stl"/></asset><worldbody>{include}</worldbody></mujoco>"""
+
+MJCF_BODY = """<mujocoinclude><body name="palm"><geom size="0.02"/>
+  <body name="left" pos="0.02 0 0"><joint name="left" axis="0 1 0" range="-1 1"/><geom type="mesh" mesh="tip"/></body>
+  <body name="right" pos="-0.02 0 0"><joint name="right" axis="0 1 0"/><geom type="mesh" mesh="tip"/></body>
+</body></mujocoinclude>"""
+
+
+def mjcf_zip(head: str = "", include: str = '<include file="fingers.xml"/>', **more: bytes | str) -> bytes:
+    """A zip of a hand as an MJCF that includes its fingers."""
+    main = MJCF.format(head=head, include=include)
+    return zipped({"g/xml/hand.xml": main, "g/xml/fingers.xml": MJCF_BODY, "g/meshes/tip.stl": TIP, **more})
+
+
+def test_an_mjcf_with_what_it_includes_is_a_hand(folder: Path):
+    upload = store_upload("g.zip", mjcf_zip(), folder)
+    assert (upload.kind, upload.source) == ("hand", folder / "g/g/xml/hand.xml")
+    with opened_files() as opened:
+        hand = load_hand(upload.source, candidates=16)
+    assert hand.joint_names == ("left", "right") and not [path for path in opened if "secret" in path]
+    # So it is where a hand.toml names it.
+    (folder / "2").mkdir()
+    content = mjcf_zip(**{"g/hand.toml": 'mjcf = "xml/hand.xml"\nname = "mine"'})
+    assert load_hand(store_upload("g.zip", content, folder / "2").source, candidates=16).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("head", "named"),
+    [
+        ('<include file="../../../../secret.xml"/>', ("secret.xml", "outside")),
+        ('<include file="{root}/secret.xml"/>', ("secret.xml", "outside")),
+        ('<asset><mesh file="../../../../secret.stl"/></asset>', ("secret.stl", "outside")),
+        ('<asset><mesh file="{root}/secret.stl"/></asset>', ("secret.stl", "outside")),
+        ('<asset><mesh file="secret.stl"/></asset><compiler assetdir="../../../.."/>', ("secret.stl", "outside")),
+        ('<asset><model name="m" file="fingers.xml"/></asset>', ("<model>",)),
+        ("<worldbody>" + 257 * "<body/>" + "</worldbody>", ("257 bodies", "256")),
+    ],
+)
+def test_an_mjcf_names_nothing_outside(head: str, named: tuple[str, ...], folder: Path):
+    (folder.parents[1] / "secret.xml").write_text(MJCF_BODY)
+    assert_names(refused(mjcf_zip(head.format(root=folder.parents[1])), folder), *named)
+
+
+def test_an_mjcf_is_in_the_encoding_in_which_it_is_checked(folder: Path):
+    """A name that is text in one encoding is an element in another."""
+    content = zipped({"hand.xml": '<?xml version="1.0" encoding="ISO-2022-JP"?>' + MJCF.format(head="", include="")})
+    assert_names(refused(content, folder), "hand.xml", "UTF-8")
+
+
+def test_a_hand_toml_names_an_mjcf_of_the_upload(folder: Path):
     content = gripper_zip(**{"gripper/hand.toml": 'urdf = "urdf/gripper.urdf"\nmjcf = "hand.xml"'})
-    assert_names(refused(content, folder), "hand.toml", "MJCF", "--hand")
+    assert_names(refused(content, folder), "'hand.xml'")
 
 
 def test_there_must_be_one_hand(folder: Path):
