@@ -282,5 +282,4 @@ def _infeasible_torques(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
         row = np.zeros((len(group.joints) - 1, len(hand.joint_names)))
         row[:, [hand.joint_names.index(name) for name in group.joints]] = basis[1:]
         rows.append(row)
-    matrix, _, names = hand.mimic_map()
-    return np.concatenate(rows) @ matrix[[names.index(name) for name in chain.joints]].T
+    return np.concatenate(rows) @ chain.joint_gains.T

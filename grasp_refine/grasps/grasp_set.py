@@ -289,7 +289,13 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     notes, inferred = [], {}
     for follower in grasps.joint_names:
         leads = mimics.get(follower)
-        if leads is not None and leads.joint not in column and leads.joint not in inferred and leads.multiplier:
+        if (
+            leads is not None
+            and leads.joint not in column
+            and leads.joint not in inferred
+            and leads.multiplier
+            and not leads.higher
+        ):
             inferred[leads.joint] = follower
             values = (grasps.q[:, column[follower]] - leads.offset) / leads.multiplier
             q[:, hand.joint_names.index(leads.joint)] = values
@@ -304,7 +310,7 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
         notes.append(f"mimic joints follow their joint, not the grasp file: {', '.join(ignored)}")
     for name in ignored:
         leads = mimics[name]
-        expected = leads.multiplier * q[:, hand.joint_names.index(leads.joint)] + leads.offset
+        expected = leads.value(q[:, hand.joint_names.index(leads.joint)])
         with np.errstate(invalid="ignore"):
             away = np.abs(grasps.q[:, column[name]] - expected)
         off = away[np.isfinite(away)].max(initial=0.0)

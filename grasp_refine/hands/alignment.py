@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, transform
-from grasp_refine.hands.mimics import mimic_map
+from grasp_refine.hands.mimics import curves, mimic_map
 from grasp_refine.hands.tree import Joint
 
 MAX_ANCHOR_DISTANCE_M = 2e-3
@@ -86,7 +86,8 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
     lower, upper = np.array([limits[name] for name in mechanism.independent]).reshape(-1, 2).T
     lower, upper = np.where(np.isinf(lower), -np.pi, lower), np.where(np.isinf(upper), np.pi, upper)
     q = np.random.default_rng(0).uniform(lower, upper, (NUM_CONFIGURATIONS, len(lower)))
-    values = np.concatenate([np.zeros((1, len(movable))), q @ matrix.T + offset])
+    moved = q @ matrix.T + offset + curves(mechanism.joints, mechanism.independent)(q)
+    values = np.concatenate([np.zeros((1, len(movable))), moved])
     anchors, axes = _hand_joints(mechanism, dict(zip(movable, values.T, strict=True)), joints)
     still = _model_joints(model, named, np.zeros((1, len(named))))
     best = None

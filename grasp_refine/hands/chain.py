@@ -65,6 +65,10 @@ class Chain:
         xp = array_namespace(q)
         numbers = self._constants_on(xp, q)
         values = q @ numbers.values_matrix + numbers.values_offset
+        slope = None
+        if numbers.higher is not None:
+            curved, slope = _curved(xp, q[:, numbers.leaders], numbers.slope_offset, numbers.higher)
+            values, slope = values + curved, slope[:, numbers.column_order, None]
         # T_parent_joint is linear in the cosine, the sine and the value.
         T = numbers.T_constant + xp.cos(values)[..., None, None] * numbers.T_cos
         T = T + xp.sin(values)[..., None, None] * numbers.T_sin
@@ -83,6 +87,8 @@ class Chain:
         twists = products @ numbers.hinge_twist
         if numbers.slides is not None:
             twists = xp.where(numbers.slides, products @ numbers.slide_twist, twists)
+        if slope is not None:
+            twists = twists * slope
         root_twists = (T_world_root[:, :, 3] @ numbers.root_twist).reshape(-1, 6, 6)
         axes = xp.matrix_transpose(xp.concat([root_twists, twists], axis=1))
         return Frames(T_world_link, axes, T_world_root)
@@ -111,6 +117,12 @@ class Chain:
         joint_covectors = (covector @ frames.axes) * mask
         return joint_covectors if numbers.gains is None else joint_covectors @ numbers.gains
 
+    @property
+    def joint_gains(self) -> np.ndarray:
+        """Movements (m, n) of `joints` per independent joint value, in the units of the axes of `Frames`."""
+        gains = self._numbers.gains
+        return np.eye(len(self.joints), self.dof) if gains is None else np.asarray(gains)[6:, 6:]
+
     def joint_mask(self, link: np.ndarray) -> np.ndarray:
         """Mask (R, 6 + m): 1 where a root twist or joint of `joints` moves the link, else 0; see `to_joint_space`."""
         return self._numbers.follows[link]
@@ -133,7 +145,7 @@ class Frames:
     """Unit twists (batch, 6, 6 + m) as columns, spatial (v, w) about the world's origin, in m/m, m/rad or rad/rad.
 
     First the root's: translation along the three world axes, rotation about the three world axes through the
-    root's origin. Then those of `Chain.joints`.
+    root's origin. Then those of `Chain.joints`; of one that follows another on a curve, per unit of the other.
     """
     T_world_root: Array
     """Poses (batch, 4, 4) of the root."""
@@ -188,6 +200,14 @@ class _Numbers:
     """(16, 6): a prismatic joint's unit twist (z, 0) as a linear form of the same products."""
     slides: Array | None
     """(m, 1): True where one of `Chain.joints` is prismatic; None if none is."""
+    leaders: Array | None
+    """(m,): index of the independent joint that each joint follows; None where no coupling is curved."""
+    slope_offset: Array | None
+    """(m,): slope at 0 of the values of joints that follow on a curve, 1 for others."""
+    higher: Array | None
+    """(m, d): coefficients of the second and higher powers of these joints."""
+    column_order: Array | None
+    """(m,): place among the m joints, by level, of each of `Chain.joints`."""
     gains: Array | None
     """(6 + m, 6 + n): root twist and joint values per root twist and q; None for the identity."""
     follows: np.ndarray
@@ -244,8 +264,15 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
     followed = {name: int(np.flatnonzero(row)[0]) if row.any() else 0 for name, row in zip(names, matrix, strict=True)}
     columns = sorted((name for name in parent if name is not None), key=lambda name: followed[name])
     m, n = len(columns), len(hand.joint_names)
+    curved = hand.curves.take(rows)
     gains = np.eye(6 + m, 6 + n)
     gains[6:, 6:] = matrix[[names.index(name) for name in columns]]
+    order = np.array([sorted_joints.index(name) for name in columns], dtype=np.int64)
+    on_curve = curved.curved[order]
+    # The slope of a curve is part of the axis.
+    gains[6:, 6:][on_curve] = np.eye(n)[curved.leader[order[on_curve]]]
+    slope_offset = np.where(curved.curved, matrix[rows, curved.leader], 1.0)
+    has_curves = bool(curved.curved.any())
 
     is_slide = {name: hand.joints_by_name[name].kind == "prismatic" for name in columns}
     slide = np.array([is_slide[name] for name in sorted_joints], dtype=bool)[:, None, None]
@@ -279,9 +306,23 @@ def _build(hand: Hand, links: tuple[str, ...]) -> tuple[tuple[str, ...], _Number
         hinge_twist=hinge_twist,
         slide_twist=slide_twist,
         slides=np.array([[is_slide[name]] for name in columns]) if slide.any() else None,
+        leaders=curved.leader if has_curves else None,
+        slope_offset=slope_offset if has_curves else None,
+        higher=curved.higher if has_curves else None,
+        column_order=order if has_curves else None,
         gains=None if np.array_equal(gains, np.eye(6 + n)) else gains,
         follows=follows,
     )
+
+
+def _curved(xp: ModuleType, x: Array, slope_offset: Array, higher: Array) -> tuple[Array, Array]:
+    """Values (batch, m) of the higher powers of x, by Horner's rule, and slopes (batch, m) with the linear part."""
+    value, slope = xp.zeros_like(x), xp.zeros_like(x)
+    for power in range(higher.shape[1] + 1, 1, -1):
+        coefficient = higher[:, power - 2]
+        value = (value + coefficient) * x
+        slope = (slope + power * coefficient) * x
+    return value * x, slope + slope_offset
 
 
 def _twist_forms() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
-from grasp_refine.hands.mimics import limit_by_followers, mimic_map
+from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_map
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
 from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree
@@ -163,9 +163,15 @@ class Hand:
     def mimic_map(self) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], tuple[str, ...]]:
         """Matrix (m, n), offset (m,) and names (m,) that give the values of all m movable joints.
 
-        values = matrix @ q + offset, for q in the order of `joint_names` and names in the order of `joints`.
+        values = matrix @ q + offset, for q in the order of `joint_names` and names in the order of `joints`, plus
+        `curves`(q) where couplings are not linear.
         """
         return mimic_map(self.joints, self.joint_names)
+
+    @cached_property
+    def curves(self) -> Curves:
+        """Parts of the values of all movable joints that are not linear, as those of linkages."""
+        return curves(self.joints, self.joint_names)
 
 
 def load_hand(

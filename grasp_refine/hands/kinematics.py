@@ -66,6 +66,9 @@ class Kinematics:
         self._index = [self._chain.frame_to_idx[link] for link in links]
         self._matrix = torch.as_tensor(np.asarray(matrix)[rows].T, dtype=dtype, device=device)
         self._offset = torch.as_tensor(np.asarray(offset)[rows], dtype=dtype, device=device)
+        curved = hand.curves.take(rows)
+        self._leader = torch.as_tensor(curved.leader, device=device)
+        self._higher = torch.as_tensor(curved.higher, dtype=dtype, device=device) if curved.curved.any() else None
         self._chain.to(dtype=dtype, device=device)
 
     @stage("kinematics")
@@ -83,7 +86,11 @@ class Kinematics:
         joints = f"one column for each joint in joint_names of hand '{self._name}'"
         check_shape("q", q, "batch", len(self._matrix), why=joints)
         check_shape("T_world_root", T_world_root, len(q), 4, 4, why="one transform for each row of q")
-        T_root_frame = self._chain.forward_kinematics_tensor(q @ self._matrix + self._offset)
+        values = q @ self._matrix + self._offset
+        if self._higher is not None:
+            x = q[:, self._leader]
+            values = values + sum(c * x**power for power, c in enumerate(self._higher.T, 2))
+        T_root_frame = self._chain.forward_kinematics_tensor(values)
         return T_world_root[:, None] @ T_root_frame[self._index].transpose(0, 1)
 
     def _as_tensor(self, name: str, value: Tensor) -> Tensor:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.tree import Joint, Mimic
@@ -19,14 +19,13 @@ LIMIT_ROUNDING = {"revolute": 1e-3, "continuous": 1e-3, "prismatic": 1e-5}
 def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
     """The independent joint that `joint` follows through all mimic joints between; itself, where it is independent.
 
-    value of `joint` = multiplier x (value of the independent joint) + offset.
+    The coupling is that of `joint` to that one.
     """
-    multiplier, offset = 1.0, 0.0
+    coupling = Mimic(joint.name, 1.0, 0.0)
     while joint.mimic is not None:
-        offset += multiplier * joint.mimic.offset
-        multiplier *= joint.mimic.multiplier
+        coupling = coupling.after(joint.mimic)
         joint = joints[joint.mimic.joint]
-    return Mimic(joint.name, multiplier, offset)
+    return coupling
 
 
 def mimic_map(
@@ -34,7 +33,8 @@ def mimic_map(
 ) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], tuple[str, ...]]:
     """Matrix (m, n), offset (m,) and names (m,) that give the values of all m movable joints.
 
-    values = matrix @ q + offset, for q in the order of `independent` and names in the order of `joints`.
+    values = matrix @ q + offset, for q in the order of `independent` and names in the order of `joints`, up to the
+    `curves` of couplings that are not linear.
     """
     by_name = {joint.name: joint for joint in joints}
     movable = [joint for joint in joints if joint.movable]
@@ -44,6 +44,45 @@ def mimic_map(
         offset[row] = leads.offset
         matrix[row, independent.index(leads.joint)] = leads.multiplier
     return matrix, offset, tuple(joint.name for joint in movable)
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Parts of the values of m movable joints that are not linear in the n independent ones."""
+
+    leader: Int[np.ndarray, " m"]
+    """Index (m,) of the independent joint that each follows."""
+    higher: Float[np.ndarray, "m d"]
+    """Coefficients (m, d) of its second and higher powers."""
+
+    def __call__(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
+        """Return what is to be added to matrix @ q + offset of `mimic_map`."""
+        x = q[..., self.leader]
+        total = np.zeros_like(x)
+        for coefficient in self.higher.T[::-1]:
+            total = (total + coefficient) * x
+        return total * x
+
+    @property
+    def curved(self) -> Bool[np.ndarray, " m"]:
+        """Mask (m,) of the joints that have such a part."""
+        return np.asarray(self.higher.any(axis=1))
+
+    def take(self, rows: Sequence[int] | Int[np.ndarray, " r"], sign: Float[np.ndarray, " r"] | None = None) -> Curves:
+        """Return those of the joints `rows`, times `sign` (r,)."""
+        at = np.asarray(rows, dtype=np.int64)
+        higher = self.higher[at]
+        return Curves(self.leader[at], higher if sign is None else sign[:, None] * higher)
+
+
+def curves(joints: Sequence[Joint], independent: Sequence[str]) -> Curves:
+    """Return the parts of the values of all movable joints that `mimic_map` leaves out."""
+    by_name = {joint.name: joint for joint in joints}
+    leads = [followed(joint, by_name) for joint in joints if joint.movable]
+    higher = np.zeros((len(leads), max((len(each.higher) for each in leads), default=0)))
+    for row, each in enumerate(leads):
+        higher[row, : len(each.higher)] = each.higher
+    return Curves(np.array([independent.index(each.joint) for each in leads], dtype=np.int64), higher)
 
 
 def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:
@@ -62,6 +101,8 @@ def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint]
         if follower.mimic is None or follower.kind == "continuous":
             continue
         leads = followed(follower, by_name)
+        if leads.higher:
+            continue  # linkages are solved within the limits of their joints
         where = f"{path}: joint '{follower.name}', limited to {follower.lower:g} to {follower.upper:g}"
         if leads.multiplier == 0:
             if not follower.lower <= leads.offset <= follower.upper:

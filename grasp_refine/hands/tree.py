@@ -27,7 +27,7 @@ Kind = Literal["revolute", "continuous", "prismatic", "fixed"]
 
 @dataclass(frozen=True)
 class Mimic:
-    """Coupling of a joint to another: its value is `multiplier` x (value of `joint`) + `offset`."""
+    """Coupling of a joint to another, whose value x gives its own: offset + multiplier x + higher[0] x^2 + ..."""
 
     joint: str
     """Name of the joint that is followed; it may follow a further one."""
@@ -35,6 +35,28 @@ class Mimic:
     """Rad or m of this joint per rad or m of the followed one."""
     offset: float
     """Value in rad or m of this joint where the followed one is at 0."""
+    higher: tuple[float, ...] = ()
+    """Coefficients of the second power and higher ones; none where the coupling is linear."""
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Coefficients of the polynomial, the constant first."""
+        return self.offset, self.multiplier, *self.higher
+
+    def value(self, x: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """Values of this joint where the followed one is at `x`."""
+        if not self.higher:
+            return self.multiplier * x + self.offset
+        return np.polynomial.polynomial.polyval(x, np.array(self.coefficients))
+
+    def after(self, leader: Mimic) -> Mimic:
+        """Return the coupling of this joint to the one that `leader`, the coupling of the followed joint, follows."""
+        if not (self.higher or leader.higher):
+            offset = self.offset + self.multiplier * leader.offset
+            return Mimic(leader.joint, self.multiplier * leader.multiplier, offset)
+        P = np.polynomial.Polynomial
+        offset, multiplier, *higher = P(self.coefficients)(P(leader.coefficients)).coef.tolist()
+        return Mimic(leader.joint, multiplier, offset, tuple(higher))
 
 
 @dataclass(frozen=True, eq=False)

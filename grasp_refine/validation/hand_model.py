@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Actuator
+from grasp_refine.hands.mimics import Curves
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,7 +34,8 @@ class HandModel:
     joints: tuple[str, ...]
     """Names of the m joints in MuJoCo."""
     matrix: Float[np.ndarray, "m n"]
-    """Joint values in MuJoCo are `matrix` (m, n) times q (n,), in the order of `Hand.joint_names`, plus `offset`."""
+    """Joint values in MuJoCo are `matrix` (m, n) times q (n,), in the order of `Hand.joint_names`, plus `offset`, plus
+    `curves`(q) where there are some."""
     offset: Float[np.ndarray, " m"]
     """Offset (m,) of joint values in MuJoCo, in rad or m."""
     links: Mapping[str, str]
@@ -46,5 +48,7 @@ class HandModel:
     Values of a coupled group are the stiffness and the limit of the tendon, as in `Hand.actuator`, which this replaces
     where set points are planned.
     """
+    curves: Curves | None = None
+    """Parts of the joint values that are not linear; None: none is."""
 
     __repr__ = brief

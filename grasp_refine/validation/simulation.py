@@ -299,7 +299,8 @@ class _Course:
         hand = world.hand
         T = np.where(finite[:, None, None, None], motion.T_world_root, np.eye(4)) @ hand.T_base_root
         q = np.where(finite[:, None, None], motion.q, 0.0)
-        return cls(world, T, _each(hand.matrix, q) + hand.offset)
+        joints = _each(hand.matrix, q) + hand.offset
+        return cls(world, T, joints if hand.curves is None else joints + hand.curves(q))
 
     def root(self, stage: int, share: float) -> Float[np.ndarray, "N 7"]:
         """Return poses (N, 7) of the root body between `stage` and the next one: linear motion at an even turn."""

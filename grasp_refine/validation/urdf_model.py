@@ -17,6 +17,7 @@ from jaxtyping import Float
 from grasp_refine.core.se3 import quaternion_from_matrix
 from grasp_refine.hands.hand import Hand, Link
 from grasp_refine.hands.inertia import DENSITY, Inertia
+from grasp_refine.hands.mimics import Curves
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
@@ -39,6 +40,8 @@ class Parts:
     """Matrix (m, n): values of the m joints that can move are `matrix` times q, plus `offset`."""
     offset: Float[np.ndarray, " m"]
     """Offset (m,) of the joint values, in rad or m."""
+    curves: Curves
+    """Parts of the joint values that are not linear."""
     joints: tuple[str, ...]
     """Names of the m joints that can move."""
     still: Mapping[str, float]
@@ -53,8 +56,10 @@ class Parts:
         """Return the parts of `hand`."""
         matrix, offset, names = hand.mimic_map()
         free = hand.lower < hand.upper
-        moves = (matrix[:, free] != 0).any(axis=1)
-        at = matrix @ np.where(free, 0.0, hand.lower) + offset
+        curved = hand.curves.curved & free[hand.curves.leader]
+        moves = (matrix[:, free] != 0).any(axis=1) | curved
+        fixed = np.where(free, 0.0, hand.lower)
+        at = matrix @ fixed + offset + hand.curves(fixed)
         still = {name: float(value) for name, value in zip(names, at, strict=True) if not moves[names.index(name)]}
         joints = tuple(name for name, moving in zip(names, moves, strict=True) if moving)
         of, carrier = {hand.base_link: hand.base_link}, {}
@@ -62,7 +67,7 @@ class Parts:
             of[joint.child] = joint.child if joint.name in joints else of[joint.parent]
             if joint.name in joints:
                 carrier[joint.child] = of[joint.parent]
-        return cls(matrix[moves], offset[moves], joints, still, of, carrier)
+        return cls(matrix[moves], offset[moves], hand.curves.take(np.flatnonzero(moves)), joints, still, of, carrier)
 
 
 def urdf_model(hand: Hand) -> HandModel:
@@ -104,6 +109,7 @@ def urdf_model(hand: Hand) -> HandModel:
         links={body: link for link, body in names.items()},
         notes=tuple(notes),
         actuator=hand.actuator,
+        curves=parts.curves,
     )
 
 
@@ -188,7 +194,8 @@ def _add_joint(spec: mujoco.MjSpec, body: mujoco.MjsBody, hand: Hand, parts: Par
             **MIMIC_SOLVER_PARAMETERS,
         )
         # A polynomial, whose number of coefficients differs between versions of MuJoCo.
-        tie.data = [parts.offset[index], row[leader], *[0.0] * (len(tie.data) - 2)]
+        data = [parts.offset[index], row[leader], *parts.curves.higher[index].tolist()]
+        tie.data = [*data, *[0.0] * (len(tie.data) - len(data))]
         return
     added.frictionloss = hand.actuator.frictionloss[leader]
     if joint.kind != "continuous":

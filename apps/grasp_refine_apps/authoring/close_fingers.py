@@ -11,8 +11,8 @@ the third grasp of a file are the first accepted one that loses the object in si
 squeezed as `validate` does for files without pregrasps and squeezes); the second and the fourth are the first accepted
 one, held or not. So half of the examples do not hold before refinement; of all accepted disturbances of the Allegro
 hand, one in seven does not. No simulation of refined grasps takes part in the choice. Sampled grasps whose refinement
-does not converge are left out. Grippers with two jaws lose hardly any: of them, the first accepted disturbance is
-taken.
+does not converge are left out. Grippers with two jaws lose hardly any object: of them, all are the first accepted
+disturbance, held or not.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ CLEARANCE_M = 0.002
 """Distance to the object at which a link stops, metres."""
 
 MAX_SHIFT_M, MAX_TURN_RAD, MAX_BEND_RAD = 0.006, np.radians(4.0), 0.09
-"""Largest disturbance of the hand (metres and radians along each axis) and of each joint (radians; of prismatic joints,
+"""Largest disturbance of the hand (metres and radians along each axis) and of each joint (radians, or
 0.1 m per radian)."""
 GAP_RANGE_M, DEPTH_RANGE_M = (0.007, 0.015), (0.001, 0.0035)
 """Accepted ranges after the disturbance, metres: largest fingertip distance, and deepest penetration of any link."""

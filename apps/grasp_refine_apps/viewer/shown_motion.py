@@ -200,7 +200,10 @@ def _roots(hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T 4 4"]:
 def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T n"]:
     """Joint values (T, n) of the hand that are nearest to those in MuJoCo."""
     values = np.stack([_column(replay, f"{HAND}/{joint}") for joint in hand_model.joints], axis=1)
-    q = (values - hand_model.offset) @ np.linalg.pinv(hand_model.matrix).T
+    # Joints that follow on a curve say nothing that the joints they follow do not.
+    curves = hand_model.curves
+    straight = np.ones(len(hand_model.joints), dtype=bool) if curves is None else ~curves.curved
+    q = (values - hand_model.offset)[:, straight] @ np.linalg.pinv(hand_model.matrix[straight]).T
     # A joint with equal limits is fixed in MuJoCo.
     still = ~(hand_model.matrix != 0).any(axis=0)
     q[:, still] = hand.lower[still]
