@@ -66,6 +66,8 @@ DRAWINGS = (
             note="Shadow: the fingers along z, the palm looks along -y"),
     Drawing("dro", FINGERS, (636, 114), ("out", "up", "left"), "forearm", "columns 0 to 5",
             note="Shadow: the fingers along z, the palm looks along -y"),
+    Drawing("graspqp", FINGERS, (636, 114), ("out", "left", "down"), "root link", "root_pose",
+            note="Shadow and Allegro: the fingers along y, the palm looks along z"),
 )  # fmt: skip
 
 

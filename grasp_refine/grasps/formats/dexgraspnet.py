@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes
+from grasp_refine.grasps.formats.format import Load, Part, check_file_names, omission_notes
 from grasp_refine.grasps.formats.layout import SHADOW_FINGERS, SHADOW_THUMB, Layout, check_hand
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.stages import fit_layout
@@ -82,9 +80,7 @@ class DexGraspNet:
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object."""
-        odd = [name for name in np.unique(grasps.object).tolist() if not _is_file_name(name)]
-        if odd:
-            raise GraspFileError(f"format {self.name} names its files after objects, which {odd[0]!r} cannot be")
+        check_file_names(grasps, self.name)
         moved, _ = fit_layout(grasps, (SHADOW,), load, self.name)
         columns = [moved.joint_names.index(joint) for joint in SHADOW.joints]
         T = transform_from_pose(np.asarray(moved.hand_pose, dtype=float))
@@ -120,7 +116,3 @@ def angles_from_rotation(R: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 
     y = np.arctan2(-R[:, 2, 0], cosine)
     z = np.where(free, np.arctan2(R[:, 1, 0], R[:, 0, 0]), 0.0)
     return np.stack([x, y, z], axis=1)
-
-
-def _is_file_name(name: str) -> bool:
-    return bool(name) and PurePosixPath(name).name == name and not name.startswith(".") and "\0" not in name

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
 
+from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -80,6 +82,17 @@ def omission_notes(grasps: GraspSet, joints: Collection[str], *, stages: bool = 
     if above:
         notes.append(f"{', '.join(above)} have no place in this format: the pose of the hand is that behind them")
     return notes
+
+
+def check_file_names(grasps: GraspSet, format_name: str) -> None:
+    """Refuse objects whose names cannot be those of files.
+
+    Raises:
+        GraspFileError: there is one.
+    """
+    for name in np.unique(grasps.object).tolist():
+        if not name or PurePosixPath(name).name != name or name.startswith(".") or "\0" in name:
+            raise GraspFileError(f"format {format_name} names its files after objects, which {name!r} cannot be")
 
 
 def single_grasps(grasps: GraspSet, folder: Callable[[str, float], str]) -> Iterator[tuple[int, str, float, str]]:

@@ -11,6 +11,7 @@ from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
 from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format
+from grasp_refine.grasps.formats.graspqp import GraspQP
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.multidex import MultiDex
@@ -31,6 +32,7 @@ FOREIGN: tuple[Format, ...] = (
     IsaacGrasp(),
     MultiDex(),
     DRO(),
+    GraspQP(),
 )
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 

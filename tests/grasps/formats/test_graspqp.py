@@ -1,0 +1,154 @@
+"""GraspQP: named joints and the pose of its root link, its hands in the frames of the makers'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.graspqp import MODELS
+from grasp_refine.grasps.formats.grippers import without_follower
+from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.reading import reading
+from grasp_refine.grasps.formats.writing import written
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand, load_hand
+from refusals import assert_names, refused
+
+Load = Callable[..., Hand]
+
+
+def contents(hand: str, count: int = 3, **changes: Any) -> dict[str, Any]:
+    """What `scripts/fit.py` writes, with joints 0.1, 0.2, ..."""
+    parameters = {name: torch.full((count,), 0.1 * (i + 1)) for i, name in enumerate(MODELS[hand].joints)}
+    pose = torch.tensor([[0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5]]).repeat(count, 1)
+    zeros = {name: torch.zeros(count) for name in parameters}
+    return {
+        "values": torch.linspace(1.0, 2.0, count),
+        "parameters": parameters | {"root_pose": pose} | changes,
+        "grasp_velocities": zeros,
+        "full_grasp_velocities": zeros,
+        "grasp_velocities_off": zeros,
+        "contact_idx": torch.zeros(count, 12, dtype=torch.long),
+        "grasp_type": "all",
+        "contact_links": None,
+    }
+
+
+def save(path: Path, content: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(content, path)
+    return path
+
+
+@pytest.mark.parametrize("hand", list(MODELS))
+def test_what_its_optimiser_writes(hand: str, tmp_path: Path):
+    place = tmp_path / "core-mug" / "grasp_predictions" / hand / "12_contacts" / "graspqp" / "default"
+    read = reading(save(place / "core-mug_2.dexgrasp.pt", contents(hand)))
+    grasps, model = read.grasps, MODELS[hand]
+    assert read.format.name == "graspqp" and set(grasps.object) == {"core-mug"} and set(grasps.scale) == {1.0}
+    assert (grasps.hand, grasps.base_link) == (model.layout.hand, model.layout.base_link)
+    assert grasps.joint_names == model.layout.joints
+    signs = [-1 if name in model.reversed_joints else 1 for name in model.joints]
+    np.testing.assert_allclose(grasps.q, [0.1 * np.arange(1, len(signs) + 1) * signs] * 3, atol=1e-6)
+    T_root = transform_from_pose(np.array([[0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5]]))
+    np.testing.assert_allclose(
+        transform_from_pose(grasps.hand_pose), np.repeat(T_root @ model.layout.T_root_base, 3, 0), atol=1e-6
+    )
+    assert_names(" ".join(read.notes), "values", "1 to 2", "grasp_velocities")
+    # The order in the file does not matter.
+    held = contents(hand)
+    held["parameters"] = dict(reversed(held["parameters"].items()))
+    again = reading(save(place / "core-mug_2.dexgrasp.pt", held)).grasps
+    np.testing.assert_array_equal(again.q, grasps.q)
+
+
+@pytest.mark.parametrize(
+    ("hand", "base", "link", "where"),
+    [
+        # From its URDFs, at rest: the middle fingertips' last links in the root's frame, metres.
+        ("allegro", "base_link", "link_7.0", (0.0014, 0.1361, -0.0313)),
+        ("shadow_hand", "forearm", "mfdistal", (0.011, 0.0982, -0.0272)),
+    ],
+)
+def test_links_of_our_hands_lie_where_its_own_do(hand: str, base: str, link: str, where: tuple[float, ...]):
+    layout = MODELS[hand].layout
+    ours = load_hand(layout.hand, base_link=base, candidates=16)
+    T = Chain(ours, (link,))(layout.T_root_base[None], np.zeros((1, len(layout.joints)))).T_world_link
+    np.testing.assert_allclose(T[0, 0, :3, 3], where, atol=1e-3)
+
+
+@pytest.mark.parametrize(("hand", "base"), [("shadow", "forearm"), ("allegro", "base_link")])
+def test_round_trips_in_single_precision(
+    hand: str, base: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
+):
+    before = replace(grasps(hand, base_link=base), scale=np.ones(7))
+    known = format_named("graspqp")
+    parts, lost = known.write(before, partial(load, hand))
+    assert any("squeeze" in note for note in lost) and any("single" in note for note in lost)
+    with written(tmp_path / "out", known, parts) as (_, rows):
+        pass
+    again = reading(tmp_path / "out")
+    assert (again.format, again.grasps.hand) == (known, hand)
+    expected = before.select(rows)
+    assert again.grasps.object.tolist() == expected.object.tolist()
+    assert fingertip_distances(expected, again.grasps, partial(load, hand)).max() < 5e-7
+    with refused(GraspFileError, "'a/b'"):
+        known.write(replace(before, object=np.array(["a/b"] * 7)), partial(load, hand))
+
+
+def test_the_second_finger_of_the_franka_hand_follows(tmp_path: Path):
+    read = reading(save(tmp_path / "cup.dexgrasp.pt", contents("panda"))).grasps
+    both = replace(read, joint_names=("panda_finger_joint2", "panda_finger_joint1"), q=np.repeat(read.q, 2, 1))
+    known = format_named("graspqp")
+
+    def load(base_link: str) -> Hand:
+        raise AssertionError("nothing is rebased")
+
+    parts, _ = known.write(both, load)
+    np.testing.assert_array_equal(parts[0].content["parameters"]["panda_finger_joint1"], read.q[:, 0])
+    np.testing.assert_allclose(parts[0].content["parameters"]["root_pose"][0], [0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5])
+    apart = replace(both, q=both.q + [[0.0, 0.01]])
+    assert without_follower(apart) is apart
+    with refused(GraspFileError, "graspqp", "panda_finger_joint2"):
+        known.write(apart, load)
+
+
+def test_hands_that_are_not_known_keep_their_joints(load: Load, tmp_path: Path):
+    held = contents("panda")
+    held["parameters"] = {"root_pose": held["parameters"]["root_pose"], "a": torch.zeros(3), "b": torch.ones(3)}
+    place = save(tmp_path / "cup" / "grasp_predictions" / "mine" / "cup.dexgrasp.pt", held)
+    read = reading(place)
+    assert (read.grasps.hand, read.grasps.base_link, read.grasps.joint_names) == ("mine", "root", ("a", "b"))
+    assert "--hand" in read.notes[-1]
+    given = reading(place, hand=load("allegro", "base_link"))
+    assert (given.grasps.hand, given.grasps.base_link) == ("allegro", "base_link")
+    assert "root link" in given.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"root_pose": torch.zeros(3, 6)}, ("root_pose", "(N, 7)", "(3, 6)")),
+        ({"root_pose": torch.ones(3, 7)}, ("root_pose", "row 0")),
+        ({"panda_finger_joint1": torch.zeros(2)}, ("panda_finger_joint1", "(3)", "(2,)")),
+        ({"panda_finger_joint1": "x"}, ("panda_finger_joint1", "'x'")),
+    ],
+)
+def test_defects_are_named(changes: dict[str, Any], named: tuple[str, ...], tmp_path: Path):
+    path = save(tmp_path / "a.pt", contents("panda", **changes))
+    with refused(GraspFileError, path, *named):
+        reading(path)
+    save(path, {"parameters": {"a": torch.zeros(2)}})
+    with refused(GraspFileError, path, "graspqp", "root_pose"):
+        reading(path)
