@@ -41,9 +41,21 @@ class Actuator:
 
 
 def contacts(
-    toml: HandToml, solid: Collection[str], joints: Sequence[Joint], outside: Collection[str]
+    toml: HandToml,
+    solid: Collection[str],
+    joints: Sequence[Joint],
+    outside: Collection[str],
+    closing: Collection[tuple[str, str]] = (),
 ) -> tuple[tuple[Contact, ...], bool, list[str]]:
-    """Contact links, whether they are guessed, and notes on them; `solid` are the links with collision geometry."""
+    """Contact links, whether they are guessed, and notes on them.
+
+    Args:
+        toml: What hand.toml says.
+        solid: Links with collision geometry.
+        joints: Joints of the hand.
+        outside: Links that it leaves out.
+        closing: Pairs of links that close chains: one of each is no fingertip.
+    """
     where = f"{toml.path}: [[contact]]"
     named: list[Contact] = []
     notes: list[str] = []
@@ -56,14 +68,19 @@ def contacts(
             named.append(contact)
     guessed = not named
     if guessed:
-        named = _guess_contacts(solid, joints)
+        named = _guess_contacts(solid, joints, closing)
         guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
         notes.append(f"contact links guessed, a hand.toml can name others: {guess}")
     return tuple(named), guessed, notes
 
 
-def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Contact]:
-    """The last solid link of each branch, each its own group; what is fixed to the base is no branch."""
+def _guess_contacts(
+    solid: Collection[str], joints: Sequence[Joint], closing: Collection[tuple[str, str]]
+) -> list[Contact]:
+    """The last solid link of each branch, each its own group; what is fixed to the base is no branch.
+
+    Where two branches close a chain, the one that ends there is none, or that with fewer links to the base.
+    """
     above = {joint.child: joint for joint in joints}
     moving, inner = set(), set()
     way: dict[str, list[str]] = {name: [] for name in solid}  # the names from the link to the base
@@ -76,6 +93,10 @@ def _guess_contacts(solid: Collection[str], joints: Sequence[Joint]) -> list[Con
             ancestor = above[ancestor].parent
             inner.add(ancestor)
     last = [name for name in solid if name in moving - inner]
+    for pair in closing:
+        ends = sorted((name for name in pair if name in last), key=lambda name: len(way[name]))
+        if ends and len(ends) < len({*pair} & {*solid}) or len({len(way[name]) for name in ends}) == 2:
+            last.remove(ends[0])
     fingers = finger_names([way[name] for name in last])
     return [Contact(name, finger or name) for name, finger in zip(last, fingers, strict=True)]
 

@@ -274,6 +274,7 @@ def load_hand(
         solids,
         joints,
         tree.links.keys() - {link.name for link in links},
+        () if couplings is None else couplings.ends,
     )
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]

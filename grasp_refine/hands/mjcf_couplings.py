@@ -1,4 +1,4 @@
-"""Couplings of joints that an MJCF of the hand tells: tendons of actuators, joint equalities."""
+"""Couplings of joints that an MJCF of the hand tells: tendons of actuators, joint equalities, closed chains."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.alignment import Mechanism, align
 from grasp_refine.hands.hand_toml import Coupled
+from grasp_refine.hands.linkages import linkage_note, linkages
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.mjcf import compile_mjcf, joints_of, keep_hand, matched_joints, name_all, read_mjcf
 from grasp_refine.hands.tree import Joint, Mimic
@@ -27,7 +28,13 @@ class Couplings:
     path: Path
     """The MJCF."""
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
-    """Joint that follows another by a joint equality -> that one."""
+    """Joint that follows another by a joint equality, or in a closed chain -> that one."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Joint that drives closed chains -> values at which they can be closed."""
+    passive: frozenset[str] = frozenset()
+    """Joints that follow in a closed chain."""
+    ends: tuple[tuple[str, str], ...] = ()
+    """Pairs of bodies that close chains, by their names in the MJCF."""
     tendons: tuple[Mapping[str, float], ...] = ()
     """Fixed tendons that an actuator drives, alone in driving their joints: joint -> coefficient."""
     single: frozenset[str] = frozenset()
@@ -49,10 +56,12 @@ class Couplings:
             for name, mimic in self.mimics.items()
             if name in kept
         ]
-        if new:
-            pairs = ", ".join(f"'{name}' follows '{mimic.joint}'" for name, mimic in new.items())
+        told = {name: mimic for name, mimic in new.items() if name not in self.passive}
+        if told:
+            pairs = ", ".join(f"'{name}' follows '{mimic.joint}'" for name, mimic in told.items())
             notes.append(f"mimic joints, from {self.path.name}: {pairs}")
-        return [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints], notes
+        joints = [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints]
+        return [_within(joint, self.ranges.get(joint.name)) for joint in joints], notes
 
     def with_tendons(
         self, given: tuple[Coupled, ...], joints: Sequence[Joint]
@@ -121,7 +130,42 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
             notes.append(f"tendon '{tendon.name}' of {path.name} is no coupling: {', '.join(shared)} has other drives")
             continue
         tendons.append({ours[name]: signs[ours[name]] * value for name, value in joints.items()})
-    return Couplings(path, mimics, tuple(tendons), frozenset(ours[name] for name in single & ours.keys()), tuple(notes))
+    chained = linkages(model, {name for tendon in pulled for name in joints_of(tendon)} | single)
+    notes += chained.open
+    ranges, passive = {}, set()
+    for linkage in chained.linkages:
+        if not {linkage.driver, *linkage.coefficients} <= ours.keys():
+            continue
+        driver = ours[linkage.driver]
+        ends = sorted(signs[driver] * end for end in linkage.range)
+        ranges[driver] = ends[0], ends[1]
+        notes.append(linkage_note(linkage, path.name))
+        for name, coefficients in linkage.coefficients.items():
+            joint = ours[name]
+            if not any(each.name == joint and each.mimic is not None for each in mechanism.joints):
+                offset, multiplier, *higher = (
+                    signs[joint] * signs[driver] ** power * value for power, value in enumerate(coefficients)
+                )
+                mimics[joint] = Mimic(driver, multiplier, offset, tuple(higher))
+                passive.add(joint)
+    return Couplings(
+        path,
+        mimics,
+        ranges=ranges,
+        passive=frozenset(passive),
+        ends=chained.ends,
+        tendons=tuple(tendons),
+        single=frozenset(ours[name] for name in single & ours.keys()),
+        notes=tuple(notes),
+    )
+
+
+def _within(joint: Joint, bounds: tuple[float, float] | None) -> Joint:
+    """Return a joint with limits within `bounds`; None: the joint."""
+    if bounds is None:
+        return joint
+    lower, upper = max(joint.lower, bounds[0]), min(joint.upper, bounds[1])
+    return replace(joint, kind="revolute" if joint.kind == "continuous" else joint.kind, lower=lower, upper=upper)
 
 
 def _mimics(
@@ -145,17 +189,18 @@ def _mimics(
         # Those of the URDF count; the MJCF's are the same for what it simulates.
         if by_name[follower].mimic is not None:
             continue
-        constant, slope, *higher = np.asarray(equality.data)[:5].tolist()
-        if leader is None or slope == 0.0 or any(higher):
-            notes.append(f"joint '{follower}' is tied in the MJCF by an equality that is no linear one of two joints")
+        polynomial = np.polynomial.Polynomial(np.asarray(equality.data)[:5])
+        if leader is None or polynomial.coef[1] == 0.0:
+            notes.append(f"joint '{follower}' is tied in the MJCF by an equality that is no function of another joint")
             continue
         if followed(by_name[leader], by_name).joint == follower:
             notes.append(f"joint '{follower}' is tied in the MJCF to '{leader}', which follows it already")
             continue
         r1, r2 = (model.qpos0[model.joint(name).qposadr[0]] for name in (equality.name1, equality.name2))
-        mimic = Mimic(
-            leader, signs[follower] * signs[leader] * slope, float(signs[follower] * (r1 + constant - slope * r2))
-        )
+        here = r1 + polynomial(np.polynomial.Polynomial([-r2, 1.0]))
+        values = [signs[follower] * signs[leader] ** power * value for power, value in enumerate(here.coef.tolist())]
+        higher = values[2:] if any(polynomial.coef[2:]) else []
+        mimic = Mimic(leader, values[1], values[0], tuple(higher))
         found[follower] = mimic
         by_name[follower] = replace(by_name[follower], mimic=mimic)
     return found, notes

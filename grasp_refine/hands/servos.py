@@ -27,12 +27,27 @@ def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuat
     spec = read_mjcf(mechanism.path)
     keep_hand(spec, mechanism.path)
     name_all(spec)
+    rescale_servos(spec)
     model = compile_mjcf(spec, mechanism.path)
     matrix, _, names = mimic_map(mechanism.joints, mechanism.independent)
     found = servo_settings(mechanism.independent, coupled, model, {name: name for name in names}, matrix)
     if not spec.actuators or other_actuators(spec):
         return replace(given, damping=found.damping, armature=found.armature, frictionloss=found.frictionloss)
     return found
+
+
+def rescale_servos(spec: mujoco.MjSpec) -> None:
+    """Make position servos whose control is in other units, such as 0 to 255, those with set points in rad or m.
+
+    They press with gain x control - stiffness x length: the control times gain / stiffness is the set point.
+    """
+    for actuator in spec.actuators:
+        gain, stiffness = actuator.gainprm[0], -actuator.biasprm[1]
+        if _is_direct(actuator) and gain > 0 and stiffness > 0 and gain != stiffness:
+            actuator.ctrlrange = np.asarray(actuator.ctrlrange) * (gain / stiffness)
+            gainprm = np.array(actuator.gainprm)
+            gainprm[0] = stiffness
+            actuator.gainprm = gainprm
 
 
 def other_actuators(spec: mujoco.MjSpec) -> list[str]:
@@ -42,12 +57,16 @@ def other_actuators(spec: mujoco.MjSpec) -> list[str]:
     """
 
     def is_servo(actuator: mujoco.MjsActuator) -> bool:
-        fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-        affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[0] == 0.0
-        direct = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE
-        return bool(fixed and affine and direct and actuator.biasprm[1] == -actuator.gainprm[0])
+        return _is_direct(actuator) and bool(actuator.biasprm[1] == -actuator.gainprm[0])
 
     return [actuator.name for actuator in spec.actuators if not is_servo(actuator)]
+
+
+def _is_direct(actuator: mujoco.MjsActuator) -> bool:
+    """Return True if the force is linear in control, length and speed, without dynamics and constant part."""
+    fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[0] == 0.0
+    return bool(fixed and affine and actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE)
 
 
 def moved_joints(spec: mujoco.MjSpec) -> set[str]:

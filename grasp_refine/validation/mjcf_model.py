@@ -10,8 +10,9 @@ import numpy as np
 
 from grasp_refine.hands.alignment import Mechanism, align, body_pose
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.linkages import linkages
 from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, keep_hand, matched_joints, name_all, read_mjcf
-from grasp_refine.hands.servos import moved_joints, other_actuators, servo_settings
+from grasp_refine.hands.servos import moved_joints, other_actuators, rescale_servos, servo_settings
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.urdf_model import add_actuators
 
@@ -36,6 +37,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     _reset(spec)
     root, notes = keep_hand(spec, path)
     name_all(spec)
+    rescale_servos(spec)
     mechanism = Mechanism(hand.name, hand.urdf, hand.base_link, hand.joints, hand.joint_names)
     matched = matched_joints(mechanism, hand.mjcf_joints, spec, path)
     _drop_joints(spec, set(matched.values()), notes)
@@ -52,7 +54,9 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
         why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
         notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
-    idle = [joint for joint, name in matched.items() if name not in moved_joints(spec)]
+    moved = moved_joints(spec)
+    chained = {name for linkage in linkages(model, moved).linkages for name in linkage.coefficients}
+    idle = [joint for joint, name in matched.items() if name not in moved | chained]
     if idle:
         notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
     T_base_root = fit.T_base_world @ body_pose(model, root)
@@ -73,6 +77,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         links=_links(hand, model, root, matched, own=path.samefile(hand.urdf)),
         notes=tuple(notes),
         actuator=servo_settings(hand.joint_names, hand.coupled, placed, matched, matrix),
+        curves=hand.curves.take(rows, fit.sign),
     )
 
 

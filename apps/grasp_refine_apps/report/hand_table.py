@@ -77,6 +77,8 @@ def _joints(hand: Hand) -> Table:
 def _mimic_text(hand: Hand, joint: Joint) -> str:
     """Independent joint that a mimic joint follows, such as "-2 x a + 5.0, via b"."""
     leads = followed(joint, hand.joints_by_name)
+    if leads.higher:
+        return f"on a curve of {leads.joint}"
     text = f"{leads.multiplier:.4g} x {leads.joint}"
     if leads.offset:
         text += f" {'-' if leads.offset < 0 else '+'} {show_value(joint, abs(leads.offset))}"
