@@ -101,8 +101,8 @@ class Hand:
     """Position actuators of the independent joints."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
-    excluded: tuple[LinkPair, ...] = ()
-    """Pairs of links that never collide, by the file."""
+    excluded: tuple[LinkPair, ...] | None = None
+    """Pairs of links that never collide, by an MJCF; None: a URDF does not tell."""
     mjcf: Path | None = None
     """MJCF file of the same hand, where there is one; `urdf`, where that is an MJCF and no other is given."""
     mjcf_joints: Mapping[str, str] = field(default_factory=dict)
@@ -293,7 +293,7 @@ def load_hand(
         notes=tuple(notes),
         actuator=driven,
         coupled=groups,
-        excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}),
+        excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,

@@ -84,7 +84,7 @@ def touching_pairs(
       between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
       design;
     - never collide by the file of the hand;
-    - overlap at `hand.rest`, or nearly always: so do hulls that cover more than the link, such as those of a
+    - overlap at `hand.rest`, where the file does not tell, or nearly always: so do hulls that cover more than the link, such as those of a
       knuckle's next but one. A rest pose that is itself in collision hides a pair here, so that a hand whose middle
       of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
     - never come near each other in the sampled configurations.
@@ -136,7 +136,7 @@ def classify_pairs(
 ) -> PairClasses:
     """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
     (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
-    at_rest, always = _by_design(_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
+    at_rest, always = _by_design(hand, _distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
     overlapping, others = (
         tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
         for which in (at_rest, always & ~at_rest)
@@ -211,7 +211,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
             f"other, more than the {MAX_PAIRS} that are checked; leave the collision geometry of some links out"
         )
     apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]
-    excluded = {frozenset(pair) for pair in hand.excluded}
+    excluded = {frozenset(pair) for pair in hand.excluded or ()}
     near = [(a, b) for a, b in apart if (part[a], part[b]) in left_out]
     pairs = [(a, b) for a, b in apart if (part[a], part[b]) not in left_out and frozenset((a, b)) not in excluded]
     return pairs, len(near)
@@ -225,7 +225,7 @@ def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Boo
     end, within = rng.choice([True, False], (2, sampling.extreme, len(lower)))
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
     distance = _distances(hand, candidates, first, sampling.margin)
-    by_design = np.logical_or(*_by_design(distance, sampling))
+    by_design = np.logical_or(*_by_design(hand, distance, sampling))
     near = np.any(distance < sampling.margin, axis=0)
     for q in np.split(extreme, _ROUND_STARTS):
         left = np.flatnonzero(~near)
@@ -244,10 +244,13 @@ def _first_draws(
 
 
 def _by_design(
-    distance: Float[np.ndarray, "draws pairs"], sampling: Sampling
+    hand: Hand, distance: Float[np.ndarray, "draws pairs"], sampling: Sampling
 ) -> tuple[Bool[np.ndarray, " pairs"], Bool[np.ndarray, " pairs"]]:
-    """Masks of the pairs that overlap at rest, and of those that nearly always do: hulls larger than the links."""
-    return distance[0] < 0, (distance[1:] < 0).mean(axis=0) > sampling.always
+    """Masks of the pairs that overlap at rest, and of those that nearly always do: hulls larger than the links.
+
+    An MJCF tells which pairs never collide; others that overlap at rest run into each other in the simulation.
+    """
+    return (distance[0] < 0) & (hand.excluded is None), (distance[1:] < 0).mean(axis=0) > sampling.always
 
 
 def _distances(
@@ -296,8 +299,8 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
         ],
         "values": [array.tolist() for array in (matrix, offset, hand.lower, hand.upper, hand.rest)],
     }
-    if hand.excluded:
-        settings["excluded"] = [(place[a], place[b]) for a, b in hand.excluded]
+    if hand.excluded is not None:
+        settings["never"] = [(place[a], place[b]) for a, b in hand.excluded]
     vertices, faces = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("vertices", "faces"))
     return disk.entry_name(vertices, faces, json.dumps(settings))
 

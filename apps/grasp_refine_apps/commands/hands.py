@@ -1,8 +1,9 @@
-"""`refine-grasp hands`: hands that ship with the program, or everything that was read of one hand."""
+"""`refine-grasp hands`: hands that ship with the program, what was read of one hand, or trials of several."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,19 +26,23 @@ if TYPE_CHECKING:
     from grasp_refine_apps.report.hand_check import HandCheck
 
 NUM_CANDIDATES = 16
-"""Number of surface points per link; they are not used here."""
+"""Number of surface points per link where they are not used."""
+TRIED_CANDIDATES = 1024
+"""Number of surface points per link of a hand that is tried, as everywhere."""
+OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.03", "cylinder:0.03,0.12")
+"""Objects on which hands are tried: embedded ones, and two primitives."""
 
 NEEDS_HAND = "without a hand, by its name or URDF: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
 class Hands:
-    """List the hands that ship with the program, show the joints and links of one, or check your own URDF."""
+    """List the hands that ship with the program, show the joints and links of one, or check your own URDF or MJCF."""
 
-    hand: Annotated[
-        Positional[DisallowNone[str | None]], arg(metavar="[HAND]", help_behavior_hint="(default: list all)")
-    ] = None
-    """Name from the list, folder with a hand.toml or one URDF, or .urdf file."""
+    hands: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="[HAND [HAND ...]]", help_behavior_hint="(default: list all)")
+    ] = ()
+    """Name from the list, folder with a hand.toml or one URDF, or URDF or MJCF file; several with --check --tries."""
     urdf: Annotated[
         DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
     ] = None
@@ -45,22 +50,33 @@ class Hands:
     mjcf: Annotated[
         DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
     ] = None
-    """MJCF file of the same hand, to check that it matches the URDF."""
+    """Another MJCF file of the same hand, to check that it matches."""
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
         None
     )
-    """Base link of the hand; with the root of the URDF, the joints of an arm move, too. By default that of the
+    """Base link of the hand; with the root of the file, the joints of an arm move, too. By default that of the
     hand.toml, else the palm of a hand on an arm, else the root."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may exceed the mesh, as for `run`."""
     check: Annotated[bool, arg(help_behavior_hint="")] = False
     """Show how the files were read and why, and what looks wrong."""
+    tries: Annotated[int, arg(help_behavior_hint="(default: none)")] = 0
+    """With --check: number of grasps that are sampled on each of some objects, refined and simulated, instead of the
+    other checks; a table has a row for each hand."""
+    objects: Annotated[tuple[str, ...], arg(metavar="OBJECT [...]")] = OBJECTS
+    """With --tries: the objects, as for `run --object`."""
+    protocol: str = "dexgraspbench"
+    """With --tries: protocol of the simulation, as for `validate --protocol`."""
+    markdown: OptionalFile = None
+    """With --tries: write the table to this file."""
     write: Annotated[bool, arg(help_behavior_hint="")] = False
-    """With --check: write a hand.toml to start from beside the URDF."""
+    """With --check: write a hand.toml to start from beside the URDF or MJCF."""
     out: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = (
         None
     )
     """With --write: folder of the hand.toml."""
+    seed: int = 0
+    """With --tries: random seed of the sampling."""
     json: OptionalFile = None
     """Write the facts about the hands to this file."""
     overwrite: Overwrite = False
@@ -72,21 +88,49 @@ class Hands:
             GraspRefineError: no such hand, one that cannot be read, or files that cannot be written.
         """
         check_writable(self.json, overwrite=self.overwrite, inside=self.out)
+        check_writable(self.markdown, overwrite=self.overwrite)
         check_hull_limit(self.hull_limit)
-        if self.hand is None:
+        if self.tries < 0:
+            raise GraspRefineError(f"--tries must be at least 0, got {self.tries}")
+        if not self.hands:
             return self._list()
+        if self.tries:
+            return self._try()
+        if self.markdown is not None or len(self.hands) > 1:
+            raise GraspRefineError("several hands, and --markdown, go with --check --tries N")
         if (self.write and not self.check) or (self.out is not None and not self.write):
             raise GraspRefineError("--write goes with --check, and --out with both")
-        hand = load_hand(
-            self.hand,
+        hand = self._load(self.hands[0], NUM_CANDIDATES)
+        return self._check(hand) if self.check else self._show(hand)
+
+    def _load(self, source: str, candidates: int) -> Hand:
+        return load_hand(
+            source,
             base_link=self.base_link,
             urdf=self.urdf,
             mjcf=self.mjcf,
-            candidates=NUM_CANDIDATES,
+            candidates=candidates,
             hull_limit=self.hull_limit,
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
         )
-        return self._check(hand) if self.check else self._show(hand)
+
+    def _try(self) -> int:
+        """Sample, refine and simulate grasps of each hand; the exit code is that of a table without any grasp."""
+        from grasp_refine_apps.bench.hand_trials import name_of, table_of, try_hand
+
+        if not self.check or self.write:
+            raise GraspRefineError("--tries goes with --check, and without --write")
+        rows = []
+        for source in self.hands:
+            screen(stderr=True).print(f"{source} ...", markup=False, style="dim", soft_wrap=True)
+            load = partial(self._load, source, TRIED_CANDIDATES)
+            rows.append(try_hand(load, name_of(source), self.objects, self.tries, self.protocol, self.seed))
+        table = table_of(rows, self.tries, self.objects, self.protocol)
+        self._save(rows)
+        if self.markdown is not None:
+            save_text(self.markdown, f"{table.title}\n\n{table.markdown()}\n")
+        screen().print(table.printed())
+        return 0 if any("held_after" in row for row in rows) else NOTHING_USABLE
 
     def _list(self) -> int:
         given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
