@@ -184,7 +184,10 @@ def load_hand(
     hull_limit: float = HULL_LIMIT,
     progress: Callable[[str], None] | None = None,
 ) -> Hand:
-    """The hand that `source` names: one of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, or an asset.
+    """The hand that `source` names.
+
+    It is one of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, an asset, or robot_descriptions/NAME, which
+    needs the extra of that name.
 
     A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one .xml file. The hand.toml beside a
     URDF or MJCF is used if it names that file. An MJCF is read as MuJoCo compiles it, with its couplings and actuators,

@@ -84,9 +84,9 @@ def touching_pairs(
       between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
       design;
     - never collide by the file of the hand;
-    - overlap at `hand.rest`, where the file does not tell, or nearly always: so do hulls that cover more than the link, such as those of a
-      knuckle's next but one. A rest pose that is itself in collision hides a pair here, so that a hand whose middle
-      of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
+    - overlap at `hand.rest`, where the file does not tell, or nearly always: so do hulls that cover more than the
+      link, such as those of a knuckle's next but one. A rest pose that is itself in collision hides a pair here, so
+      that a hand whose middle of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
     - never come near each other in the sampled configurations.
 
     These are the rules of MoveIt's Setup Assistant (adjacent, default, always, never in collision). Continuous

@@ -10,6 +10,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.assets.locating import fetched
 from grasp_refine.assets.manifest import read_manifest
 from grasp_refine.assets.names import find_asset
+from grasp_refine.assets.robot_descriptions import PREFIX, described
 from grasp_refine.core.errors import AssetError, GraspFileError, HandError
 from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.hand_toml import HAND_TOML, HandToml, only_file, read_hand_toml
@@ -47,8 +48,8 @@ def hand_files(
     """The hand's name, and its hand.toml, or one that only names its files, with a URDF or an MJCF in any case.
 
     Args:
-        source: One of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, or an asset, as `hands/leap`: its
-            files, and what our hand.toml of that name adds to them.
+        source: One of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, an asset, as `hands/leap`: its
+            files, and what our hand.toml of that name adds to them; or robot_descriptions/NAME.
         urdf: Used instead of the URDF that hand.toml names. Where neither gives one, that of the asset is used.
         mjcf: Used instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
         on_message: Called with a line on what is fetched.
@@ -81,6 +82,9 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
     if isinstance(source, str) and source in list_hands():
         source = resource_dir("robots") / source
     path = expand_user(Path(source))
+    if isinstance(source, str) and source.startswith(PREFIX) and not exists(path):
+        full_name, file = described(source, on_message)
+        return full_name, HandToml(file, file)
     if not exists(path):
         asset = find_asset(source, "hands") if isinstance(source, str) else None
         if asset is not None:
@@ -90,8 +94,8 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
             # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml
         choices = (
-            f"the hands here are {', '.join(list_hands())}; or give a folder, a URDF or MJCF file, a {HAND_TOML}, or "
-            "an asset (refine-grasp assets list hands)"
+            f"the hands here are {', '.join(list_hands())}; or give a folder, a URDF or MJCF file, a {HAND_TOML}, "
+            f"an asset (refine-grasp assets list hands), or {PREFIX}NAME"
         )
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand '{source}'; {choices}")
