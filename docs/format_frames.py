@@ -68,6 +68,8 @@ DRAWINGS = (
             note="Shadow: the fingers along z, the palm looks along -y"),
     Drawing("graspqp", FINGERS, (636, 114), ("out", "left", "down"), "root link", "root_pose",
             note="Shadow and Allegro: the fingers along y, the palm looks along z"),
+    Drawing("lightning_grasp", FINGERS, (636, 114), ("down", "out", "left"), "base_link", "object_pose",
+            arrow="hand to object", note="Allegro: the fingers along z, the palm looks along x"),
 )  # fmt: skip
 
 

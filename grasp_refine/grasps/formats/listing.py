@@ -14,11 +14,22 @@ from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.graspqp import GraspQP
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
 from grasp_refine.grasps.formats.leap_cache import LeapCache
+from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
 from grasp_refine.grasps.formats.multidex import MultiDex
 from grasp_refine.grasps.formats.ours import Ours
 
 FormatName = Literal[
-    "ours", "dexgraspbench", "bodex", "dexonomy", "dexgraspnet", "leap_cache", "isaac_grasp", "multidex", "dro"
+    "ours",
+    "dexgraspbench",
+    "bodex",
+    "dexonomy",
+    "dexgraspnet",
+    "leap_cache",
+    "isaac_grasp",
+    "multidex",
+    "dro",
+    "graspqp",
+    "lightning_grasp",
 ]
 """Names of the formats on the command line."""
 
@@ -33,6 +44,7 @@ FOREIGN: tuple[Format, ...] = (
     MultiDex(),
     DRO(),
     GraspQP(),
+    LightningGrasp(),
 )
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 

@@ -18,6 +18,8 @@ MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
 """Folders inside that of an object, whose names are not the object's."""
 MAX_NUMBERS = 2**24
 """Most numbers of one array, which take 128 MiB as float64, whatever they take in the file."""
+ROTATION_TOLERANCE = 1e-3
+"""Greatest deviation of a rotation's product with its transpose from the identity: rounding to float32 passes."""
 MAX_NAME_CHARACTERS = 200
 """Most characters of an object's name; the rest is cut off."""
 
@@ -78,6 +80,27 @@ class Source:
         """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN for those that are not finite, or 0."""
         poses = without_zero_quaternions(self.numbers(value, what, (count, 7)))
         return unit_poses(poses, what, self.error)
+
+    def transforms(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 4 4"]:
+        """Return rigid transforms (N, 4, 4), rotations made exact; NaN for those that are not finite."""
+        T = self.numbers(value, what, (count, 4, 4))
+        finite = np.isfinite(T).all(axis=(1, 2))
+        T = np.where(finite[:, None, None], T, np.nan)
+        R = np.where(finite[:, None, None], T[:, :3, :3], np.eye(3))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+            error = np.where(np.linalg.det(R) > 0, error, np.inf)
+        error = np.where(finite & (np.abs(T[:, 3] - [0, 0, 0, 1]).max(axis=1) > ROTATION_TOLERANCE), np.inf, error)
+        wrong = np.flatnonzero(~(error <= ROTATION_TOLERANCE))
+        if len(wrong):
+            raise self.error(
+                f"{what} row {wrong[0]} is no rigid transform: a rotation in the first three rows and columns, a "
+                "position in the last column, and 0 0 0 1 below"
+            )
+        U, _, V = np.linalg.svd(R)
+        T[finite, :3, :3] = (U @ V)[finite]
+        T[finite, 3] = [0, 0, 0, 1]
+        return T
 
     def text(self, value: Any, what: str) -> str:
         """Return a text; a list of one is accepted."""
