@@ -70,6 +70,8 @@ DRAWINGS = (
             note="Shadow and Allegro: the fingers along y, the palm looks along z"),
     Drawing("lightning_grasp", FINGERS, (636, 114), ("down", "out", "left"), "base_link", "object_pose",
             arrow="hand to object", note="Allegro: the fingers along z, the palm looks along x"),
+    Drawing("hugs", FINGERS, (636, 114), ("out", "up", "left"), "rh_palm", "obj_pose, *_qpos[0:7]",
+            arrow="world to both", note="Shadow: the fingers along z, the palm looks along -y"),
 )  # fmt: skip
 
 

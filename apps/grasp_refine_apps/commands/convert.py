@@ -38,8 +38,8 @@ NUM_CANDIDATES = 16
 class Convert:
     """Write the grasps of one program as files of another: joints by name, frames and scales as each format has them.
 
-    ours: one .npz file with everything. dexgraspbench, dexonomy: folders with one .npy file per grasp. bodex,
-    dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
+    ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp.
+    bodex, dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
     isaac_grasp: one .yaml file per object. multidex, dro: one .pt file. graspqp,
     lightning_grasp: one .pt file per object.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_refine.grasps.formats.folders import object_folder, scale_folder
 from grasp_refine.grasps.formats.format import Load, Part, omission_notes, single_grasps
+from grasp_refine.grasps.formats.hugs import is_hugs
 from grasp_refine.grasps.formats.layout import MUJOCO
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import (
@@ -35,6 +36,8 @@ class DexGraspBench:
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
+        if is_hugs(content):
+            return "it is a record of HUGS"
         return missing_keys(content, ("grasp_qpos", "obj_pose", "obj_scale", "obj_path"))
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:

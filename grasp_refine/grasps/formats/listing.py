@@ -12,6 +12,7 @@ from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.graspqp import GraspQP
+from grasp_refine.grasps.formats.hugs import Hugs
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
@@ -30,6 +31,7 @@ FormatName = Literal[
     "dro",
     "graspqp",
     "lightning_grasp",
+    "hugs",
 ]
 """Names of the formats on the command line."""
 
@@ -45,6 +47,7 @@ FOREIGN: tuple[Format, ...] = (
     DRO(),
     GraspQP(),
     LightningGrasp(),
+    Hugs(),
 )
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 

@@ -53,10 +53,8 @@ def test_the_object_lies_in_the_frame_of_the_hand(layout: Any, tmp_path: Path):
 
 def test_the_order_of_shadow_is_its_own():
     assert LAYOUTS[0].joints[:9] == ("RFJ1", "RFJ2", "RFJ3", "RFJ4", "LFJ1", "LFJ2", "LFJ3", "LFJ4", "LFJ5")
-    thumb, middle, first = (
-        [f"{finger}J{n}" for n in range(1, k + 1)] for finger, k in (("TH", 5), ("MF", 4), ("FF", 4))
-    )
-    assert LAYOUTS[0].joints[9:] == (*thumb, *middle, *first)
+    fingers = (("TH", 5), ("MF", 4), ("FF", 4))
+    assert LAYOUTS[0].joints[9:] == tuple(f"{finger}J{n}" for finger, k in fingers for n in range(1, k + 1))
 
 
 def test_however_it_was_saved(tmp_path: Path):
