@@ -72,6 +72,8 @@ DRAWINGS = (
             arrow="hand to object", note="Allegro: the fingers along z, the palm looks along x"),
     Drawing("hugs", FINGERS, (636, 114), ("out", "up", "left"), "rh_palm", "obj_pose, *_qpos[0:7]",
             arrow="world to both", note="Shadow: the fingers along z, the palm looks along -y"),
+    Drawing("acronym", JAWS, (646, 140), ("up", "in", "left"), "gripper", "grasps/transforms",
+            note="our panda_hand has the same origin and z, its y up the page"),
 )  # fmt: skip
 
 
@@ -93,7 +95,7 @@ def svg(drawing: Drawing) -> str:
         f'<path class="d" d="M366 224 Q520 226 {hand_x - 10} {hand_y + 14}" marker-end="url(#k)"/>'
         + _frame((354, 234), ("right", "in", "up"), "world", below=True),
     }[drawing.arrow]
-    place = (340, 44) if drawing.arrow != "world to both" else (450, 250)
+    place = (340, 44) if drawing.arrow != "world to both" else (490, 262)
     height = 250 if drawing.arrow != "world to both" else 290
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {height}" width="760" height="{height}">',

@@ -41,7 +41,7 @@ class Convert:
     ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp.
     bodex, dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
     isaac_grasp: one .yaml file per object. multidex, dro: one .pt file. graspqp,
-    lightning_grasp: one .pt file per object.
+    lightning_grasp: one .pt file per object. acronym: one .h5 file per object.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
     in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles and

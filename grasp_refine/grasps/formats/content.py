@@ -12,13 +12,14 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import MAGIC, array_header
+from grasp_refine.grasps.formats.hdf5_files import HDF5_MAGIC, load_hdf5
 from grasp_refine.grasps.formats.pickled import ARRAY_KINDS, Refused, check_text, unpickle
 from grasp_refine.grasps.formats.texts import YAML_SUFFIXES, is_json, is_yaml, load_json, load_yaml
 from grasp_refine.grasps.formats.torch_files import is_torch_file, load_torch
 
 ARRAY_SUFFIXES = (".npz", ".npy", ".pickle", ".pkl")
 """Endings of files that can hardly be anything but grasps in a folder of such."""
-OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth")
+OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5")
 """Endings of files that may be grasps, or what lies beside them."""
 SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
 """Endings of grasp files."""
@@ -33,8 +34,8 @@ PICKLE_START = b"\x80"
 def load_content(path: Path) -> Any:
     """Return the contents of a file as plain containers, numbers, text and arrays, as from `unpickle`.
 
-    An .npy file, a pickle, a file of `torch.save`, JSON and YAML are told apart by how they begin, YAML by its name
-    too. Those of a plain array file are an array.
+    An .npy file, a pickle, a file of `torch.save`, HDF5, JSON and YAML are told apart by how they begin, YAML by its
+    name too. Those of a plain array file are an array.
 
     Raises:
         GraspFileError: it is missing, too large, damaged, or would run code.
@@ -57,7 +58,7 @@ def load_content(path: Path) -> Any:
     try:
         return _read(data, path.suffix.lower())
     except Refused as error:
-        if data.startswith((MAGIC, PICKLE_START)):
+        if data.startswith((MAGIC, PICKLE_START, HDF5_MAGIC)):
             raise GraspFileError(f"{path}: {error}") from None
         raise GraspFileError(
             f"{path}: {error}; it may not be a grasp file, which end with {', '.join(SUFFIXES)}"
@@ -68,6 +69,8 @@ def _read(data: bytes, suffix: str) -> Any:
     """Contents of the bytes of a file with some ending."""
     if data.startswith(MAGIC):
         return _array(data)
+    if data.startswith(HDF5_MAGIC):
+        return load_hdf5(data)
     if is_torch_file(data):
         return load_torch(data)
     if suffix not in YAML_SUFFIXES and is_json(data):

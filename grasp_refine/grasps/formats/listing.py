@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.formats.acronym import Acronym
 from grasp_refine.grasps.formats.bodex import Bodex
 from grasp_refine.grasps.formats.dexgraspbench import DexGraspBench
 from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
@@ -32,6 +33,7 @@ FormatName = Literal[
     "graspqp",
     "lightning_grasp",
     "hugs",
+    "acronym",
 ]
 """Names of the formats on the command line."""
 
@@ -48,6 +50,7 @@ FOREIGN: tuple[Format, ...] = (
     GraspQP(),
     LightningGrasp(),
     Hugs(),
+    Acronym(),
 )
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 

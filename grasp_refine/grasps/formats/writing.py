@@ -17,11 +17,13 @@ from grasp_refine.core.npz_files import save_npz
 from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format, Part
+from grasp_refine.grasps.formats.hdf5_files import dump_hdf5
+from grasp_refine.grasps.formats.pickled import Refused
 from grasp_refine.grasps.formats.texts import dump_json, dump_yaml
 from grasp_refine.grasps.formats.torch_files import dump_torch
 from grasp_refine.grasps.grasp_set import GraspSet
 
-DUMPS: dict[str, Callable[[Any], bytes]] = {".yaml": dump_yaml, ".json": dump_json, ".pt": dump_torch}
+DUMPS: dict[str, Callable[[Any], bytes]] = {".yaml": dump_yaml, ".json": dump_json, ".pt": dump_torch, ".h5": dump_hdf5}
 """Ending of a file -> bytes of its contents; the others are array files."""
 
 
@@ -87,6 +89,9 @@ def _save(path: Path, part: Part) -> None:
     with path.open("wb") as stream:
         kept = DUMPS.get(path.suffix.lower())
         if kept is not None:
-            stream.write(kept(part.content))
+            try:
+                stream.write(kept(part.content))
+            except Refused as error:
+                raise GraspFileError(f"{path.name}: {error}") from None
             return
         np.save(stream, part.content if isinstance(part.content, np.ndarray) else np.array(part.content, dtype=object))
