@@ -41,6 +41,9 @@ CLEARANCE_M, STOP_DISTANCE_M, CONTACT_DISTANCE_M, MAX_DEPTH_M = 2e-3, 1e-3, 2e-3
 """In metres: least distance of open hands from anything, distance at which a link stops, largest distance of a
 touching link, and largest penetration."""
 
+JAW_STOP_DISTANCE_M = 1e-4
+"""Distance in metres at which a jaw stops: stiff servos would lose much of their force over a larger one."""
+
 CUTOFF_M = 0.03
 """Cutoff in metres of the distances between links and object."""
 
@@ -227,7 +230,7 @@ class _Closing:
             width[clear],
             lambda placed: self.proximity(placed, np.inf).gap,
             (first, second),
-            STOP_DISTANCE_M,
+            JAW_STOP_DISTANCE_M,
         )
 
     def back_off(self, hands: Placed, farthest: float) -> Placed:
