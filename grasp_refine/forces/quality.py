@@ -80,7 +80,14 @@ class Quality:
         return CALIBRATION.probability(self.shortcomings)
 
 
-def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> Quality:
+def quality(
+    hand: Hand,
+    obj: Object,
+    chain: Chain,
+    frames: Frames,
+    witness: Witness,
+    clearance: Float[np.ndarray, " L"] | float = 0.0,
+) -> Quality:
     """Quality of N grasps: their shortcomings, and the probability that they hold, from contact points and normals.
 
     Args:
@@ -89,6 +96,7 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
         chain: Kinematics of the L links; of a link listed several times the first counts.
         frames: Poses of the links.
         witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
+        clearance: Gap (L,) in metres that links have on purpose, which is no shortcoming.
     """
     check_kind("hand", hand, Hand)
     check_kind("obj", obj, Object)
@@ -105,7 +113,7 @@ def quality(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witn
     torque = joint_torques(chain, frames, HOLDING_PRESSURE_N * pushed.force, np.nan_to_num(witness.point_a))
     share = limit_shares(hand, torque).max(axis=1)
     distance = np.where(witness.valid, witness.distance, 0.0)
-    depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance, 0.0)
+    depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance - clearance, 0.0)
     return Quality(
         slippery=slippery.residual,
         pushed=pushed.residual.mean(axis=1),

@@ -10,6 +10,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
+from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationCallback
 from grasp_refine.refinement.refine import refine
@@ -104,6 +105,7 @@ def refine_group(
         refinement,
         closing_motion(after, prepared, on_opening, pressure=config.pressure),
         margin=config.margin,
+        clearance=clearances(config, scene.hand, prepared.chain),
         name=group.object,
         scale=group.scale,
         row=group.rows,

@@ -40,6 +40,9 @@ class Config:
     """Number of starts from which, without targets, Levenberg-Marquardt tries a grasp that may not hold."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep from the object."""
+    clearance: float | None = None
+    """Gap in metres beside the margin that links without a target keep which move and are no contact links; None:
+    `clearance.OTHER_MODEL_CLEARANCE_M` where another model of the hand is simulated, else 0."""
     pressure: float = TOTAL_PRESSURE_N
     """Sum of the pressures of all contacts in newtons with which the squeeze presses."""
     tolerance: float = 1e-10
@@ -66,7 +69,8 @@ class Config:
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("margin", "pressure", "tolerance", "seed"):
+        given = ("clearance",) if self.clearance is not None else ()
+        for name in ("margin", *given, "pressure", "tolerance", "seed"):
             if not 0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not self.seconds > 0.0:

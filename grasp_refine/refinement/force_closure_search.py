@@ -21,6 +21,7 @@ from grasp_refine.forces.quality import DEEP, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
+from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
@@ -103,7 +104,9 @@ class _Attempt:
     """Score (M,), lower is better; infinite where the attempt failed."""
 
 
-def score_of(prepared: HandObject, frames: Frames) -> Float[np.ndarray, " N"]:
+def score_of(
+    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float = 0.0
+) -> Float[np.ndarray, " N"]:
     """Return the score (N,) of grasps whose links meet nothing but the object, lower is better; inf without forces.
 
     The residual under the worst of the strong pushes, which counts as much as the shortcomings of `Quality` together,
@@ -113,7 +116,7 @@ def score_of(prepared: HandObject, frames: Frames) -> Float[np.ndarray, " N"]:
     cutoff = CONTACTS.cutoff(prepared.hand, prepared.chain.links)
     witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
     grasps = prepared.hand, prepared.object, prepared.chain, frames, witness
-    return quality(*grasps).score + np.nan_to_num(strong_push_residual(*grasps), nan=np.inf)
+    return quality(*grasps, clearance).score + np.nan_to_num(strong_push_residual(*grasps), nan=np.inf)
 
 
 def most_iterations(config: Config) -> int:
@@ -180,6 +183,7 @@ class _Search:
         self.scene, self.prepared, self.config = scene, prepared, config
         self.progress, self.on_iteration = progress, on_iteration
         self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
+        self.clearance = clearances(config, scene.hand, prepared.chain)
         self.free = GraspProblem(replace(scene, q=self.q), Goal.nothing(N, L), config, prepared)
         """Problem in which no link should touch."""
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
@@ -232,7 +236,7 @@ class _Search:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = self.free.evaluate(rows, point, None)
-        score = score_of(prepared, known.frames) + self.free.other_depth(known) / DEEP
+        score = score_of(prepared, known.frames, self.clearance) + self.free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf))
 

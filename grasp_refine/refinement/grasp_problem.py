@@ -15,6 +15,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, matvec, transform_points
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.chain import integrate
+from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.iterate import Point
@@ -52,7 +53,9 @@ class GraspProblem:
         self.chain = prepared.chain
         self.axes = scene.T_world_root[:, :3, :3]
         self.boxes = prepared.boxes(self.axes)
-        setup = Setup(scene, goal, prepared, config.margin, config.scales)
+        setup = Setup(
+            scene, goal, prepared, config.margin, config.scales, clearances(config, prepared.hand, prepared.chain)
+        )
         self.terms = config.weights.terms(setup, autograd=False)
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0

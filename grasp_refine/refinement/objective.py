@@ -13,6 +13,7 @@ from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import body_gradient
 from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.terms.term import Setup, State
@@ -52,7 +53,10 @@ class Objective:
         self.goal, self.width = goal, max(len(scene.q), 1)
         hand, dtype = scene.hand, getattr(torch, config.dtype)
         self.kinematics = Kinematics(hand, scene.links, dtype=dtype, device=config.device)
-        setup = Setup(scene, goal, prepared, config.margin, config.scales)
+        setup = Setup(
+            scene, goal, prepared, config.margin, config.scales, clearances(config, prepared.hand, prepared.chain)
+        )
+        self.clearance = np.broadcast_to(setup.clearance, goal.touching.shape)
         terms = config.weights.terms(setup, autograd=True)
         self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
         self.layer = WitnessLayer(prepared.pairs, config.derivative)
@@ -82,7 +86,7 @@ class Objective:
         # Links that should not touch matter only where they penetrate.
         witness = self.layer(
             T_moving, T_object, *targets,
-            cutoff=np.where(self.goal.touching[member], np.inf, 0.0), key=key,
+            cutoff=np.where(self.goal.touching[member], np.inf, self.clearance[member]), key=key,
             previous=None if previous is None else previous.witness,
         )  # fmt: skip
 

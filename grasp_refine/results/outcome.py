@@ -121,6 +121,7 @@ def compare(
     motion: Motion,
     *,
     margin: float,
+    clearance: np.ndarray | float = 0.0,
     name: str,
     scale: float,
     row: np.ndarray,
@@ -133,6 +134,7 @@ def compare(
         refinement: Refined grasps.
         motion: Motion that closes the hand to the refined grasps.
         margin: Gap in metres that contact links should keep.
+        clearance: Gap (L,) in metres that links without a target keep beside it.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
@@ -144,6 +146,7 @@ def compare(
     T_after = np.where(scene.posed[:, None, None], refinement.T_world_root, np.nan)
     q_after = np.where(scene.posed[:, None], refinement.q, np.nan)
     T, q = np.concatenate([before.T_world_root, T_after]), np.concatenate([before.q, q_after])
+    aimed = ~np.isnan(refinement.target_link[..., 0])
     geometry = measure(
         scene.hand,
         scene.object,
@@ -152,7 +155,7 @@ def compare(
         q,
         np.concatenate([refinement.target_link, refinement.target_link]),
         np.concatenate([refinement.target_object, refinement.target_object]),
-        margin,
+        margin + np.tile(np.where(aimed, 0.0, clearance), (2, 1)),
         np.concatenate([refinement.touching, refinement.touching]),
     )
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry)

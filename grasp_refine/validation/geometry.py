@@ -54,7 +54,7 @@ def measure(
     q: np.ndarray,
     target_link: np.ndarray,
     target_object: np.ndarray,
-    margin: float = 0.0,
+    margin: np.ndarray | float = 0.0,
     touching: np.ndarray | None = None,
 ) -> Geometry:
     """Measure grasps (N poses (N, 4, 4) and joint values (N, n)) on one object at the world's origin.
@@ -67,7 +67,7 @@ def measure(
         q: Joint values.
         target_link: Target points on the links (N, L, 3), link frames, metres; NaN: none.
         target_object: Target points on the object (N, L, 3), object frame, metres.
-        margin: Gap in metres that contact links should keep.
+        margin: Gap in metres that contact links should keep, one for all or (N, L).
         touching: Links (N, L) that should touch; None: those with a target.
     """
     bodies = hand.links_by_name

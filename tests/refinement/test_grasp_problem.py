@@ -124,7 +124,7 @@ def every(scene: Scene) -> np.ndarray:
 def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(examples: Scene) -> None:
     """Those have no derivative: seen from its body, a witness point moves along its surface."""
     scene = with_directions(replace(aimed_at(examples, 3, 6), table=Plane(offset=-0.02)), 3, 7)
-    config = Config(weights=ALL, margin=2e-3)
+    config = Config(weights=ALL, margin=2e-3, clearance=1e-3)
     goal = partly(goal_of(scene, ContactSelection()), 4)
     problem = GraspProblem(scene, goal, config)
     rows, at = every(scene), stepped(point_of(scene), np.concatenate([np.full(6, 0.01), np.zeros(16)]))
@@ -227,7 +227,7 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
     goal = goal_of(scene, ContactSelection(), nearest=kind == "nearest")
     if kind == "all":
         goal = partly(goal, 5)
-    config = Config(weights=weights, margin=1e-3)
+    config = Config(weights=weights, margin=1e-3, clearance=2e-3)
     problem = GraspProblem(scene, goal, config)
     objective = Objective(scene, goal, replace(config, solver=Adam()))
     rng = np.random.default_rng(10)

@@ -11,11 +11,12 @@ from boxed_example import boxed_example
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.hands.chain import integrate
+from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.clearance import OTHER_MODEL_CLEARANCE_M, clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.refine import Refinement, refine
@@ -146,6 +147,36 @@ def test_a_margin_is_kept(scene: Scene) -> None:
     none = np.full((4, len(scene.links), 3), np.nan)
     after = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none)
     np.testing.assert_allclose(after.distance[found.touching], 2e-3, atol=1.1e-5)
+
+
+def test_links_that_are_no_contact_links_keep_their_clearance(scene: Scene) -> None:
+    """Contact links and the palm, which does not move, have none; what a result calls the contact error knows it."""
+    clearance = 3e-3
+    selection = ContactSelection(other_link_distance=0.02)
+    config = Config(clearance=clearance, contact_selection=selection, weights=Weights(wrench=0.0))
+    found = refine(scene, config)
+    assert (found.status == Status.CONVERGED).all()
+    none = np.full((4, len(scene.links), 3), np.nan)
+    distance = measure(scene.hand, scene.object, scene.links, found.T_world_root, found.q, none, none).distance
+    tips = {contact.link for contact in scene.hand.contacts}
+    other = np.array([name not in tips and name != scene.hand.base_link for name in scene.links])
+    assert (found.touching & other).any()
+    assert (distance[:, other] > clearance - 1.1e-5).all()
+    expected = np.broadcast_to(np.where(other, clearance, 0.0), distance.shape)
+    np.testing.assert_allclose(distance[found.touching], expected[found.touching], atol=1.1e-5)
+    named = ContactSelection(links=tuple(name for name, is_other in zip(scene.links, other, strict=True) if is_other))
+    chain = Chain(scene.hand, scene.links)
+    assert not clearances(replace(config, contact_selection=named), scene.hand, chain).any()
+
+
+def test_a_hand_that_is_simulated_with_other_geometry_has_a_clearance_by_itself(scene: Scene) -> None:
+    chain = Chain(scene.hand, scene.links)
+    assert not clearances(Config(), scene.hand, chain).any()
+    simulated = replace(scene.hand, mjcf=scene.hand.urdf.with_name("hand.xml"), collision="mjcf")
+    assert clearances(Config(), simulated, chain).max() == OTHER_MODEL_CLEARANCE_M
+    assert not clearances(Config(clearance=0.0), simulated, chain).any()
+    assert not clearances(Config(), replace(simulated, collision="urdf"), chain).any()
+    assert not clearances(Config(), replace(simulated, mjcf=scene.hand.urdf), chain).any()
 
 
 def test_links_given_by_name_touch_and_others_need_not(scene: Scene) -> None:

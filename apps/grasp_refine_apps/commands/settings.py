@@ -175,6 +175,11 @@ class Settings:
     """Loss (m^2) below which a grasp is converged; 1e-10 is a hundredth of a millimetre, 1e-7 a third of one."""
     margin: float = Config.margin
     """Gap that contact links should keep, metres."""
+    clearance: Annotated[
+        DisallowNone[float | None], arg(help_behavior_hint="(default: 0; 0.0015 where an MJCF is simulated)")
+    ] = Config.clearance
+    """Gap beside it that all other links which move should keep, metres: another model of the hand may be thicker
+    there, and would throw what they touch."""
     pressure: float = Config.pressure
     """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
     heavier objects, and loses more of those in soft contacts."""
@@ -263,6 +268,7 @@ class Settings:
             max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
             starts=self.starts,
             margin=self.margin,
+            clearance=self.clearance,
             pressure=self.pressure,
             tolerance=tolerance,
             seconds=inf if self.seconds is None else self.seconds,

@@ -22,6 +22,7 @@ class Contact(Term):
         super().__init__(setup)
         goal = setup.goal
         self.anywhere = goal.touching & ~goal.aimed
+        self.gap = setup.margin + setup.clearance
         self.aimed_columns, self.gap_columns = (
             np.flatnonzero(mask.any(axis=0)) for mask in (goal.aimed, self.anywhere)
         )
@@ -43,7 +44,7 @@ class Contact(Term):
                 contact_targets(w, T, state.T_object, state.like(on_link), state.like(on_object), self.setup.margin)
             )
         if len(self.gap_columns):
-            found.append(contact_gap(state.witness, state.like(self.anywhere[member]), self.setup.margin))
+            found.append(contact_gap(state.witness, state.like(self.anywhere[member]), state.like(self.gap)))
         return tuple(found)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
@@ -64,7 +65,8 @@ class Contact(Term):
             w = state.witness.pairs(columns)
             touching = self.anywhere[state.member][:, columns] & w.valid
             covector = np.where(touching[..., None], distance_covectors(w), 0.0)
-            yield LinkRows.of(contact_gap(w, touching, self.setup.margin)[..., None], covector[..., None, :], columns)
+            gap = contact_gap(w, touching, self.gap[columns])
+            yield LinkRows.of(gap[..., None], covector[..., None, :], columns)
 
 
 def contact_targets(
@@ -115,7 +117,7 @@ def contact_targets_covectors(witness: Witness, E: Array, K_a: Array, K_b: Array
     return xp.concat([distance_covectors(witness)[..., None, :], -U_a, -U_b], axis=-2)
 
 
-def contact_gap(witness: Witness, touching: Array, margin: float = 0.0) -> Array:
+def contact_gap(witness: Witness, touching: Array, margin: Array | float = 0.0) -> Array:
     """Return d - beta (..., pair) in metres of links that should touch; zero for others and without witness points."""
     xp = array_namespace(witness.distance)
     wanted = xp.asarray(witness.valid, device=witness.distance.device) & touching

@@ -15,6 +15,7 @@ from operator import add
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace
@@ -80,6 +81,8 @@ class Setup:
     """Contact margin in metres."""
     scales: Scales
     """Movements of equal cost."""
+    clearance: Float[np.ndarray, " L"]
+    """Gap (L,) in metres that each link without a target keeps from the object, see `clearance.clearances`."""
 
 
 class Term(ABC):

@@ -87,7 +87,7 @@ def test_every_term_has_the_gradient_of_finite_differences(many: Scene, name: st
     scene = shallow(many, COUNT, 5 * DEPTH if itself else DEPTH, itself=itself)
     goal, nothing = with_goal(scene, name), dict.fromkeys(term_kinds(), 0.0)
     weights = Weights(**{**nothing, name: WEIGHT})
-    config = Config(weights=weights, margin=1e-3, derivative=FiniteDifference(step=1e-4))
+    config = Config(weights=weights, margin=1e-3, clearance=5e-4, derivative=FiniteDifference(step=1e-4))
     config = config if way == "least squares" else replace(config, solver=Adam())
     problem = (GraspProblem if way == "least squares" else Objective)(scene, goal, config)
     # Not where the hands began, so that there is something to stay near to.

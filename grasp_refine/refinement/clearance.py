@@ -1,0 +1,33 @@
+"""Clearance: the gap that links keep from the object which are no contact links."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.config import Config
+
+OTHER_MODEL_CLEARANCE_M = 1.5e-3
+"""Default clearance, in metres, where grasps are simulated on an MJCF, with other geometry than they are refined on:
+its fingers are often thicker between their joints."""
+
+
+def clearances(config: Config, hand: Hand, chain: Chain) -> Float[np.ndarray, " L"]:
+    """Return the gap (L,) in metres that each link keeps from the object where it has no target.
+
+    It is the clearance of the settings for links that move and are neither contact links of the hand nor named as
+    such. The palm has none: it is where the fingers need it.
+    """
+    tips = {contact.link for contact in hand.contacts} | set(config.contact_selection.named(hand, chain.links))
+    moves = chain.joint_mask(np.arange(len(chain.links)))[:, 6:].any(axis=1)
+    clearance = config.clearance
+    if clearance is None:
+        clearance = OTHER_MODEL_CLEARANCE_M if _has_other_geometry(hand) else 0.0
+    return np.where(moves & ~np.isin(chain.links, list(tips)), clearance, 0.0)
+
+
+def _has_other_geometry(hand: Hand) -> bool:
+    """Return whether the simulation of the hand has other collision geometry than its refinement."""
+    return hand.collision == "mjcf" and hand.mjcf is not None and hand.mjcf.resolve() != hand.urdf.resolve()
