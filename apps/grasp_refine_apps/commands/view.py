@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -186,9 +187,13 @@ class View:
         hand = loader.load_hand(self.inputs.hand or replay.hand, None)
         motion = shown_motion(hand, model_of(hand), replay)
         problem = loader.cut(loader.draft_read(_grasp_of(motion, hand), path))
+        # The grasp keeps the number that it had where it was simulated.
+        number = re.search(r" (\d+)$", replay.name)
+        if number is not None:
+            groups = tuple(replace(group, index=np.array([int(number[1])])) for group in problem.groups)
+            problem = replace(problem, groups=groups)
         controller = Controller(Collection.of(problem), self.settings)
         controller.show_motion(motion)
-        controller.notify("this is a simulation: play it in the tab Validate")
         return controller
 
 

@@ -11,13 +11,14 @@ import viser
 from jaxtyping import Float, UInt8
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import contacts_of
-from grasp_refine_apps.viewer.glyphs import segments
+from grasp_refine_apps.viewer.glyphs import arrow_lines, push_arrow, segments
 from grasp_refine_apps.viewer.page import without_greeting
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
@@ -52,6 +53,9 @@ font:15px/1.5 system-ui, sans-serif; color:#333"><b>TITLE</b>
 }}, 100);</script>"""
 """HTML above the scene: title, caption of the frame, and hints on mouse and keys."""
 
+PUSH_COLOR, PUSH_SHARE = (220, 20, 40), 0.3
+"""Colour of the arrow of a push, and its length outside of the object as a share of the object's size."""
+
 MAX_FRAMES = 200
 """Maximum number of frames of a film."""
 
@@ -70,6 +74,8 @@ class Frame:
     """Colours of the segments (N, 3), 0 to 255."""
     T_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     """Pose of the object (4, 4)."""
+    push: Float[np.ndarray, "_ 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    """Line segments of the arrow of a push (P, 2, 3), metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +124,22 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
 
 def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
     """Return the film of at most `MAX_FRAMES` frames of a simulation."""
+    prepared = HandObject(hand, obj)
+    size = float(np.linalg.norm(obj.mesh.extents))
+
+    def push(k: int) -> np.ndarray:
+        if not motion.pushed[k]:
+            return np.zeros((0, 2, 3))
+        T = motion.T_object[k]
+        points = transform_points(T, obj.body.candidates.points)
+        middle = transform_points(T, np.mean(obj.mesh.bounds, axis=0))
+        return arrow_lines(push_arrow(points, middle, motion.force, PUSH_SHARE * size), 0.3 * PUSH_SHARE * size)
+
     frames = [
-        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k])
+        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k], push=push(k))
         for k in subsample(len(motion), MAX_FRAMES).tolist()
     ]
-    first = contacts_of(HandObject(hand, obj), frames[0].pose.T_object_root, frames[0].pose.q)
+    first = contacts_of(prepared, frames[0].pose.T_object_root, frames[0].pose.q)
     title = f"{hand.name} and {obj.name}: simulation, {motion.direction}, {motion.reason}"
     return Film(title, hand, obj, frames, first_camera_of(first))
 
@@ -182,6 +199,7 @@ class _FilmNodes:
         ghost = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
         HandMeshes(scene, "/ghost", shapes, poses, **ghost).move(first.pose)
         self._lines = Lines(scene, "/contacts", 3.0)
+        self._push = Lines(scene, "/push", 5.0)
         self._caption = scene.add_label(CAPTION_NODE, first.caption, visible=False)
 
     def show(self, frame: Frame) -> None:
@@ -189,6 +207,7 @@ class _FilmNodes:
         self._hand.move(frame.pose)
         place(self._object, frame.T_object)
         self._lines.draw(frame.lines, frame.colors)
+        self._push.draw(frame.push, np.tile(PUSH_COLOR, (len(frame.push), 1)))
         self._caption.text = frame.caption
 
 

@@ -18,6 +18,7 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.marks import Mark, Marks, marks_path
+from grasp_refine_apps.viewer.names import shortened
 from grasp_refine_apps.viewer.pose import Pose, targets_of
 from grasp_refine_apps.viewer.recorded import read_records
 from grasp_refine_apps.viewer.validated import TrialResult
@@ -123,7 +124,7 @@ class Collection:
     def title(self) -> str:
         """Hand, objects and source for users, in one line."""
         objects = list(dict.fromkeys(group.object for group in self.problem.groups))
-        named = objects[0] if len(objects) == 1 else f"{len(objects)} objects"
+        named = shortened(objects[0]) if len(objects) == 1 else f"{len(objects)} objects"
         source = self.problem.sampled or self.problem.files[0].name
         return f"{self.hand.name} on {named}, {source}"
 
@@ -132,7 +133,11 @@ class Collection:
         return self.problem.groups[self.group_of[number]]
 
     def label(self, number: int) -> str:
-        """Label of a grasp for users, such as "mug 3"."""
+        """Label of a grasp for users, such as "mug 3"; hashes are cut to their beginnings."""
+        return shortened(self.name(number))
+
+    def name(self, number: int) -> str:
+        """Name of a grasp, such as "mug 3": that of its object, and its number among those of the object."""
         group = self.group(number)
         return f"{group.object} {group.index[self.member[number]]}"
 

@@ -22,8 +22,17 @@ from grasp_refine_apps.viewer.worker import Control
 MAX_STEPS = 200
 """Maximum number of steps that can be undone."""
 
-MERGE_WINDOW_S = 0.7
-"""Seconds within which successive changes of the same thing are one step, such as a dragged slider."""
+MERGE_WINDOW_S = 2.0
+"""Seconds within which successive changes of the same thing are one step, such as a slider, whose drags have no end."""
+
+
+DRAG = ", drag "
+"""Text before the number of a drag in the name of an edit."""
+
+
+def _name(what: str, drag: int | None) -> str:
+    """Name of an edit, of one drag if it is part of one."""
+    return what if drag is None else f"{what}{DRAG}{drag}"
 
 
 class Editor(Store):
@@ -40,12 +49,12 @@ class Editor(Store):
         """Choose the body that can be dragged."""
         self._set(gizmo=gizmo)
 
-    def move_root(self, T_object_root: np.ndarray) -> None:
-        """Move the base link of the hand to a pose (4, 4), object frame."""
+    def move_root(self, T_object_root: np.ndarray, drag: int | None = None) -> None:
+        """Move the base link of the hand to a pose (4, 4), object frame; all of one `drag` is one step to undo."""
         T = np.array(T_object_root, dtype=float)
         with self._lock:
             if np.isfinite(T).all():
-                self._edit("hand", pose=Pose(T, self._state.standing.q))
+                self._edit(_name("hand", drag), pose=Pose(T, self._state.standing.q))
 
     def set_joint(self, index: int, value: float) -> None:
         """Set one joint, within its limits; radians or metres."""
@@ -56,14 +65,14 @@ class Editor(Store):
                 q[index] = np.clip(value, hand.lower[index], hand.upper[index])
                 self._edit(f"joint {index}", pose=Pose(now.T_object_root, q))
 
-    def move_object(self, T_world_object: np.ndarray) -> None:
-        """Move the object to a pose (4, 4), world frame, while the hand stays where it is drawn."""
+    def move_object(self, T_world_object: np.ndarray, drag: int | None = None) -> None:
+        """Move the object to a pose (4, 4), world frame, while the hand stays where it is drawn; `drag` as above."""
         T = np.array(T_world_object, dtype=float)
         with self._lock:
             if np.isfinite(T).all():
                 now = self._state
                 T_hand = inverse(T) @ now.T_world_object @ now.standing.T_object_root
-                self._edit("object", pose=Pose(T_hand, now.standing.q), T_world_object=T)
+                self._edit(_name("object", drag), pose=Pose(T_hand, now.standing.q), T_world_object=T)
 
     def reset(self) -> None:
         """Reset hand, object and targets to the input grasp, before any refinement."""
@@ -118,13 +127,13 @@ class Editor(Store):
             target = Target(link, point_link, np.array(point_object, dtype=float))
             self._edit("", targets=(*others, target), picked=None)
 
-    def move_target(self, k: int, point_object: np.ndarray) -> None:
-        """Move target `k` to a point (3,) of the object, object frame."""
+    def move_target(self, k: int, point_object: np.ndarray, drag: int | None = None) -> None:
+        """Move target `k` to a point (3,) of the object, object frame; `drag` as above."""
         with self._lock:
             targets = list(self._state.targets)
             if 0 <= k < len(targets):
                 targets[k] = replace(targets[k], point_object=np.array(point_object, dtype=float))
-                self._edit(f"target {k}", targets=tuple(targets))
+                self._edit(_name(f"target {k}", drag), targets=tuple(targets))
 
     def delete_target(self, k: int) -> None:
         """Delete target `k`."""
@@ -171,11 +180,13 @@ class Editor(Store):
     def _with_step(self, state: State, what: str) -> State:
         """Return the state with a step that can be undone, before `what` changes.
 
-        The same `what` within `MERGE_WINDOW_S` continues one step; an empty one is always a step of its own.
+        The same `what` within `MERGE_WINDOW_S`, or of the same drag, continues one step; an empty one is always a step
+        of its own.
         """
         moment = time.monotonic()
         (name, last), self._last_edit = self._last_edit, (what, moment)
-        if what and what == name and moment - last < MERGE_WINDOW_S and state.undo_steps:
+        continued = what and what == name and (DRAG in what or moment - last < MERGE_WINDOW_S)
+        if continued and state.undo_steps:
             return state
         steps = (*state.undo_steps, *state.work.snapshots)
         return state.evolve(undo_steps=steps[-MAX_STEPS:], redo_steps=())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
 from operator import attrgetter
@@ -20,6 +20,7 @@ from tyro.conf import Suppress
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.units import FieldUnit, in_unit
 
 REFUSAL_DELAY_S = 1.5
 """Seconds after the last key until invalid text is refused: until then it may be half typed."""
@@ -87,6 +88,8 @@ class Form:
     """Names of the fields that come first, in this order; the others are in a folder."""
     left_out: Collection[str] = ()
     """Names of fields without a widget."""
+    units: Mapping[str, FieldUnit] = field(default_factory=dict)
+    """Units in which fields are shown and typed; others as they are."""
     patience: float = REFUSAL_DELAY_S
     """Seconds until invalid text is refused."""
 
@@ -140,6 +143,8 @@ class Form:
                 with self.handles[part.name]:
                     self._make(part.parts)
             else:
+                if part.name in self.units:
+                    part = in_unit(part, self.units[part.name], as_text, attrgetter(part.name)(self._defaults))
                 self._entries[part.name] = part
                 self.handles[part.name] = self._make_widget(part)
 

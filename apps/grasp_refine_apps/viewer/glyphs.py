@@ -24,6 +24,30 @@ def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> 
     return both[np.isfinite(both).all(axis=(1, 2))].astype(np.float32)
 
 
+def push_arrow(
+    points: Float[np.ndarray, "N 3"], middle: Float[np.ndarray, " 3"], force: Float[np.ndarray, " 3"], extra: float
+) -> Float[np.ndarray, "2 3"]:
+    """Start and end (2, 3) of the arrow of a push, from the middle of the object through its surface outwards.
+
+    Args:
+        points: Points on the surface of the object.
+        middle: Middle of the object.
+        force: The push, not zero.
+        extra: Length outside of the object.
+    """
+    direction = force / np.linalg.norm(force)
+    return np.stack([middle, middle + (((points - middle) @ direction).max() + extra) * direction])
+
+
+def arrow_lines(arrow: Float[np.ndarray, "2 3"], head: float) -> Float[np.ndarray, "5 2 3"]:
+    """Line segments (5, 2, 3) that draw an arrow (2, 3) with a head of this length."""
+    start, end = arrow
+    direction = (end - start) / np.linalg.norm(end - start)
+    sides = tangents(direction).T
+    back = [end - head * (direction + 0.5 * sign * side) for side in sides for sign in (1.0, -1.0)]
+    return np.stack([arrow, *(np.stack([end, point]) for point in back)])
+
+
 def force_arrows(
     point: Float[np.ndarray, "C 3"], force: Float[np.ndarray, "C 3"], obj: Body
 ) -> Float32[np.ndarray, "S 2 3"]:

@@ -15,7 +15,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, segments
+from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
 from grasp_refine_apps.viewer.interaction import Interaction
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.scene_nodes import Arrows, HandMeshes, Lines, Meshes, PointMarkers, place
@@ -167,11 +167,9 @@ class GraspNodes:
         """Draw the push of a simulation, from the middle of the object outwards."""
         motion, arrows = state.motion, np.zeros((0, 2, 3))
         if motion is not None and motion.pushed[state.motion_frame]:
-            direction = motion.force / np.linalg.norm(motion.force)
             points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
             middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
-            reach = ((points - middle) @ direction).max() + 0.4 * self._length
-            arrows = np.stack([middle, middle + reach * direction])[None]
+            arrows = push_arrow(points, middle, motion.force, 0.4 * self._length)[None]
         self.push.draw(arrows)
 
     def _draw_forces(self, forces: Forces | None) -> None:

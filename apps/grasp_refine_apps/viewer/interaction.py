@@ -49,6 +49,8 @@ class Interaction:
         """The gizmo that is shown, by the body that it moves."""
         self._picking = False
         self._dragged = -np.inf
+        self._drag = 0
+        """Number of the present drag."""
 
     def draw(self, state: State) -> None:
         """Update listeners and gizmos to a state."""
@@ -73,14 +75,20 @@ class Interaction:
 
     # Asynchronous, so that they are called at once and in order, before the gizmo is moved again.
     async def _drag_hand(self, event: Any) -> None:
-        if event.client is not None:
+        if event.client is not None and self._moves(event.phase):
             self._dragged = time.monotonic()
-            self._controller.move_root(inverse(self._controller.state.T_world_object) @ _pose_of(event.target))
+            T = inverse(self._controller.state.T_world_object) @ _pose_of(event.target)
+            self._controller.move_root(T, self._drag)
 
     async def _drag_object(self, event: Any) -> None:
-        if event.client is not None:
+        if event.client is not None and self._moves(event.phase):
             self._dragged = time.monotonic()
-            self._controller.move_object(_pose_of(event.target))
+            self._controller.move_object(_pose_of(event.target), self._drag)
+
+    def _moves(self, phase: str) -> bool:
+        """Return whether a phase of a drag moves anything; a start begins another drag."""
+        self._drag += phase == "start"
+        return phase != "start"
 
     def _listen(self, picking: bool) -> None:
         """Make links and object clickable, or not."""
@@ -111,10 +119,11 @@ class Interaction:
             self._controller.pick_object(point)
 
     def _drag_target(self, k: int, event: Any) -> None:
+        self._drag += event.phase == "start"
         eye = np.array(event.client.camera.position)
         point = self._on_surface(self._controller.state, eye, np.array(event.end_position) - eye)
         if point is not None:
-            self._controller.move_target(k, point)
+            self._controller.move_target(k, point, self._drag)
 
     def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
         """First point (3,) of the object on a ray in the world frame; object frame."""

@@ -29,6 +29,9 @@ DRAW_PERIOD_S, SLOW_PERIOD_S = 1.0 / 30.0, 0.2
 
 TITLE = "grasp-refine"
 
+PANEL_WIDTH_PX = 384
+"""Width of the panel in pixels, so that its tabs fit on one line: what viser calls large."""
+
 Draw = Callable[["State"], None]
 """Function that shows a state on a part of the page."""
 
@@ -116,6 +119,8 @@ def open_server(host: str, port: int) -> Page:
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     # Beside the scene, not in front of it.
     server.gui.main_panel.dock_right()
+    # A page may dock the panel before it knows the width of its theme.
+    server.gui.main_panel.set_width(PANEL_WIDTH_PX)
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(True, cast_shadow=False)

@@ -34,8 +34,8 @@ from grasp_refine_apps.viewer.work import Work
 CANDIDATES_PER_LINK = 16
 """Surface points per link; unused here."""
 
-MAX_STEM_CHARS = 120
-"""Maximum characters of a file's name before its suffix; file systems take 255."""
+MAX_STEM_BYTES = 120
+"""Maximum bytes of a file's name before its suffix; file systems take 255."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _known_stages(collection: Collection, works: Mapping[int, Work]) -> dict[int
     return found
 
 
-def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
+def grasp_file(hand: Hand, grasps: GraspSet, format_name: str, number: str = "") -> Saved:
     """Return grasps as a file of a format; formats that are folders of files become a .zip.
 
     The file is read again as a check: its fingertips must be where they were.
@@ -149,6 +149,7 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
         hand: The hand of the grasps, below their base link.
         grasps: The grasps.
         format_name: One of `formats.listing.FormatName`.
+        number: Number of the grasp, for the name of the file; empty: none.
 
     Raises:
         GraspFileError: there is no such format, it cannot hold these grasps, or they are read as others.
@@ -156,7 +157,7 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str) -> Saved:
     to, load = format_named(format_name), _loader(hand)
     parts, notes = to.write(grasps, load)
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
-        name = _stem(grasps, to)
+        name = _stem(grasps, to, number)
         if len(parts) == 1 and "/" not in parts[0].path and not to.named_by_path:
             name += Path(parts[0].path).suffix
             with written(Path(folder, name), to, parts):
@@ -201,11 +202,12 @@ def _check(grasps: GraspSet, parts: Sequence[Part], path: Path, hand: Hand, to: 
         raise GraspFileError(f"format {to.name}: {error}; nothing is saved") from None
 
 
-def _stem(grasps: GraspSet, to: Format) -> str:
-    """Name of a file without suffix, of hand, object and format; without folders and unusual characters."""
+def _stem(grasps: GraspSet, to: Format, number: str) -> str:
+    """Name of a file without suffix, of hand, object, number and format; without folders and unusual characters."""
     objects = {*grasps.object.tolist()}
     named = objects.pop() if len(objects) == 1 else f"{len(objects)}_objects"
-    stem = object_folder(f"{grasps.hand}_{named}_{to.name}").replace("=", "_")[:MAX_STEM_CHARS]
+    parts = [grasps.hand, named, *([number] if number else []), to.name]
+    stem = object_folder("_".join(parts)).replace("=", "_").encode()[:MAX_STEM_BYTES].decode(errors="ignore")
     return stem + _scale_suffix(grasps) if isinstance(to, LeapCache) else stem
 
 

@@ -12,6 +12,7 @@ from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, HERE, STATUS, Column
 from grasp_refine_apps.viewer.listing import MARK, NUMBER, Listing, column_of
+from grasp_refine_apps.viewer.names import shortened
 
 ROWS_PER_PAGE = 15
 """Grasps on one page of the table."""
@@ -37,7 +38,6 @@ WIDTH_CLASSES = {
     "penetration_after": "gr-wide",
     STATUS.key: "gr-word",
     HELD.key: "gr-word",
-    HERE.key: "gr-word",
 }
 """CSS classes of columns that are wider than a short number."""
 CONVERGED_STATUS = "converged"
@@ -126,12 +126,21 @@ def _header(column: Column, listing: Listing, wide: str) -> str:
 
 def _row(collection: Collection, columns: list[Column], number: int, *, several: bool, opened: bool) -> str:
     group = collection.group(number)
-    name = f" <small>{escape(group.object)}</small>" if several else ""
-    cells = "".join(f"<td{_class(column, number)}>{escape(column.text(number))}</td>" for column in columns)
+    name = f" <small>{escape(shortened(group.object))}</small>" if several else ""
+    cells = "".join(_cell(column, number) for column in columns)
     return (
-        f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(collection.label(number))}">'
+        f'<tr data-do="open {number}"{" class=gr-open" if opened else ""} title="{escape(collection.name(number))}">'
         f"<td>{group.index[collection.member[number]]}{name}</td>{cells}</tr>"
     )
+
+
+def _cell(column: Column, number: int) -> str:
+    """Cell of a column; what was done here is told by letters, with the times as a hint."""
+    text = column.text(number)
+    if column.key == HERE.key:
+        letters = " ".join(part[:1].upper() for part in text.split(", "))
+        return f'<td title="{escape(text)}">{letters}</td>'
+    return f"<td{_class(column, number)}>{escape(text)}</td>"
 
 
 def _class(column: Column, number: int) -> str:

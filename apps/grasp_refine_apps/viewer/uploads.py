@@ -10,6 +10,7 @@ import re
 import shutil
 import tempfile
 import threading
+import unicodedata
 import weakref
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -21,6 +22,7 @@ from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
+from grasp_refine_apps.viewer.names import MAX_FILE_BYTES
 from grasp_refine_apps.viewer.unpacking import GRASP_SUFFIXES, UploadError, unpack
 
 Kind = Literal["mesh", "hand", "grasps"]
@@ -36,8 +38,8 @@ UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", ".xml", *GRASP_SUFFIXES)
 """Suffixes of files that can be uploaded."""
 ZIP_SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
 """Signatures of zips and .npz files."""
-UNSAFE_CHARACTERS = re.compile(r"[^\w.+-]+", re.ASCII)
-"""Characters that are replaced in names on disk."""
+UNSAFE_CHARACTERS = re.compile(r"[^\w.+-]+")
+"""Characters that are replaced in names on disk: letters of any script stay."""
 
 
 @dataclass(frozen=True)
@@ -173,5 +175,6 @@ def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
 
 def _name_on_disk(name: str) -> str:
     """Return a file name that is safe for shells, file systems and readers; the suffix stays."""
-    path = PurePosixPath(name)
-    return (UNSAFE_CHARACTERS.sub("_", path.stem).strip("._-") or "upload") + path.suffix.lower()
+    path = PurePosixPath(unicodedata.normalize("NFC", name))
+    stem = UNSAFE_CHARACTERS.sub("_", path.stem).encode()[:MAX_FILE_BYTES].decode(errors="ignore").strip("._-")
+    return (stem or "upload") + path.suffix.lower()

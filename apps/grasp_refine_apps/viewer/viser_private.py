@@ -10,6 +10,7 @@ import asyncio
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from html import escape
 from http import HTTPStatus
 from typing import Any
 
@@ -63,6 +64,20 @@ def click_script(handle: Any) -> str:
         "if(c&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
         f"{json.dumps(widget_id(handle))},updates:{{value:c.dataset.do+' '+performance.now()}}}})"
     )
+
+
+def tab_listener(handle: Any) -> str:
+    """Return HTML that sends the title of each tab that is clicked as the value of a text widget.
+
+    viser tells nobody which tab is open. Scripts in HTML of the panel are not run, but handlers of errors are.
+    """
+    script = (
+        "if(!window.grTabs){window.grTabs=true;document.addEventListener('click',event=>{"
+        "const tab=event.target.closest('[role=tab]');"
+        "if(tab&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
+        f"{json.dumps(widget_id(handle))},updates:{{value:tab.innerText+' '+performance.now()}}}})}})}}"
+    )
+    return f'<img src="data:," alt="" style="display:none" onerror="{escape(script)}">'
 
 
 @contextmanager

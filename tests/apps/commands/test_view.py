@@ -23,6 +23,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import Object, UncutObject, cut_objects
 from grasp_refine.pipeline import load
 from grasp_refine.refinement.force_closure_search import PHASES
+from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
@@ -75,6 +76,8 @@ def test_a_replay_is_opened_with_its_motion(results: Path) -> None:
     path = next((results / "replays").rglob("*.npz"))
     state = opened(path).state
     assert state.motion is not None and len(state.motion) > 50 and len(state.collection) == 1
+    # The number is that of the grasp where it was simulated; it was always 0.
+    assert state.collection.label(0) == load_replay(path).name
     # The grasp is where the hand had closed to.
     shown = state.motion.pose(0).q
     assert np.isfinite(state.pose.q).all() and np.abs(state.pose.q - shown).max() > 1e-3

@@ -22,7 +22,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer import batches as batches_module
 from grasp_refine_apps.viewer import controller as controller_module
-from grasp_refine_apps.viewer import editing
+from grasp_refine_apps.viewer import editing, many
 from grasp_refine_apps.viewer.choice import chosen
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.listing import NO_MARK, Listing
@@ -457,7 +457,7 @@ def test_many_that_are_stopped_keep_what_is_done_and_changed_ones_are_left_alone
 ) -> None:
     monkeypatch.setattr(batches_module, "BATCH_SIZE", 1)
     viewer.show(3)
-    refine_batch = controller_module.refine_batch
+    refine_batch = many.refine_batch
 
     def refine_slowly(batch: Any, *given: Any) -> Any:
         if batch.numbers == (3,):
@@ -468,7 +468,7 @@ def test_many_that_are_stopped_keep_what_is_done_and_changed_ones_are_left_alone
             assert viewer.state.works[0].outcome is not None
         return found
 
-    monkeypatch.setattr(controller_module, "refine_batch", refine_slowly)
+    monkeypatch.setattr(many, "refine_batch", refine_slowly)
     viewer.refine_many((0, 1, 3))
     settled(viewer, 60.0)
     works = viewer.state.works

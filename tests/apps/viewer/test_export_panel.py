@@ -203,7 +203,7 @@ def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: P
     shown.controller.move_root(T)
     shown.one.change(shown.panel.save, True)
     name, content = shown.one.download()
-    assert name == "allegro_sphere_0.03_ours.npz"
+    assert name == "allegro_sphere_0.03_0_ours.npz"
     (tmp_path / name).write_bytes(content)
     grasps = load_grasps(tmp_path / name)
     np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)

@@ -113,6 +113,11 @@ def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
     np.testing.assert_array_equal([frame.T_object for frame in film.frames], T_object)
     assert [frame.caption for frame in film.frames] == [motion.text(k) for k in range(count)]
     assert "20.0 mm" in film.frames[-1].caption
+    # The push is seen, from the object outwards along its axis; it was missing in the file.
+    for frame in film.frames:
+        shaft = frame.push[0]
+        assert len(frame.push) == 5 and shaft[1, 0] - frame.T_object[0, 3] > scene.object.mesh.bounds[1, 0]
+        np.testing.assert_allclose(shaft[0, 1:], shaft[1, 1:], atol=1e-12)
 
 
 def test_a_state_is_filmed_by_what_it_shows(collection: Collection, scene: Scene):

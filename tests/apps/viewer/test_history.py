@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from grasp_refine.core.se3 import transform
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer import editing
 from grasp_refine_apps.viewer.controller import Controller
@@ -68,6 +69,22 @@ def test_a_movement_is_one_step_and_another_joint_another(viewer: Controller, mo
     viewer.redo()
     viewer.set_joint(1, 0.6)
     assert len(viewer.state.undo_steps) == 2
+
+
+def test_a_drag_is_one_step_however_long_it_pauses(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(editing, "MERGE_WINDOW_S", 0.0)
+    start = viewer.state.pose.T_object_root
+    for drag, heights in ((1, (0.1, 0.2, 0.3)), (2, (0.4, 0.5))):
+        for height in heights:
+            viewer.move_root(transform(np.eye(3), np.array([0.0, 0.0, height])), drag)
+    assert len(viewer.state.undo_steps) == 2
+    viewer.undo()
+    assert viewer.state.pose.T_object_root[2, 3] == 0.3
+    viewer.undo()
+    assert viewer.state.pose.T_object_root is start
+    for x in (0.01, 0.02):
+        viewer.move_object(transform(np.eye(3), np.array([x, 0.0, 0.0])), 3)
+    assert len(viewer.state.undo_steps) == 1
 
 
 def test_only_so_many_steps_are_kept(viewer: Controller, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,6 +190,26 @@ def test_words_say_what_comes_next(problem: Problem):
     made.close()
 
 
+def test_lengths_are_typed_in_millimetres_and_angles_in_degrees(shown: Shown):
+    """A margin of 1 was a metre."""
+    form = shown.panel.form
+    margin, move = (form.handles[name] for name in ("margin", "max_move"))
+    assert margin.label == "Margin, mm" and form.handles["reach"].value == "10"
+    shown.page.change(margin, "1")
+    assert until(lambda: shown.controller.state.settings.margin == 0.001)
+    assert shown.controller.state.settings.config().margin == 0.001
+    assert "degrees" in move.label
+    shown.page.change(move, "10, 6, 12")
+    until(lambda: shown.controller.state.settings.max_move is not None)
+    np.testing.assert_allclose(shown.controller.state.settings.max_move, [0.01, np.radians(6.0), np.radians(12.0)])
+    shown.controller.set_settings(Settings(margin=0.0025))
+    until(lambda: margin.value == "2.5" and move.value == "")
+    for name in ("margin", "reach", "other_link_distance", "max_move", "scales.rotation"):
+        hint = form.handles[name].hint
+        assert "metres" not in hint and "radians" not in hint, hint
+    assert "(default: 3)" in form.handles["other_link_distance"].hint
+
+
 def test_the_outcome_is_told_with_advice(shown: Shown):
     shown.controller.set_settings(Settings(solver="descent", iterations=3))
     shown.controller.start()

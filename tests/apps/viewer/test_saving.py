@@ -23,7 +23,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.viewer.pose import Pose, Target
-from grasp_refine_apps.viewer.saving import MAX_STEM_CHARS, Saved, grasp_file, grasp_set
+from grasp_refine_apps.viewer.saving import MAX_STEM_BYTES, Saved, grasp_file, grasp_set
 from refusals import refused
 
 BASES = {"shadow": "palm", "allegro": "base_link", "leap": "palm_lower"}
@@ -145,7 +145,7 @@ def test_a_name_from_a_file_names_no_folder():
     saved = grasp_file(hand("allegro"), grasps, "ours")
     assert saved.name == "_allegro_.._.._etc_cron.d_x_y_ours.npz"
     long = replace(shown("allegro"), object=np.array(["x" * 150]))
-    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == MAX_STEM_CHARS + len(".zip")
+    assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == MAX_STEM_BYTES + len(".zip")
 
 
 def test_several_grasps_keep_their_order(unpacked: Callable[[Saved], Path]):

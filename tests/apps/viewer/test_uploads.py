@@ -95,7 +95,7 @@ def test_what_is_refused_says_what_can_be_uploaded(name: str, content: bytes, na
         ("..obj", "..obj", "upload.obj"),
         (".obj", ".obj", None),
         ("a\0b\n\x1b[31m.obj", "a?b??[31m.obj", "a_b_31m.obj"),
-        ("ä" * 300 + ".OBJ", "ä" * 100 + ".OBJ", "upload.obj"),
+        ("ä" * 300 + ".OBJ", "ä" * 100 + ".OBJ", "ä" * 100 + ".obj"),
         ("-rf $(reboot);.obj", "-rf $(reboot);.obj", "rf_reboot.obj"),
     ],
 )

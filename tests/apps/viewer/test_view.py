@@ -160,7 +160,8 @@ def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: 
     assert np.linalg.norm(target.point_object[:2]) == pytest.approx(0.04, abs=2.5e-3)
     before = target.point_object
     away = transform_points(state.T_world_object, before + np.array([0.0, 0.0, 0.01]))
-    event = SimpleNamespace(client=SimpleNamespace(camera=SimpleNamespace(position=eye)), end_position=away)
+    client = SimpleNamespace(camera=SimpleNamespace(position=eye))
+    event = SimpleNamespace(client=client, end_position=away, phase="update")
     nodes.interaction._drag_target(0, event)
     moved = viewer.state.targets[0].point_object
     assert 5e-3 < np.linalg.norm(moved - before) < 3e-2
@@ -176,13 +177,13 @@ def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
     node = view.nodes.interaction.gizmos["hand"]
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     node.position = np.array(node.position) + np.array([0.01, 0.0, 0.0])
-    done(view.nodes.interaction._drag_hand(SimpleNamespace(client=object(), target=node)))
+    done(view.nodes.interaction._drag_hand(SimpleNamespace(client=object(), target=node, phase="update")))
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     viewer.set_gizmo("object")
     view.draw(viewer.state)
     assert list(view.nodes.interaction.gizmos) == ["object"]
     # What Python sets is no drag.
-    done(view.nodes.interaction._drag_object(SimpleNamespace(client=None, target=node)))
+    done(view.nodes.interaction._drag_object(SimpleNamespace(client=None, target=node, phase="update")))
     np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
 
 

@@ -19,8 +19,10 @@ from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
 from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
+from grasp_refine_apps.viewer.panels.widgets import on_change
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.view import View
+from grasp_refine_apps.viewer.viser_private import tab_listener
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
@@ -34,6 +36,10 @@ PANELS = (
     ("View", DisplayPanel),
 )
 """Titles and panels of the tabs."""
+
+
+GRASP_TABS = ("Refine", "Edit", "Browse")
+"""Tabs that end a replay: they show and change the grasp. Files and View also serve the replay."""
 
 
 class Viewer:
@@ -50,9 +56,14 @@ class Viewer:
         with server.atomic():
             self._heading = server.gui.add_html("")
             self.banner = Banner(server.gui)
+            self._tab = server.gui.add_text("tab", "", visible=False)
+            on_change(self._tab, self._change_tab)
+            server.gui.add_html(tab_listener(self._tab))
             tabs = server.gui.add_tab_group()
             self.panels: list[Any] = []
-            for title, kind in PANELS:
+            # The first tab is open at first: a replay is played on its own.
+            replayed = controller.state.motion is not None
+            for title, kind in sorted(PANELS, key=lambda panel: replayed and panel[0] != "Validate"):
                 with tabs.add_tab(title):
                     self.panels.append(kind(server, controller))
             draws = (self._draw_heading, self.banner.draw, self._notify, *(panel.draw for panel in self.panels))
@@ -70,6 +81,11 @@ class Viewer:
         self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
         self._measuring.daemon = True
         self._measuring.start()
+
+    def _change_tab(self, tab: str) -> None:
+        """End a replay when another tab is opened that is about the grasp itself."""
+        if tab.split(" ")[0] in GRASP_TABS and self.controller.state.motion is not None:
+            self.controller.end_motion()
 
     def _draw_heading(self, state: State) -> None:
         text = _heading(state, self.controller.contacts)

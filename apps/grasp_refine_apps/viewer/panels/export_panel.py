@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,15 @@ import viser
 from PIL import Image
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine_apps.viewer.animation import animation_html, film_of
+from grasp_refine_apps.viewer.camera import FirstCamera
 from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.names import file_stem, shortened
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.panels.widgets import on_change
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set, grasp_sets
@@ -154,7 +158,8 @@ class ExportPanel:
         def work(control: Control) -> None:
             grasps = grasp_set(now.scene, pose, group.object, group.scale, now.targets)
             control.check()
-            saved = grasp_file(now.collection.hand, grasps, to)
+            number = str(group.index[now.collection.member[now.number]])
+            saved = grasp_file(now.collection.hand, grasps, to, number)
             control.check()
             self._send(client, saved)
             self._controller.mark_saved({now.number: pose})
@@ -206,8 +211,11 @@ class ExportPanel:
         if client is None:
             return
 
+        camera = client.camera
+        view = camera_in_object(now, np.array(camera.position), np.array(camera.look_at))
+
         def work(control: Control) -> None:
-            film = film_of(now)
+            film = replace(film_of(now), camera=view)
             control.check()
             page = animation_html(film)
             control.check()
@@ -223,6 +231,12 @@ class ExportPanel:
         """Send a file to a browser, if it is still connected."""
         if client.client_id in self._server.get_clients():
             client.send_file_download(saved.name, saved.content, save_immediately=True)
+
+
+def camera_in_object(state: State, position: np.ndarray, look_at: np.ndarray) -> FirstCamera:
+    """Return a camera of the scene (3,), (3,) in the frame of the object, in which films are made."""
+    T = inverse(state.T_world_object)
+    return FirstCamera(transform_points(T, position), transform_points(T, look_at))
 
 
 def shelf_titles(state: State) -> tuple[str, ...]:
@@ -257,7 +271,7 @@ def open_html(collection: Collection) -> str:
         files = f"{files[:200]} …"
     lines = [
         ("Hand", f"{problem.hand.name} ({problem.hand.urdf.name}), {len(problem.hand.joint_names)} joints"),
-        ("Object", objects if len(objects) <= 200 else f"{objects[:200]} …"),
+        ("Object", shortened(objects if len(objects) <= 200 else f"{objects[:200]} …")),
         ("Grasps", f"{len(problem)} from {files}"),
     ]
     text = "<br>".join(f"<b>{name}</b> {html.escape(what)}" for name, what in lines)
@@ -289,8 +303,7 @@ def _size(camera: viser.CameraHandle) -> tuple[int, int]:
 
 def _stem(state: State) -> str:
     """Name of a file without suffix, of hand, object and number."""
-    label = f"{state.collection.hand.name}_{state.collection.label(state.number)}"
-    return "".join(char if char.isalnum() or char in "._-" else "_" for char in label)[:100].lstrip(".")
+    return file_stem(f"{state.collection.hand.name}_{state.collection.name(state.number)}")
 
 
 def _sentence(collection: Collection) -> str:

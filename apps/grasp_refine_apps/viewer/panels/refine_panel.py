@@ -20,6 +20,7 @@ from grasp_refine_apps.viewer.panels.timeline import Timeline
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
 from grasp_refine_apps.viewer.pose import targets_of
 from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.units import SETTING_UNITS
 
 FIRST_SETTINGS = (
     "solver",
@@ -71,6 +72,7 @@ class RefinePanel:
                 unused=lambda settings: [name for name, _ in settings.unused()],
                 first=FIRST_SETTINGS,
                 left_out=HIDDEN_SETTINGS,
+                units=SETTING_UNITS,
             )
             self.defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
         on_click(self.start, controller.start)
