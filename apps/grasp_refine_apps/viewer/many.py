@@ -40,14 +40,14 @@ class ManyGrasps(Cutter):
             config = self._checked(self._state.settings.config)
             if config is None:
                 return
-            works = self._works(numbers)
-            todo = {n: work for n, work in works.items() if work.outcome is None or work.config != config}
-            if not todo:
+            wanted = self._without(numbers, lambda work: work.outcome is not None and work.config == config)
+            if not wanted:
                 self.notify("all of them are refined with these settings: change the settings, or reset a grasp")
                 return
 
             def work(control: Control) -> None:
-                done, collection = 0, self.cut_all(todo, control)
+                done, collection = 0, self.cut_all(wanted, control)
+                todo = self._works(wanted)
                 for batch in batches(collection, todo):
                     control.report(done / len(todo), f"refining {done + 1} of {len(todo)} grasps")
                     control.check()
@@ -66,14 +66,14 @@ class ManyGrasps(Cutter):
             protocol = self._checked(lambda: protocol_of(*self._state.protocol))
             if protocol is None:
                 return
-            works = self._works(numbers)
-            todo = {n: work for n, work in works.items() if work.trial is None or work.trial.protocol != protocol}
-            if not todo:
+            wanted = self._without(numbers, lambda work: work.trial is not None and work.trial.protocol == protocol)
+            if not wanted:
                 self.notify("all of them are tested by this protocol")
                 return
 
             def work(control: Control) -> None:
-                self.cut_all(todo, control)
+                self.cut_all(wanted, control)
+                todo = self._works(wanted)
                 grasps = {number: self._posed_grasp(work.standing, number) for number, work in todo.items()}
                 for done, (number, grasp) in enumerate(grasps.items()):
                     quiet = Control(lambda share, what: control.check())
@@ -100,8 +100,13 @@ class ManyGrasps(Cutter):
         """List other grasps, or in another order."""
         self._set(listing=listing)
 
+    def _without(self, numbers: Sequence[int], done: Callable[[Work], bool]) -> list[int]:
+        """Numbers of some grasps without those whose work is done."""
+        works = self._state.works
+        return [number for number in numbers if number not in works or not done(works[number])]
+
     def _works(self, numbers: Sequence[int]) -> dict[int, Work]:
-        """Works on some grasps."""
+        """Works on some grasps; takes a moment for many."""
         state = self._state
         return {n: state.works.get(n) or state.collection.work(n) for n in numbers if 0 <= n < len(state.collection)}
 

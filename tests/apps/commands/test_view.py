@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from grasp_refine.pipeline import load
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands import view
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.view import View
@@ -241,6 +243,33 @@ def test_units_of_all_objects_are_checked_before_any_is_cut(several: Path, monke
     trimesh.load(several / "meshes" / "three.stl").apply_scale(1000.0).export(several / "meshes" / "three.stl")
     with refused(GraspRefineError, "three", "--unit"):
         View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
+
+
+@pytest.mark.parametrize(
+    ("unsaved", "signals", "told"),
+    [
+        (2, (signal.SIGINT, signal.SIGINT), "2 grasps"),
+        (0, (signal.SIGINT,), ""),
+        (2, (signal.SIGTERM,), ""),
+    ],
+)
+def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
+    unsaved: int,
+    signals: tuple[signal.Signals, ...],
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    coming = iter(signals)
+
+    def interrupted(seconds: float) -> None:
+        raise KeyboardInterrupt(next(coming))
+
+    monkeypatch.setattr(view.time, "sleep", interrupted)
+    monkeypatch.setattr(view.threading, "Timer", lambda *given: SimpleNamespace(start=lambda: None))
+    view._wait(SimpleNamespace(state=SimpleNamespace(num_unsaved=unsaved)))
+    assert next(coming, None) is None
+    assert (told in capsys.readouterr().err) if told else capsys.readouterr().err == ""
 
 
 def test_settings_of_the_command_line_are_those_of_the_page() -> None:

@@ -119,8 +119,10 @@ def test_a_grasp_is_seen_refined_scrubbed_and_reloaded(viewer: Viewer, page: Vis
     assert line.startswith(viewer.address)
 
     came = page.pose(THUMB)
+    assert heading(page).startswith("contact error 1.94 mm")
     errors = refine(page)
-    assert errors[0] == pytest.approx(1.94, abs=0.01)
+    # Over the links that touch in the end, one of which was far away.
+    assert errors[0] == pytest.approx(19.29, abs=0.01)
     assert errors[-1] < 0.1 and np.nanmin(errors) < 0.01
     assert (np.diff(np.fmin.accumulate(errors)) <= 0).all()
     assert heading(page).startswith("contact error 0.00 mm")
@@ -133,7 +135,7 @@ def test_a_grasp_is_seen_refined_scrubbed_and_reloaded(viewer: Viewer, page: Vis
     page.drag_slider("Iteration", 0.98, 0.5, 0.0)
     until(lambda: page.value("Iteration") == "0", "the first iteration")
     until(lambda: np.allclose(page.pose(THUMB), came, atol=1e-6), "the hand as it came")
-    until(lambda: heading(page).startswith("contact error 1.94 mm"), "its numbers")
+    until(lambda: heading(page).startswith("contact error 19.29 mm"), "its numbers")
     until(lambda: marked(page) == 0, "the line in the chart")
     page.drag_slider("Iteration", 0.1, 1.0)
     until(lambda: np.allclose(page.pose(THUMB), end, atol=1e-5), "the last iteration")
@@ -190,7 +192,9 @@ def test_the_animation_that_is_downloaded_plays(page: ViserPage, tmp_path: Path,
         return np.ptp([pose[:3, 3] for pose in poses], axis=0).max() > 0.003
 
     until(moved, "the fingertip moves")
-    assert oranges_and_blues(film.wait_for_scene())[0] > 300
+    # From where the page looked, most of the links that should touch are behind the mug.
+    assert oranges_and_blues(film.wait_for_scene())[0] > 60
+    np.testing.assert_allclose(film.camera()[:3, 3], page.camera()[:3, 3], atol=1e-3)
     assert film.requests[0].startswith("file://") and len(film.requests) == 1
 
 
@@ -261,6 +265,31 @@ def test_a_grasp_that_slips_is_tested_and_watched(page: ViserPage):
     until(lambda: np.allclose(page.pose("/grasp/object"), np.eye(4), atol=1e-6), "the object is back")
 
 
+def test_another_tab_ends_a_replay_and_what_was_made_is_listed(page: ViserPage):
+    page.tab("Browse")
+    page.page.locator(".gr-table tbody tr").nth(1).click()
+    refine(page)
+    page.tab("Validate")
+    page.click("Test in MuJoCo")
+    until(lambda: len(trial_rows(page)) == 6, "six directions")
+    page.click("+x")
+    page.wait_for_text("Close replay")
+    page.tab("Browse")
+    until(lambda: heading(page).startswith("contact error 0.00 mm"), "the grasp again")
+    page.click("Next ▶")
+    page.wait_for_text("mug 2 as in its file")
+    row = page.page.locator(".gr-table tbody tr").nth(1)
+    until(lambda: row.locator("td").all_inner_texts()[-2] == "R T", "the refined and tested grasp in the table")
+    page.choose("Grasps", "all")
+    page.click("Refine")
+    page.wait_for_text("grasps refined")
+    table = page.page.locator(".gr-table tbody tr")
+    until(lambda: all("R" in cells for cells in table.all_inner_texts()), "all grasps refined")
+    page.click("◀ Previous")
+    page.wait_for_text("mug 1 refined")
+    page.close_notifications()
+
+
 def test_meshes_that_cannot_be_used_are_refused_and_a_good_one_is_opened(page: ViserPage, tmp_path: Path):
     ball, upload = trimesh.creation.icosphere(2, 0.04), "Upload mesh, hand or grasps"
     half = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.0])
@@ -311,7 +340,8 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     came = page.pose(thumb)
 
     errors = refine(page)
-    assert errors[0] == pytest.approx(2.91, abs=0.01) and errors[-1] < 0.01
+    # Over the links that touch in the end.
+    assert errors[0] == pytest.approx(13.84, abs=0.01) and errors[-1] < 0.01
     until(lambda: not np.allclose(page.pose(thumb), came, atol=1e-4), "the thumb moved")
     until(lambda: page.value("Iteration") != "0", "the timeline stands at the end")
     page.enter("Iteration", 0)
@@ -323,6 +353,9 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     until(lambda: len(contact_errors(page)) > 20, "it refines again")
     page.close()  # which stops nothing
     assert viewer.process.poll() is None
+    viewer.process.send_signal(signal.SIGINT)
+    # A refined grasp is not saved: it asks.
+    until(lambda: "1 grasp " in viewer.output(), "a question")
     viewer.process.send_signal(signal.SIGINT)
     assert viewer.process.wait(PATIENCE_S) == 0
     assert "Traceback" not in viewer.output()
