@@ -66,6 +66,8 @@ class Stopwatch:
     """Time of each stage; "other" is the time outside all of them."""
     queries: int = 0
     """Narrow-phase queries."""
+    patches: int = 0
+    """Contacts whose patch of flat faces was looked for; none where nothing is flat."""
     _open: list[Stage] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)
     _children: float = 0.0
@@ -182,6 +184,13 @@ def count_queries(num_queries: Any) -> None:
     watch = _RUNNING.get()
     if watch is not None:
         watch.queries += int(np.sum(num_queries))
+
+
+def count_patches(number: int) -> None:
+    """Add a number of contacts whose patch was looked for to the running stopwatch, if any."""
+    watch = _RUNNING.get()
+    if watch is not None:
+        watch.patches += number
 
 
 def cpu_seconds() -> float:

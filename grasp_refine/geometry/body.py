@@ -11,6 +11,7 @@ import numpy as np
 from grasp_refine.core.arguments import as_numbers, check_kind, describe_value
 from grasp_refine.core.errors import MeshError
 from grasp_refine.core.plurals import count_text
+from grasp_refine.geometry.facets import Facets
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.sampling import Candidates, sample
 
@@ -59,6 +60,11 @@ class Body:
         middle = np.concatenate([piece.vertices for piece in self.pieces]).mean(axis=0)
         reach = [np.linalg.norm(piece.vertices - middle, axis=1).max() + piece.radius for piece in self.pieces]
         return 2.0 * float(max(reach))
+
+    @cached_property
+    def facets(self) -> Facets:
+        """Flat faces; none where nothing is flat."""
+        return Facets.of(self.pieces)
 
     @cached_property
     def area(self) -> float:

@@ -15,6 +15,7 @@
 namespace grasp_refine {
 void bind_bounded_step(nb::module_& m);
 void bind_curvature(nb::module_& m);
+void bind_face_patch(nb::module_& m);
 void bind_forces(nb::module_& m);
 }  // namespace grasp_refine
 
@@ -246,5 +247,6 @@ NB_MODULE(_native, m) {
 
   bind_bounded_step(m);
   bind_curvature(m);
+  bind_face_patch(m);
   bind_forces(m);
 }

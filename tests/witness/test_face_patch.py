@@ -1,0 +1,185 @@
+"""Patches of flat faces: closed forms of boxes, cuts that do not end a face, exact derivatives, engines that agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grasp_refine.collision.engine import engines
+from grasp_refine.collision.query import Pairs, Witness, query
+from grasp_refine.core.profiling import Stopwatch
+from grasp_refine.core.se3 import exp_so3
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.facets import Facets
+from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, sphere
+from grasp_refine.witness.face_patch import FacePairs, FacePatches
+
+ENGINES = pytest.mark.parametrize("engine", engines())
+OBJECT = build_body("object", [box([0.06, 0.04, 0.02])])
+"""Its upper face is at z = 0.01."""
+
+
+def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, *turn: float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = exp_so3(np.array(turn or (0.0, 0.0, 0.0)))
+    T[:3, 3] = x, y, z
+    return T
+
+
+def patch(link: Body, T: np.ndarray, obj: Body = OBJECT) -> tuple[FacePatches, Witness]:
+    witness = query(Pairs((link,), (obj,)), T[None, None], np.eye(4)[None, None], cutoff=1.0)
+    return FacePairs.of([link], obj).patches(
+        np.zeros((1, 1), dtype=int), T[None, None], witness, witness.valid
+    ), witness
+
+
+def corners(found: FacePatches) -> np.ndarray:
+    """Corners of the one patch, in lexicographic order."""
+    points = found.point[0, 0, : found.count[0, 0]]
+    return points[np.lexsort(points.round(9).T[::-1])]
+
+
+def cut(extents: list[float], *places: float) -> list[Piece]:
+    """A box cut across x."""
+    ends = [-0.5 * extents[0], *places, 0.5 * extents[0]]
+    return [box([b - a, *extents[1:]], pose(0.5 * (a + b))) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+
+@ENGINES
+def test_a_cube_on_a_face_has_its_corners(engine: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GRASP_REFINE_ENGINE", engine)
+    cube = build_body("cube", [box([0.02, 0.02, 0.02])])
+    found, _ = patch(cube, pose(0.005, 0.0, 0.0203))
+    expected = [[x, y, 0.01] for x in (-0.005, 0.015) for y in (-0.01, 0.01)]
+    np.testing.assert_allclose(corners(found), expected, atol=1e-12)
+    np.testing.assert_allclose(found.gap[0, 0], 3e-4, atol=1e-12)
+    np.testing.assert_allclose(found.normal[0, 0], [0, 0, -1], atol=1e-12)
+    assert found.weight[0, 0] == 1.0
+    # Half of it beyond the rim.
+    found, _ = patch(cube, pose(0.03, 0.0, 0.02))
+    expected = [[x, y, 0.01] for x in (0.02, 0.03) for y in (-0.01, 0.01)]
+    np.testing.assert_allclose(corners(found), expected, atol=1e-9)
+
+
+@ENGINES
+def test_gaps_of_a_tilted_cube_are_in_closed_form(engine: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GRASP_REFINE_ENGINE", engine)
+    cube = build_body("cube", [box([0.02, 0.02, 0.02])])
+    for angle in (1e-9, 1e-3, 0.1, 0.2):
+        # About an edge of its lower face, which stays on the object.
+        c, s = np.cos(angle), np.sin(angle)
+        T = pose(0.0, 0.0, 0.01 + 0.01 * (c + s), 0.0, angle, 0.0)
+        found, _ = patch(cube, T)
+        x = corners(found)[:, 0]
+        np.testing.assert_allclose(np.ptp(x), 0.02 * c, atol=1e-9)
+        gap = np.sort(found.gap[0, 0])
+        np.testing.assert_allclose(gap, [0.0, 0.0, 0.02 * s, 0.02 * s], atol=1e-9)
+        # Turned by 12 degrees and more, a patch counts less and less.
+        assert (found.weight[0, 0] == 1.0) == (angle < np.radians(12.0))
+
+
+@ENGINES
+@pytest.mark.parametrize("places", [(0.0,), (-0.021, 0.004, 0.0085)])
+def test_cuts_of_the_decomposition_do_not_end_a_patch(engine: str, places: tuple, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GRASP_REFINE_ENGINE", engine)
+    cube = build_body("cube", [box([0.02, 0.03, 0.02])])
+    cut_cube = build_body("cube", cut([0.02, 0.03, 0.02], 0.003))
+    cut_object = build_body("object", cut([0.06, 0.04, 0.02], *places))
+    T = pose(0.004, -0.008, 0.0203, 0.02, -0.03, 0.4)
+    whole = corners(patch(cube, T)[0])
+    assert len(whole) == 4
+    for link, obj in ((cube, cut_object), (cut_cube, OBJECT), (cut_cube, cut_object)):
+        np.testing.assert_allclose(corners(patch(link, T, obj)[0]), whole, atol=1e-9)
+
+
+def test_faces_of_pieces_that_make_up_their_hull_are_one_polygon():
+    faces = build_body("object", cut([0.06, 0.04, 0.02], 0.01, 0.02)).facets
+    assert len(faces) == 6 and len(faces.first_vertex) == 7, "cut planes are inside"
+    np.testing.assert_allclose(np.ptp(faces.polygons(0)[0], axis=0), [0.06, 0.04, 0.0], atol=1e-12)
+    # Legs of a table are several.
+    legs = build_body("legs", [box([0.01, 0.01, 0.02], pose(x, 0.0)) for x in (-0.02, 0.02)]).facets
+    low = np.flatnonzero(legs.normal[:, 2] < -0.5)
+    assert len(low) == 1 and len(legs.polygons(int(low[0]))) == 2
+
+
+def test_a_patch_over_two_legs_reaches_from_one_to_the_other():
+    legs = build_body("legs", [box([0.01, 0.01, 0.02], pose(x, 0.0)) for x in (-0.02, 0.02)])
+    found, _ = patch(legs, pose(0.0, 0.0, 0.02))
+    expected = [[x, y, 0.01] for x in (-0.025, 0.025) for y in (-0.005, 0.005)]
+    np.testing.assert_allclose(corners(found), expected, atol=1e-9)
+
+
+def test_a_narrow_overlap_is_a_segment_and_a_tiny_one_none():
+    cube = build_body("cube", [box([0.02, 0.02, 0.02])])
+    found, _ = patch(cube, pose(0.0397, 0.0, 0.02))
+    assert found.count[0, 0] == 2
+    np.testing.assert_allclose(np.linalg.norm(np.diff(corners(found), axis=0)), 0.02, rtol=1e-3)
+    assert patch(cube, pose(0.0395, 0.0295, 0.02))[0].count[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    "piece",
+    [sphere(0.01), capsule(0.01, (0, 0, 0.02), (0, 0, -0.02)), cylinder(0.02, 0.004)],
+    ids=["sphere", "capsule", "mantle"],
+)
+def test_nothing_flat_costs_nothing(piece: Piece):
+    body = build_body("round", [piece])
+    assert (np.abs(Facets.of([piece]).normal[:, 2]) > 0.5).all(), "a mantle is no face, however finely it is cut"
+    with Stopwatch() as watch:
+        found, witness = patch(body, pose(0.0, 0.0, 0.04, np.pi / 2, 0.0, 0.0))
+    assert not found.count.any() and witness.valid.all()
+    assert watch.patches == (len(body.facets) > 0)
+
+
+def test_corners_and_gaps_have_exact_derivatives():
+    rng = np.random.default_rng(0)
+    wedge = build_body("wedge", cut([0.03, 0.02, 0.02], 0.004))
+    pairs = FacePairs.of([wedge], OBJECT)
+    zero = np.zeros((1, 1), dtype=int)
+    for _ in range(20):
+        T = pose(*rng.uniform(-0.02, 0.02, 2), 0.022, *rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3))
+        found, witness = patch(wedge, T)
+
+        def at(twist: np.ndarray, T: np.ndarray = T, witness: Witness = witness) -> FacePatches:
+            new = np.eye(4)
+            new[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
+            new[:3, 3] = exp_so3(twist[3:]) @ T[:3, 3] + twist[:3]
+            return pairs.patches(zero, new[None, None], witness, witness.valid)
+
+        assert found.count[0, 0] == 4
+        for k in range(6):
+            step = np.zeros(6)
+            step[k] = 1e-6
+            ahead, behind = at(step), at(-step)
+            for name, derivative in (("point", found.motion[..., k]), ("gap", found.slope[..., k])):
+                difference = (getattr(ahead, name) - getattr(behind, name)) / 2e-6
+                np.testing.assert_allclose(derivative, difference, atol=1e-6)
+
+
+@pytest.mark.skipif(len(engines()) < 2, reason="not compiled")
+def test_both_engines_find_the_same(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(1)
+    link = build_body("link", [*cut([0.03, 0.02, 0.02], 0.004), cylinder(0.012, 0.02, pose(0.02))])
+    obj = build_body("object", cut([0.06, 0.04, 0.02], 0.0, 0.01))
+    for _ in range(40):
+        T = pose(*rng.uniform(-0.03, 0.03, 2), 0.021, *rng.uniform(-0.15, 0.15, 2), rng.uniform(-3, 3))
+        found = []
+        for engine in ("native", "python"):
+            monkeypatch.setenv("GRASP_REFINE_ENGINE", engine)
+            found.append(patch(link, T, obj)[0])
+        for name in ("count", "normal", "weight", "point", "gap", "motion", "slope"):
+            np.testing.assert_allclose(*(getattr(one, name) for one in found), atol=1e-9, err_msg=name)
+
+
+def test_a_patch_moves_with_the_scene():
+    rng = np.random.default_rng(2)
+    link = build_body("link", cut([0.03, 0.02, 0.02], 0.004))
+    T = pose(0.01, 0.005, 0.0205, 0.03, -0.02, 0.5)
+    found, witness = patch(link, T)
+    S = pose(*rng.normal(size=3), *rng.normal(size=3))
+    moved = build_body("object", [piece.transformed(S) for piece in OBJECT.pieces])
+    again, _ = patch(link, S @ T, moved)
+    expected = found.point[0, 0] @ S[:3, :3].T + S[:3, 3]
+    order, other = (np.lexsort(points.round(6).T) for points in (expected, again.point[0, 0]))
+    np.testing.assert_allclose(again.point[0, 0][other], expected[order], atol=1e-9)
+    np.testing.assert_allclose(np.sort(again.gap[0, 0]), np.sort(found.gap[0, 0]), atol=1e-9)
