@@ -159,10 +159,15 @@ def _agreement_columns() -> list[Column]:
         Column("label", "protocol"),
         Column("grasps", "number", form="d"),
         Column("share", "same verdict", "", _listed("%", ".1f"), hint="share of the grasps"),
-        Column("kappa", "kappa", "", _listed("", "z.2f"), hint="1: equal, 0: as by chance"),
+        Column("kappa", "kappa", "", _kappas, hint="1: equal, 0: as by chance"),
         Column("mujoco_only", "held in MuJoCo only", "", _listed("", ".0f"), hint="number of grasps"),
         Column("drake_only", "held in Drake only", "", _listed("", ".0f"), hint="number of grasps"),
     ]
+
+
+def _kappas(values: Sequence[float | None]) -> str:
+    """Format kappas, each of which may be unknown."""
+    return ARROW.join(MISSING if value is None else f"{value:z.2f}" for value in values)
 
 
 def _listed(unit: str, form: str, between: str = ARROW) -> Any:
