@@ -81,7 +81,12 @@ def grasp_set(
     return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing)
 
 
-def grasp_sets(collection: Collection, works: Mapping[int, Work], check: Callable[[], None] = lambda: None) -> GraspSet:
+def grasp_sets(
+    collection: Collection,
+    works: Mapping[int, Work],
+    report: Callable[[float], None] = lambda share: None,
+    check: Callable[[], None] = lambda: None,
+) -> GraspSet:
     """Return several grasps as they stand, in order, with pregrasps and squeezes.
 
     These are those of the refinement of a grasp, those of its file where it was not moved, or else our own.
@@ -89,6 +94,7 @@ def grasp_sets(collection: Collection, works: Mapping[int, Work], check: Callabl
     Args:
         collection: The grasps as in their files.
         works: Those to return, by number.
+        report: Called with the completed share, 0 to 1.
         check: Called often; its exceptions end the work.
 
     Raises:
@@ -102,6 +108,7 @@ def grasp_sets(collection: Collection, works: Mapping[int, Work], check: Callabl
     stages = _known_stages(collection, works)
     for batch in batches(collection, {number: work for number, work in works.items() if number not in stages}):
         check()
+        report(len(stages) / len(works))
         own = closing_motion(batch.group.scene, HandObject.of(batch.group.scene), lambda *done: check())
         for i, number in enumerate(batch.numbers):
             stages[number] = pose_from_transform(own.T_world_root[i]), own.q[i]

@@ -23,7 +23,7 @@ from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.names import file_stem, shortened
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
-from grasp_refine_apps.viewer.panels.widgets import on_change
+from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set, grasp_sets
 from grasp_refine_apps.viewer.state import JobKind, State
 from grasp_refine_apps.viewer.store import BUSY_MESSAGE
@@ -85,6 +85,9 @@ class ExportPanel:
                 icon=viser.Icon.MOVIE,
                 hint="Download the last refinement, or the simulation that is shown, as a page that plays anywhere",
             )
+        self.doing = gui.add_markdown("", visible=False)
+        self.stop = gui.add_button("Stop", visible=False, hint="Stop opening or saving")
+        on_click(self.stop, controller.stop)
         self.upload.on_upload(self._uploaded)
         on_change(self.shelf, self._reopen)
         self.save.on_click(self._save_grasp)
@@ -100,6 +103,12 @@ class ExportPanel:
             self._collection = state.collection
             if other:
                 self.opened.content = open_html(state.collection)
+        job = state.job
+        ours = job is not None and job.kind in ("load", "cut", "export")
+        self.doing.visible = self.stop.visible = ours
+        if ours and job is not None:
+            share = "" if job.share is None else f", {job.share:.0%}"
+            self.doing.content = f"{job.what[:1].upper()}{job.what[1:]}{share} …"
         titles = shelf_titles(state)
         if self.shelf.options != titles:
             self.shelf.options = titles
@@ -181,7 +190,8 @@ class ExportPanel:
 
         def work(control: Control) -> None:
             control.describe(what)
-            grasps = grasp_sets(self._controller.cut_all(works, control), works, control.check)
+            collection = self._controller.cut_all(works, control)
+            grasps = grasp_sets(collection, works, lambda share: control.report(share, what), control.check)
             control.check()
             saved = grasp_file(now.collection.hand, grasps, to)
             control.check()
