@@ -27,12 +27,12 @@ class SourceSpec:
     """Hand and objects of grasps whose file is given elsewhere."""
 
     hand: str | None = None
-    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF, a .urdf file, or an asset
-    such as hands/leap."""
+    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
+    an asset such as hands/leap, or robot_descriptions/NAME."""
     urdf: Path | None = None
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Path | None = None
-    """The hand as an MJCF file, or an asset such as shadow_mjcf, which is then simulated."""
+    """The hand as another MJCF file, or an asset such as shadow_mjcf, which is then simulated."""
     base_link: str | None = None
     """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
     palm of a hand on an arm, else the root."""

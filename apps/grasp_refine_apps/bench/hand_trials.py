@@ -17,9 +17,9 @@ from grasp_refine_apps.bench.report import Column, Table
 
 COLUMNS = (
     Column("hand", "hand"),
-    Column("file", "file"),
+    Column("file", "file", only="page"),
     Column("reads", "reads"),
-    Column("closes", "closes"),
+    Column("closes", "closes", only="page"),
     Column("samples", "samples", form=lambda share: "{} of {}".format(*share)),
     Column("error_before", "contact error before", "mm", ".1f"),
     Column("error_after", "after", "mm", ".2f"),
@@ -35,7 +35,7 @@ COLUMNS = (
 def try_hand(
     load: Callable[[], Hand], name: str, objects: Sequence[str], count: int, protocol: str, seed: int
 ) -> dict[str, Any]:
-    """Return the row of a hand: what works with it, up to the first thing that does not.
+    """Return the row of a hand: what works with it, None from the first thing on that does not.
 
     Args:
         load: Reads the hand.
@@ -45,7 +45,7 @@ def try_hand(
         protocol: Name of the protocol of the simulation.
         seed: Seed of the sampling.
     """
-    row: dict[str, Any] = {"hand": name, "trouble": ""}
+    row: dict[str, Any] = dict.fromkeys(column.key for column in COLUMNS) | {"hand": name, "trouble": ""}
     try:
         hand = load()
         fingers = {contact.group for contact in hand.contacts}

@@ -57,8 +57,8 @@ class Convert:
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
     """Format of IN."""
     hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of IN)")] = None
-    """Hand of the grasps: a name from `refine-grasp hands`, a folder or a .urdf file. Required if IN names neither hand
-    nor joints and fits several hands."""
+    """Hand of the grasps: a name from `refine-grasp hands`, a folder, or a URDF or MJCF file. Required if IN
+    names neither hand nor joints and fits several hands."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """URDF of the hand, if it ships without one."""
     json: OptionalFile = None

@@ -130,7 +130,7 @@ class Hands:
         if self.markdown is not None:
             save_text(self.markdown, f"{table.title}\n\n{table.markdown()}\n")
         screen().print(table.printed())
-        return 0 if any("held_after" in row for row in rows) else NOTHING_USABLE
+        return 0 if any(row["held_after"] is not None for row in rows) else NOTHING_USABLE
 
     def _list(self) -> int:
         given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
