@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
 from grasp_refine.grasps.formats import hdf5_files
 from grasp_refine.grasps.formats.agreement import check_same
 from grasp_refine.grasps.formats.content import load_content
-from grasp_refine.grasps.formats.hdf5_files import dump_hdf5
+from grasp_refine.grasps.formats.hdf5_files import dump_hdf5, load_hdf5
 from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.pickled import Refused
 from grasp_refine.grasps.formats.reading import read_grasps, reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -145,7 +147,7 @@ def test_a_hand_without_that_link_is_refused(grasps: Callable[..., GraspSet], tm
 # HDF5
 
 
-def test_bounds_and_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_bounds_and_links(tmp_path: Path):
     path = tmp_path / "a.h5"
 
     def check(*named: str, **parts: Any) -> None:
@@ -174,14 +176,35 @@ def test_bounds_and_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         file["g/loop"] = file["/"]
     with refused(GraspFileError, path, "nested"):
         load_content(path)
-    monkeypatch.setattr(hdf5_files, "MAX_OBJECTS", 2)
-    save(path, {"a": 1, "b": 2, "c": 3})
-    monkeypatch.setattr(hdf5_files._Budget, "__init__", lambda self: self.__dict__.update(objects=2, size=100))
-    with refused(GraspFileError, path, "2 groups"):
-        load_content(path)
     path.write_bytes(hdf5_files.HDF5_MAGIC + bytes(100))
     with refused(GraspFileError, path, "HDF5"):
         load_content(path)
+
+
+def test_the_number_of_datasets_is_bounded(tmp_path: Path):
+    with refused(GraspFileError, "10000"):
+        load_content(save(tmp_path / "a.h5", {f"{n}": n for n in range(10_001)}))
+
+
+def test_reading_ends_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The HDF5 library may run for ever on a damaged file."""
+    path = save(tmp_path / "a.h5", tree())
+    monkeypatch.setattr(hdf5_files, "TIME_LIMIT_S", 0.001)
+    with refused(GraspFileError, path, "0.001 s"):
+        load_content(path)
+
+
+def test_changed_bytes_are_read_or_refused(monkeypatch: pytest.MonkeyPatch):
+    sound, random = dump_hdf5(tree()), Random(1)
+    monkeypatch.setattr(hdf5_files, "TIME_LIMIT_S", 10.0)
+    for _ in range(20):
+        changed = bytearray(sound)
+        for _ in range(random.choice((1, 3, 30))):
+            changed[random.randrange(len(changed))] = random.randrange(256)
+        try:
+            load_hdf5(bytes(changed))
+        except Refused as error:
+            assert "\n" not in str(error)
 
 
 def test_without_h5py_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
