@@ -74,6 +74,8 @@ DRAWINGS = (
             arrow="world to both", note="Shadow: the fingers along z, the palm looks along -y"),
     Drawing("acronym", JAWS, (646, 140), ("up", "in", "left"), "gripper", "grasps/transforms",
             note="our panda_hand has the same origin and z, its y up the page"),
+    Drawing("multigripper", JAWS, (646, 140), ("out", "up", "left"), "root link", "pose",
+            note="franka_panda; other grippers have other axes towards the object"),
 )  # fmt: skip
 
 

@@ -38,14 +38,14 @@ NUM_CANDIDATES = 16
 class Convert:
     """Write the grasps of one program as files of another: joints by name, frames and scales as each format has them.
 
-    ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp.
-    bodex, dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
-    isaac_grasp: one .yaml file per object. multidex, dro: one .pt file. graspqp,
-    lightning_grasp: one .pt file per object. acronym: one .h5 file per object.
+    ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp. bodex,
+    dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
+    multidex, dro: one .pt file. graspqp: a folder with one .pt file per object. isaac_grasp (.yaml), lightning_grasp
+    (.pt), acronym (.h5), multigripper (.json): one file per object.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
-    in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles and
-    torch files are read without executing them. Non-finite grasps are left out, and counted.
+    in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles and torch
+    files are read without executing them. Non-finite grasps are left out, and counted.
     """
 
     source: Annotated[Positional[Path], arg(metavar="IN")]

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.formats.format import Load
+from grasp_refine.grasps.formats.grippers import without_follower
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
@@ -46,6 +47,7 @@ def check_same(before: GraspSet, after: GraspSet) -> float:
     Raises:
         DisagreementError: it is above `MAX_DIFFERENCE_M`, or hands, links or joints differ.
     """
+    before, after = without_follower(before), without_follower(after)
     told = [(grasps.hand, grasps.base_link, len(grasps), sorted(grasps.joint_names)) for grasps in (before, after)]
     if told[0] != told[1]:
         raise DisagreementError(f"{told[0]} was written, {told[1]} is read")

@@ -18,6 +18,7 @@ from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
 from grasp_refine.grasps.formats.multidex import MultiDex
+from grasp_refine.grasps.formats.multigripper import MultiGripperGrasp
 from grasp_refine.grasps.formats.ours import Ours
 
 FormatName = Literal[
@@ -34,6 +35,7 @@ FormatName = Literal[
     "lightning_grasp",
     "hugs",
     "acronym",
+    "multigripper",
 ]
 """Names of the formats on the command line."""
 
@@ -51,6 +53,7 @@ FOREIGN: tuple[Format, ...] = (
     LightningGrasp(),
     Hugs(),
     Acronym(),
+    MultiGripperGrasp(),
 )
 FORMATS: tuple[Format, ...] = (OURS, *FOREIGN)
 

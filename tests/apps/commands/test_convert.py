@@ -223,3 +223,33 @@ def test_a_file_that_would_run_code_is_refused_and_does_not(workplace: Path, cap
 
 def test_the_option_takes_every_format():
     assert set(typing.get_args(FormatName)) == {known.name for known in FORMATS}
+
+
+@pytest.mark.parametrize("to", ["isaac_grasp", "multidex", "graspqp", "lightning_grasp", "multigripper"])
+def test_formats_of_other_generators_there_and_back(to: str, file: Path):
+    before, there = load_grasps(file), "there.pt" if to == "multidex" else "there"
+    assert main(["convert", "grasps.npz", there, "--to", to]) == 0
+    assert main(["convert", there, "back.npz", "--to", "ours"]) == 0
+    after = load_grasps("back.npz")
+    order = [after.object.tolist().index(name) for name in before.object.tolist()]
+    columns = [after.joint_names.index(name) for name in before.joint_names]
+    precision = 1e-15 if to in ("isaac_grasp", "multigripper") else 2e-7
+    np.testing.assert_allclose(after.q[order][:, columns], before.q, atol=precision)
+    np.testing.assert_allclose(after.hand_pose[order], before.hand_pose, atol=precision)
+
+
+def test_a_hand_that_is_not_at_hand(workplace: Path, capfd: pytest.CaptureFixture[str]):
+    gripper = {"gripper": "sawyer", "object_id": "mug", "pose": [[0.1, 0, 0, 1, 0, 0, 0]], "dofs": [[0.01, -0.01]]}
+    Path("sawyer-mug.json").write_text(json.dumps(gripper))
+    for source, to, output in (
+        ("sawyer-mug.json", "isaac_grasp", "a.yaml"),
+        ("a.yaml", "ours", "b.npz"),
+        ("b.npz", "multigripper", "c.json"),
+    ):
+        assert main(["convert", source, output, "--to", to]) == 0
+        out, error = capfd.readouterr()
+        assert "poses and joints" in out and "'sawyer' is not at hand" in error
+    assert json.loads(Path("c.json").read_text()) == gripper
+    # Whatever needs the hand asks for it.
+    message = refused(capfd, "convert", "b.npz", "x", "--to", "bodex")
+    assert_names(message, "'sawyer'", "finger_joint1")
