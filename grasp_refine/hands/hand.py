@@ -99,6 +99,8 @@ class Hand:
     """Remarks for the user on how the files were read."""
     actuator: Actuator
     """Position actuators of the independent joints."""
+    yielding: frozenset[str] = frozenset()
+    """Links of linkages that give way to a push, against springs; only those of `contacts` may hold an object."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
     excluded: tuple[LinkPair, ...] | None = None
@@ -295,6 +297,7 @@ def load_hand(
         contacts_guessed=guessed,
         notes=tuple(notes),
         actuator=driven,
+        yielding=frozenset() if couplings is None else couplings.yielding,
         coupled=groups,
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,

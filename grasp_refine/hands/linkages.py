@@ -50,6 +50,8 @@ class Linkage:
     """Passive joint -> coefficients of its polynomial in the value of the driven joint, the constant first."""
     gap: float
     """Largest distance in metres between the ends of a chain with joints at these values."""
+    yielding: frozenset[str]
+    """Bodies that can move while the driven joint stands still, against springs: closed chains do not hold them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +193,7 @@ class _Closing:
                 for joint, fit in zip(self.passive, fits, strict=True)
                 if joint not in followers
             },
+            yielding=self._yielding(float(values[len(values) // 2]), fitted[len(values) // 2]),
             gap=max(self._gap(float(value), x) for value, x in zip(values, fitted, strict=True)),
         )
 
@@ -232,6 +235,20 @@ class _Closing:
             power = (data.qpos[two] - model.qpos0[two]) ** np.arange(5)
             errors.append(data.qpos[one] - model.qpos0[one] - np.atleast_1d(model.eq_data[number, :5] @ power))
         return np.concatenate(errors)
+
+    def _yielding(self, value: float, x: Float[np.ndarray, " p"]) -> frozenset[str]:
+        """Bodies that move with the passive joints in ways that keep the chains closed, to first order."""
+        steps = 1e-6 * np.eye(len(x))
+        J = np.stack([self._errors(value, x + dx) - self._errors(value, x - dx) for dx in steps], axis=1) / 2e-6
+        _, singular, ways = np.linalg.svd(J)
+        free = ways[(singular > 1e-4 * singular[0]).sum() :]
+        moving = {
+            int(self.model.jnt_bodyid[self.passive[at]]) for at in np.flatnonzero((np.abs(free) > 1e-3).any(axis=0))
+        }
+        for body in range(1, self.model.nbody):  # parents before children
+            if int(self.model.body_parentid[body]) in moving:
+                moving.add(body)
+        return frozenset(self.model.body(body).name for body in moving)
 
     def _gap(self, value: float, x: Float[np.ndarray, " p"]) -> float:
         """Largest distance in metres between the ends of a chain."""

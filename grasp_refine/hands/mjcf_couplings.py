@@ -33,6 +33,8 @@ class Couplings:
     """Joint that drives closed chains -> values at which they can be closed."""
     passive: frozenset[str] = frozenset()
     """Joints that follow in a closed chain."""
+    yielding: frozenset[str] = frozenset()
+    """Bodies of closed chains that give way to a push, by their names in the MJCF."""
     ends: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that close chains, by their names in the MJCF."""
     tendons: tuple[Mapping[str, float], ...] = ()
@@ -153,6 +155,7 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         mimics,
         ranges=ranges,
         passive=frozenset(passive),
+        yielding=frozenset().union(*(linkage.yielding for linkage in chained.linkages)),
         ends=chained.ends,
         tendons=tuple(tendons),
         single=frozenset(ours[name] for name in single & ours.keys()),

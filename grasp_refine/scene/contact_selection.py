@@ -22,7 +22,8 @@ class ContactSelection:
     reach: float = 0.01
     """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
     other_link_distance: float = 0.003
-    """All other links within this signed distance of the object touch it, in metres."""
+    """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
+    (`Hand.yielding`) do not."""
     farthest: float = 0.03
     """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
     links: tuple[str, ...] = ()
@@ -89,7 +90,8 @@ class ContactSelection:
         if self.links:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
-        touching = distance <= np.where(tips, self.reach, self.other_link_distance)
+        firm = tips | ~np.isin(links, list(hand.yielding))
+        touching = (distance <= np.where(tips, self.reach, self.other_link_distance)) & firm
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
             for column in np.argsort(distance[row], kind="stable"):
