@@ -159,7 +159,7 @@ def compare(
         np.concatenate([refinement.touching, refinement.touching]),
     )
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry)
-    moved = MeasuredRefinement(refinement, movement(before.T_world_root, before.q, T_after, q_after))
+    moved = MeasuredRefinement(refinement, movement(before.T_world_root, before.q, T_after, q_after, scene.hand.slides))
     measures = {}
     for each in RECORDED:
         values = each.formula(grasps if each.of_grasps else moved)

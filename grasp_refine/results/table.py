@@ -68,7 +68,7 @@ def grasp_table(
             "",
         ]
     if len(objects) > 1:
-        total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}", "")
+        total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}", "", _joint_keys(outcome))
         _add_summary(total, outcome)
         parts += [total, ""]
     lines = [_converged(outcome, config), _holding(outcome, config, held)]
@@ -88,8 +88,9 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
         good = np.zeros(len(outcome)) if held is None else held[:, 1]
         shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
         title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
-    table = _table(title, " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status")
-    columns = {key: outcome[key] for key in _TABLE_KEYS}
+    last = " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status"
+    table = _table(title, last, _joint_keys(outcome))
+    columns = {key: outcome[key] for key in (*_TABLE_KEYS, *_joint_keys(outcome))}
     for i in shown:
         verdict = Text(" ").append(_verdict(outcome, int(i), holds, held))
         table.add_row(str(outcome.index[i]), *_cells({key: columns[key][i] for key in columns}), verdict)
@@ -112,30 +113,41 @@ def plain_table(title: str, between: int = 1) -> Table:
     )
 
 
-def _table(title: str, last: str) -> Table:
+def _joint_keys(outcome: Outcome) -> tuple[str, ...]:
+    """Return keys of the movements of joints that the hand has: those that turn, those that slide."""
+    return tuple(key for key in _JOINT_HEADS if np.isfinite(outcome[key]).any()) or ("moved_joints_rad",)
+
+
+_JOINT_HEADS = {"moved_joints_rad": "joints\ndeg", "moved_slides_m": "slides\nmm"}
+"""Key of the movement of joints -> head of its column."""
+
+
+def _table(title: str, last: str, joints: tuple[str, ...]) -> Table:
     table = plain_table(title, between=0)
     table.add_column("\n grasp", justify="right", no_wrap=True)
     table.add_column("contact error\nmm, worst", justify="center", no_wrap=True)
     table.add_column("penetration\nmm, worst", justify="center", no_wrap=True)
     table.add_column("palm moved\nmm   deg", justify="right", no_wrap=True)
-    table.add_column("joints\ndeg", justify="right", no_wrap=True)
+    for key in joints:
+        table.add_column(_JOINT_HEADS[key], justify="right", no_wrap=True)
     table.add_column("\nquality", justify="center", no_wrap=True)
     table.add_column(last, no_wrap=True)
     return table
 
 
-_TABLE_KEYS = ("contact_error", "penetration", "moved_palm_m", "moved_palm_rad", "moved_joints_rad", "quality")
-"""Keys of the measures in the columns of the table, as many as 80 columns of text hold."""
+_TABLE_KEYS = ("contact_error", "penetration", "moved_palm_m", "moved_palm_rad", "quality")
+"""Keys of the measures in the columns of the table, besides `_joint_keys`; 80 columns of text hold no more."""
 
 
 def _cells(values: Mapping[str, Any]) -> list[RenderableType]:
-    """Return the cells of a row, given the values of the measures `_TABLE_KEYS`."""
-    error, depth, metres, radians, joints, quality = (values[key] * MEASURE[key].unit.factor for key in _TABLE_KEYS)
+    """Return the cells of a row, given the values of the measures `_TABLE_KEYS`, and then `_joint_keys`."""
+    error, depth, metres, radians, quality = (values[key] * MEASURE[key].unit.factor for key in _TABLE_KEYS)
+    joints = [number_text(values[key] * MEASURE[key].unit.factor, 1) for key in values if key in _JOINT_HEADS]
     return [
         _change(error),
         _change(depth),
         f"{number_text(metres, 1):>5} {number_text(radians, 1):>5}",
-        number_text(joints, 1),
+        *joints,
         _graded(quality),
     ]
 
@@ -156,7 +168,7 @@ def _add_summary(table: Table, outcome: Outcome) -> None:
     """Add rows of medians and of worst values."""
     for word in ("median", "worst"):
         values = {}
-        for key in _TABLE_KEYS:
+        for key in (*_TABLE_KEYS, *_joint_keys(outcome)):
             worst = np.min if MEASURE[key].better == "higher" else np.max
             values[key] = _over(np.median if word == "median" else worst, outcome[key])
         table.add_row(word, *_cells(values), style="bold" if word == "median" else "")

@@ -42,7 +42,9 @@ class Movement:
     palm_rad: np.ndarray
     """Rotation of the base link (N,), radians."""
     joints_rad: np.ndarray
-    """Largest joint movement (N,), radians (metres for prismatic joints)."""
+    """Largest movement of a joint that turns (N,), radians; NaN where the hand has none."""
+    slides_m: np.ndarray
+    """Largest movement of a joint that slides (N,), metres; NaN where the hand has none."""
 
 
 @stage("measuring")
@@ -95,7 +97,16 @@ def measure(
     )
 
 
-def movement(T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray) -> Movement:
-    """Return the movements of root poses (N, 4, 4) and joint values (N, n); NaN where they are not finite."""
+def movement(
+    T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray, slides: np.ndarray
+) -> Movement:
+    """Return the movements of root poses (N, 4, 4) and joint values (N, n); NaN where they are not finite.
+
+    `slides` (n,) is `Hand.slides`.
+    """
     moved, turned = distances(T_before, T_after)
-    return Movement(moved, turned, np.abs(q_after - q_before).max(axis=1, initial=0.0))
+    away = np.abs(q_after - q_before)
+    joints, sliding = (
+        away[:, kind].max(axis=1) if kind.any() else np.full(len(away), np.nan) for kind in (~slides, slides)
+    )
+    return Movement(moved, turned, joints, sliding)

@@ -211,7 +211,18 @@ MEASURES = (
         lambda of: of.movement.palm_rad,
     ),
     _refinement(
-        "moved_joints_rad", "joints moved", "the joint that moved most", RADIAN, lambda of: of.movement.joints_rad
+        "moved_joints_rad",
+        "joints moved",
+        "the joint that turned most",
+        RADIAN,
+        lambda of: of.movement.joints_rad,
+    ),
+    _refinement(
+        "moved_slides_m",
+        "slides moved",
+        "the joint that slid most, of hands that have some",
+        METRE,
+        lambda of: of.movement.slides_m,
     ),
     Measure(
         key="limits_violated",

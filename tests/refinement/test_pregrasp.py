@@ -84,7 +84,7 @@ def test_hands_open_around_a_mug(mugs: Scene) -> None:
     assert (distances(mugs, T, q) >= clearances(mugs.hand, mugs.links) - 1.1e-4).all()
     assert (q >= mugs.hand.lower).all() and (q <= mugs.hand.upper).all()
     assert self_penetration(mugs.hand, touching_pairs(mugs.hand), q).max() < 1e-4
-    moved = movement(mugs.T_world_root, mugs.q, T, q)
+    moved = movement(mugs.T_world_root, mugs.q, T, q, mugs.hand.slides)
     assert moved.palm_m.max() < 0.02 and moved.joints_rad.max() < 0.6
 
 

@@ -125,16 +125,17 @@ def test_movement_of_palm_and_joints() -> None:
     after[:, :3, 3] = before[:, :3, 3] + [[0, 0, 0], [0.003, 0.004, 0], [0, 0, 0], [0, 0, -1.0]]
     q = rng.normal(size=(4, 3))
     shift = np.array([[0.1, -0.2, 0], [0, 0, 0], [0.5, 0, 0], [0, 0, -0.3]])
-    found = movement(before, q, after, q + shift)
+    found = movement(before, q, after, q + shift, np.array([False, False, True]))
     np.testing.assert_allclose(found.palm_m, [0, 0.005, 0, 1.0], atol=1e-12)
     np.testing.assert_allclose(found.palm_rad, [0.3, np.pi, 1e-9, 0], atol=1e-12)
-    np.testing.assert_allclose(found.joints_rad, [0.2, 0, 0.5, 0.3], atol=1e-12)
+    np.testing.assert_allclose(found.joints_rad, [0.2, 0, 0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(found.slides_m, [0, 0, 0, 0.3], atol=1e-12)
 
 
 def test_movement_of_what_is_not_finite_is_unknown() -> None:
     T = poses(2)
     T[1, 0, 0] = np.nan
-    found = movement(poses(2), np.zeros((2, 1)), T, np.zeros((2, 1)))
+    found = movement(poses(2), np.zeros((2, 1)), T, np.zeros((2, 1)), np.array([False]))
     np.testing.assert_array_equal(np.isnan(found.palm_m), [False, True])
     np.testing.assert_array_equal(np.isnan(found.palm_rad), [False, True])
-    assert movement(poses(1), np.zeros((1, 0)), poses(1), np.zeros((1, 0))).joints_rad[0] == 0.0
+    assert found.joints_rad.tolist() == [0.0, 0.0] and np.isnan(found.slides_m).all(), "the hand has no slides"

@@ -19,7 +19,7 @@ def test_keys_in_files_are_those_that_programs_know():
     assert entries == {
         *(f"{key}_{side}" for key in both for side in ("before", "after")),
         *("starts", "iterations", "queries", "loss", "limits_violated", "cpu_s", "wall_s"),
-        *("moved_palm_m", "moved_palm_rad", "moved_joints_rad"),
+        *("moved_palm_m", "moved_palm_rad", "moved_joints_rad", "moved_slides_m"),
     }
     columns = {column for measure in RECORDED for column in measure.columns.values()}
     assert columns == {
@@ -36,7 +36,7 @@ def test_quality_and_contacts_are_better_high_and_errors_and_costs_low():
     found = {better: {one.key for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
     assert found["higher"] == {"quality", "contact_number"}
     assert found[""] == {"starts", *(one.key for one in MOVEMENTS)}
-    assert len(found["lower"]) + 6 == len(MEASURES)
+    assert len(found["lower"]) + 7 == len(MEASURES)
 
 
 @pytest.mark.parametrize("measure", MEASURES, ids=lambda one: one.key)
@@ -58,9 +58,9 @@ def test_measures_of_a_refinement_are_each_its_own():
         T[1:], q[1:], none[..., 0] > 0, none, none, np.ones(1, dtype=int), np.array([[7.0, 8.0]]),
         **{key: np.array([value]) for key, value in cost.items()},
     )  # fmt: skip
-    measured = MeasuredRefinement(refinement, movement(T[:1], q[:1], T[1:], q[1:]))
+    measured = MeasuredRefinement(refinement, movement(T[:1], q[:1], T[1:], q[1:], np.array([False, True])))
     found = {one.key: one.formula(measured).item() for one in RECORDED if not one.of_grasps}
-    moved = {"moved_palm_m": 0.25, "moved_palm_rad": np.pi / 2, "moved_joints_rad": 0.5}
+    moved = {"moved_palm_m": 0.25, "moved_palm_rad": np.pi / 2, "moved_joints_rad": 0.0, "moved_slides_m": 0.5}
     assert found == pytest.approx({**cost, "loss": 8.0, **moved}) and [one.key for one in MOVEMENTS] == list(moved)
     refinement.loss[0, 1] = np.inf
     assert np.isnan(MEASURE["loss"].formula(measured)).all()

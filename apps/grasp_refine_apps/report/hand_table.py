@@ -21,13 +21,13 @@ from grasp_refine_apps.report.hand_facts import examples, licence
 NUMERIC_COLUMNS = ("joints", "links", "lower", "upper", "mass, g", "grasps", "effort")
 """Right-aligned columns."""
 
-UNWRAPPED_COLUMNS = ("hand", "turns, deg", "licence", "kind")
+UNWRAPPED_COLUMNS = ("hand", "range, deg", "licence", "kind")
 """Columns whose text is never wrapped."""
 
 
 def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
     """Table of the hands that ship with the program; `waiting` are those without a URDF."""
-    table = _table("hand", "joints", "turns, deg", "links", "fingers", "licence", "grasps")
+    table = _table("hand", "joints", "range, deg", "links", "fingers", "licence", "grasps")
     for hand in hands:
         followers = sum(joint.mimic is not None for joint in hand.joints)
         table.add_row(
@@ -132,11 +132,15 @@ def _table(*columns: str) -> Table:
 
 
 def _range(hand: Hand) -> str:
-    """Smallest and largest limit of the turning joints."""
-    turning = [joint for joint in hand.joints if joint.name in hand.joint_names and joint.kind != "prismatic"]
-    if not turning:
-        return "-"
-    return f"{_degrees(min(j.lower for j in turning))} to {_degrees(max(j.upper for j in turning))}"
+    """Smallest and largest limit of the joints that turn, and of those that slide, the latter with their unit."""
+    texts = []
+    for slides in (False, True):
+        names = (name for name, sliding in zip(hand.joint_names, hand.slides, strict=True) if sliding == slides)
+        alike = [hand.joints_by_name[name] for name in names]
+        if alike:
+            low, high = min(alike, key=lambda joint: joint.lower), max(alike, key=lambda joint: joint.upper)
+            texts.append(f"{show_value(low, low.lower).removesuffix(' mm')} to {show_value(high, high.upper)}")
+    return ", ".join(texts) or "-"
 
 
 def _shapes_text(pieces: Sequence[Piece]) -> str:

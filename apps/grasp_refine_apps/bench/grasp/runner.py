@@ -131,7 +131,7 @@ class SetTask:
                 for name in ("T_world_root", "q", "touching", "status", "iterations", "queries", "cpu_s")
             )
             before, after = measure_grasps(scene, scene.T_world_root, scene.q), measure_grasps(scene, T, q)
-            moved = movement(scene.T_world_root, scene.q, T, q)
+            moved = movement(scene.T_world_root, scene.q, T, q, scene.hand.slides)
             counts = touching, status, iterations, queries
             return GroupResult(tasks, before, after, moved, *counts, cpu_s, wall_s, solver_cpu_s, watch)
 

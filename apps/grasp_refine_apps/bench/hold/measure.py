@@ -124,13 +124,13 @@ class GroupTask:
         before = scene = self.scene
         count, touching = len(scene.q), None
         cost = dict(zip(("cpu_ms", "wall_ms", "stages_cpu_ms", "starts"), np.full((4, count), np.nan), strict=True))
-        moved = dict(zip(("palm_m", "palm_rad", "joints_rad"), np.full((3, count), np.nan), strict=True))
+        moved = dict(zip(("palm_m", "palm_rad", "joints_rad", "slides_m"), np.full((4, count), np.nan), strict=True))
         config = method.config(self.seed, self.width)
         if config is not None:
             found = refine(scene, config, prepared=prepared)
             scene, touching = replace(scene, T_world_root=found.T_world_root, q=found.q), found.touching
             cost |= {"cpu_ms": 1e3 * found.cpu_s, "wall_ms": 1e3 * found.wall_s, "starts": found.starts.astype(float)}
-            moved = vars(movement(before.T_world_root, before.q, scene.T_world_root, scene.q))
+            moved = vars(movement(before.T_world_root, before.q, scene.T_world_root, scene.q, scene.hand.slides))
         if method.name == "as-came" and self.motion is not None:
             motion = self.motion
         else:

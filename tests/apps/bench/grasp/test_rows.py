@@ -58,7 +58,7 @@ def part(kind: Kind, name: str, before: Measures, after: Measures, cpu_s: list[f
         tasks=Tasks(name, 1.0, SCENES[name], np.arange(10, 10 + n)),
         before=before,
         after=after,
-        moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2)),
+        moved=Movement(np.full(n, 0.01), np.full(n, 0.1), np.full(n, 0.2), np.full(n, np.nan)),
         touching=np.tile([True, False], (n, 1)),
         status=np.full(n, Status.CONVERGED),
         iterations=np.arange(1, n + 1),
