@@ -18,6 +18,8 @@ class IterationState:
 
     row: np.ndarray
     """Rows (M,) of the grasps in their scene; one that is tried from several starts at once appears once per start."""
+    member: np.ndarray
+    """Numbers (M,) of the grasps' starts in the present attempt, which tries several at once."""
     point: Point
     """Poses of the base link (M, 4, 4) and joint values (M, n)."""
     loss: np.ndarray
@@ -48,7 +50,7 @@ def with_callback(
 
     def callback(member: np.ndarray, point: Point, loss: np.ndarray) -> None:
         on_iteration(
-            IterationState(member if rows is None else rows[member], point, loss, goal.touching[member], stage)
+            IterationState(member if rows is None else rows[member], member, point, loss, goal.touching[member], stage)
         )
 
     return callback

@@ -67,14 +67,10 @@ def refine_grasp(
     """
     scene = posed_scene(scene, pose, targets)
     config.contact_selection.named(scene.hand, scene.links)
-    recorder = Recorder(prepared, targets, config.margin)
+    recorder = Recorder(prepared, pose, targets, config.margin)
     searches = config.holds and not targets
     max_count = most_iterations(config) if searches else config.solver.iterations
     last, count = -np.inf, 0
-    if targets:
-        # The first iteration then begins where inverse kinematics has led.
-        assert scene.target_link is not None
-        recorder.keep(pose, np.isfinite(scene.target_link[0]).all(axis=-1), np.nan, "the input grasp")
 
     def on_iteration(state: IterationState) -> None:
         nonlocal last, count
@@ -95,14 +91,12 @@ def refine_grasp(
         alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
     )
     end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
-    recorder.keep(end, outcome.touching[0], float(outcome["loss"][0]), "the best of all")
-    trace = recorder.trace()
-    assert trace is not None
+    trace = recorder.result(end, outcome.touching[0], float(outcome["loss"][0]))
     return RefinedGrasp(end, recounted(trace, scene, outcome), outcome)
 
 
 def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
-    """Return a trace with the contact error over those links that the outcome counts, in every iteration.
+    """Return a trace with its measures, the contact error over those links that the outcome counts in every iteration.
 
     Each phase of a refinement chooses links anew, so that errors over its own links do not compare.
     """
@@ -121,7 +115,8 @@ def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
         trace.margin,
         touching,
     )
-    return replace(trace, touching=touching, contact_error=worst_over_links(geometry.contact_error))
+    error = worst_over_links(geometry.contact_error)
+    return replace(trace, touching=touching, contact_error=error, penetration=geometry.penetration)
 
 
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.contacts import contacts_of, distances_text
@@ -48,61 +49,108 @@ class Trace:
         return Pose(self.T[k], self.q[k])
 
 
-INITIAL_CAPACITY = 256
-"""Initial capacity in iterations; it is doubled when it is used up."""
-
-
 def subsample(count: int, limit: int) -> Int[np.ndarray, " k"]:
     """Return at most `limit` of `count` indices from 0, evenly spaced, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
 
 
-class Recorder:
-    """Builder of the trace of the one grasp of a scene while it is refined."""
+@dataclass(frozen=True, eq=False)
+class _Iteration:
+    """One iteration of one way; measures are NaN where it was not followed."""
 
-    def __init__(self, prepared: HandObject, targets: Sequence[Target], margin: float) -> None:
+    way: int
+    pose: Pose
+    touching: Bool[np.ndarray, " L"]
+    loss: float
+    label: str
+    contact_error: float = np.nan
+    penetration: float = np.nan
+
+
+class Recorder:
+    """Builder of the trace of the one grasp of a scene while it is refined.
+
+    A refinement may try several starts, one after the other and at once. A trace shows one way at a time, from the
+    input grasp on: while it runs, that of the first start that is not done; in the end, that which led to the result.
+    """
+
+    def __init__(self, prepared: HandObject, start: Pose, targets: Sequence[Target], margin: float) -> None:
         """Record nothing yet.
 
         Args:
             prepared: Hand and object.
+            start: Pose of the hand before the refinement.
             targets: Target points of links on the object; empty: links touch anywhere.
             margin: Gap in metres that contacts should keep.
         """
-        self._prepared, self._targets, self._margin = prepared, targets, margin
-        self._columns: list[np.ndarray] = []
-        self._labels: list[str] = []
+        self._prepared, self._start, self._targets, self._margin = prepared, start, targets, margin
+        self._iterations: list[_Iteration] = []
+        self._ways: dict[tuple[int, int], int] = {}
+        self._attempt, self._stage, self._followed = 0, "", 0
 
     def add(self, state: IterationState) -> None:
-        """Keep an iteration; of several starts at once, that with the lowest loss."""
-        best = int(np.argmin(np.nan_to_num(state.loss, nan=np.inf)))
-        pose = Pose(state.point.T[best].copy(), state.point.q[best].copy())
-        self.keep(pose, state.touching[best], float(state.loss[best]), state.stage)
+        """Keep an iteration of all starts that are tried at once."""
+        if state.stage == PHASES[0].name != self._stage:
+            self._attempt += 1
+        self._stage = state.stage
+        first = int(state.member.min())
+        for i, member in enumerate(state.member.tolist()):
+            way = self._ways.setdefault((self._attempt, member), len(self._ways))
+            label = state.stage if way == 0 else f"{state.stage}, try {way + 1}"
+            pose = Pose(state.point.T[i].copy(), state.point.q[i].copy())
+            iteration = _Iteration(way, pose, state.touching[i].copy(), float(state.loss[i]), label)
+            if member == first:
+                self._followed, iteration = way, self._measured(iteration)
+            self._iterations.append(iteration)
 
-    def keep(self, pose: Pose, touching: np.ndarray, loss: float, label: str) -> None:
-        """Keep a pose of the hand, with its measures."""
+    def _measured(self, iteration: _Iteration) -> _Iteration:
+        """Return an iteration with its measures, over the links that should touch in it."""
+        pose = iteration.pose
         found = contacts_of(
             self._prepared,
             pose.T_object_root,
             pose.q,
-            touching=touching,
+            touching=iteration.touching,
             targets=self._targets,
             margin=self._margin,
         )
-        row = (pose.T_object_root, pose.q, touching, loss, found.contact_error, found.penetration)
-        count = len(self._labels)
-        if not self._columns:
-            self._columns = [np.empty((INITIAL_CAPACITY, *np.shape(value)), np.asarray(value).dtype) for value in row]
-        elif count == len(self._columns[0]):
-            # Traces that were returned before keep views of the old arrays.
-            self._columns = [np.concatenate([column, np.empty_like(column)]) for column in self._columns]
-        for column, value in zip(self._columns, row, strict=True):
-            column[count] = value
-        self._labels.append(label)
+        return replace(iteration, contact_error=found.contact_error, penetration=found.penetration)
 
     def trace(self) -> Trace | None:
-        """Return what was kept so far, without copying it; None: nothing."""
-        count = len(self._labels)
-        if not count:
+        """Return the way that is followed so far; None: there is no iteration yet."""
+        return self._trace([one for one in self._iterations if one.way == self._followed])
+
+    def result(self, end: Pose, touching: np.ndarray, loss: float) -> Trace:
+        """Return the way that led to the result, whose measures are not known yet in part."""
+
+        def distance(one: _Iteration) -> float:
+            moved = one.pose.T_object_root - end.T_object_root
+            return float(np.abs(moved).max() + np.abs(one.pose.q - end.q).max())
+
+        last = _Iteration(-1, end, touching, loss, "the best of all")
+        known = [one for one in self._iterations if one.pose.finite]
+        way = min(known, key=distance).way if known else 0
+        found = self._trace([*(one for one in self._iterations if one.way == way), self._measured(last)])
+        assert found is not None
+        return found
+
+    def _trace(self, iterations: list[_Iteration]) -> Trace | None:
+        """Return the trace of some iterations, with the input grasp before them if they begin elsewhere."""
+        if not iterations:
             return None
-        T, q, touching, loss, contact_error, penetration = (column[:count] for column in self._columns)
-        return Trace(T, q, touching, loss, contact_error, penetration, tuple(self._labels), self._margin)
+        first = iterations[0]
+        if not np.allclose(first.pose.T_object_root, self._start.T_object_root) or not np.allclose(
+            first.pose.q, self._start.q
+        ):
+            start = _Iteration(first.way, self._start, first.touching, np.nan, "the input grasp")
+            iterations = [self._measured(start), *iterations]
+        return Trace(
+            T=np.stack([one.pose.T_object_root for one in iterations]),
+            q=np.stack([one.pose.q for one in iterations]),
+            touching=np.stack([one.touching for one in iterations]),
+            loss=np.array([one.loss for one in iterations]),
+            contact_error=np.array([one.contact_error for one in iterations]),
+            penetration=np.array([one.penetration for one in iterations]),
+            label=tuple(one.label for one in iterations),
+            margin=self._margin,
+        )

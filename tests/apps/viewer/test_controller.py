@@ -16,6 +16,7 @@ from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
@@ -89,6 +90,24 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     seen = [state for state in states if state.job is not None and state.job.kind == "refine" and state.trace]
     assert len({len(state.trace) for state in seen}) > 3
     assert [state.change for state in states] == sorted({state.change for state in states})
+
+
+def test_of_several_starts_the_timeline_shows_the_one_that_led_to_the_result(
+    viewer: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It jumped between them."""
+    monkeypatch.setattr(force_closure_search, "GOOD_SCORE", -1.0)  # so that all starts are tried
+    viewer.set_settings(Settings(starts=4))
+    start = viewer.state.pose
+    viewer.start()
+    settled(viewer, 60.0)
+    trace, outcome = viewer.state.trace, viewer.state.outcome
+    assert outcome["starts"][0] > 1
+    assert same(trace.pose(0), start) and same(trace.pose(len(trace) - 1), viewer.state.pose)
+    tries = {label.partition(", ")[2] for label in trace.label[1:-1]}
+    assert len(tries) == 1 and np.isfinite(trace.contact_error).all() and np.isfinite(trace.penetration).all()
+    # One way has no jumps but those at its beginning, to a start nearby, and at its end, to its best iteration.
+    assert np.linalg.norm(np.diff(trace.T[1:-1, :3, 3], axis=0), axis=1).max() < 0.02
 
 
 def test_stop_takes_effect_at_the_next_iteration_and_keeps_what_was_reached(viewer: Controller) -> None:
