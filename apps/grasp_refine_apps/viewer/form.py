@@ -20,7 +20,7 @@ from tyro.conf import Suppress
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.viewer.units import FieldUnit, in_unit
+from grasp_refine_apps.viewer.units import FieldUnit
 
 REFUSAL_DELAY_S = 1.5
 """Seconds after the last key until invalid text is refused: until then it may be half typed."""
@@ -144,7 +144,7 @@ class Form:
                     self._make(part.parts)
             else:
                 if part.name in self.units:
-                    part = in_unit(part, self.units[part.name], as_text, attrgetter(part.name)(self._defaults))
+                    part = in_unit(part, self.units[part.name], attrgetter(part.name)(self._defaults))
                 self._entries[part.name] = part
                 self.handles[part.name] = self._make_widget(part)
 
@@ -236,6 +236,18 @@ class Form:
         """Cancel a pending refusal."""
         if timer := self._waiting.pop(name, None):
             timer.cancel()
+
+
+def in_unit(entry: Entry, unit: FieldUnit, default: Any) -> Entry:
+    """Return the entry of a field, whose default is in SI units, that is shown and typed in a unit."""
+    before, after = (f"(default: {as_text(value)})" for value in (default, unit.shown(default)))
+    return replace(
+        entry,
+        label=f"{entry.label}, {unit.symbol}",
+        hint=unit.hint(entry.hint).replace(before, after),
+        read=lambda text: unit.si(entry.read(text)),
+        write=lambda value: as_text(unit.shown(value)),
+    )
 
 
 def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Section, ...]:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from grasp_refine_apps.viewer.form import Entry
+from dataclasses import dataclass
+from typing import Any
 
 DIGITS = 12
 """Significant digits of shown values, so that factors leave no rounding errors."""
@@ -32,6 +29,13 @@ class FieldUnit:
     def si(self, value: Any) -> Any:
         """Return a shown value in SI units."""
         return self._scaled(value, lambda number, factor: number / factor)
+
+    def hint(self, text: str) -> str:
+        """Return a hint in SI units in the shown ones; numbers other than the example stay."""
+        if self.factors == (1.0,):
+            return text
+        text = text.replace(*self.example) if self.example[0] else text
+        return text.replace("metres", "mm").replace("radians", "degrees")
 
     def _scaled(self, value: Any, scale: Callable[[float, float], float]) -> Any:
         if value is None:
@@ -62,27 +66,3 @@ SETTING_UNITS: Mapping[str, FieldUnit] = {
     **{f"{solver}.step_{what}": RADIANS for solver in ("descent", "adam") for what in ("rotation", "joints")},
 }
 """Name of a field -> its unit; step lengths stay as the paper gives them."""
-
-
-def in_unit(entry: Entry, unit: FieldUnit, as_text: Callable[[Any], str], default: Any) -> Entry:
-    """Return the entry of a field that is shown and typed in a unit.
-
-    Args:
-        entry: The entry, in SI units.
-        unit: The unit.
-        as_text: Function that returns a value as text to type.
-        default: Default of the field, for the hint.
-    """
-    hint = entry.hint
-    if unit.factors != (1.0,):
-        hint = hint.replace(*unit.example) if unit.example[0] else hint
-        hint = hint.replace("metres", "mm").replace("radians", "degrees")
-        if default is not None:
-            hint = hint.replace(f"(default: {as_text(default)})", f"(default: {as_text(unit.shown(default))})")
-    return replace(
-        entry,
-        label=f"{entry.label}, {unit.symbol}",
-        hint=hint,
-        read=lambda text: unit.si(entry.read(text)),
-        write=lambda value: as_text(unit.shown(value)),
-    )
