@@ -22,6 +22,8 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
 from grasp_refine.grasps.formats.format import Load, Part
+from grasp_refine.grasps.formats.leap_cache import NUM_COLUMNS as NUM_LEAP_COLUMNS
+from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.multidex import (
     ROBOTS as MULTIDEX_ROBOTS,
 )
@@ -94,7 +96,8 @@ def _entries_of_array(source: Source) -> Entries:
     robot, thing = source.path.absolute().parent.name, source.path.stem.rpartition("_")[0] or source.path.stem
     if robot not in ROBOTS:
         raise source.error(
-            f"is an array of rows, whose hand is the name of its folder; {robot[:40]!r} is none of {', '.join(ROBOTS)}"
+            f"is an array {source.content.shape} as {DRO.name} has it, whose hand is the name of its folder; "
+            f"{robot[:40]!r} is none of {', '.join(ROBOTS)}; an array of {LeapCache.name} is (N, {NUM_LEAP_COLUMNS})"
         )
     return [(row, thing, robot) for row in source.content]
 
