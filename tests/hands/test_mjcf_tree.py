@@ -1,5 +1,6 @@
 """An MJCF as a hand: its links, joints, geometry, couplings and actuators are those of MuJoCo."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,7 +14,7 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.self_collision import candidate_pairs
+from grasp_refine.hands.self_collision import candidate_pairs, touching_pairs
 from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.validate import model_of
@@ -298,3 +299,19 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, named: tu
     path.write_text(text)
     with refused(HandError, "hand.xml", *named):
         load_hand(path, candidates=16)
+
+
+def test_links_that_overlap_at_rest_are_kept_apart_unless_the_file_excludes_them(tmp_path: Path) -> None:
+    """MuJoCo pushes apart what an MJCF does not exclude; of a URDF such an overlap is taken for its design."""
+    finger = """<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0" range="-1.5 1.5"/>
+      <geom type="capsule" size="0.01" fromto="0 0 0.05 0 0 0.1"/></body>"""
+    fingers = finger.format("a", -0.009) + finger.format("b", 0.009)
+    palm = f'<body name="palm"><geom size="0.005"/>{fingers}</body>'
+    text = f'<mujoco><compiler angle="radian"/><worldbody>{palm}</worldbody>{{}}</mujoco>'
+    path = tmp_path / "hand.xml"
+    path.write_text(text.format(""))
+    hand = load_hand(path, candidates=16)
+    assert touching_pairs(hand, cache=None) == (("a", "b"),)
+    assert touching_pairs(replace(hand, excluded=None), cache=None) == ()
+    path.write_text(text.format('<contact><exclude body1="b" body2="a"/></contact>'))
+    assert touching_pairs(load_hand(path, candidates=16), cache=None) == ()
