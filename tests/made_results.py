@@ -62,6 +62,7 @@ def made_up(grasps: GraspSet, hand: Hand, q: np.ndarray) -> Outcome:
         queries=number + 20,
         moved_palm_m=0.01,
         moved_joints_rad=0.1,
+        moved_slides_m=np.nan,
         starts=1,
         cpu_s=1.0,
         wall_s=1.0,
@@ -138,6 +139,7 @@ def error_in_millimetres(count: int, objects: tuple[str, ...] = ("mug",)) -> Out
         moved_palm_m=4e-3,
         moved_palm_rad=np.radians(5.0),
         moved_joints_rad=np.radians(6.0),
+        moved_slides_m=np.nan,
         wall_s=0.25,
     )
     error = np.full((count, 2, 3), np.nan)

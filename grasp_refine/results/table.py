@@ -114,8 +114,8 @@ def plain_table(title: str, between: int = 1) -> Table:
 
 
 def _joint_keys(outcome: Outcome) -> tuple[str, ...]:
-    """Return keys of the movements of joints that the hand has: those that turn, those that slide."""
-    return tuple(key for key in _JOINT_HEADS if np.isfinite(outcome[key]).any()) or ("moved_joints_rad",)
+    """Return the key of the movement of joints that is shown: of those that slide where the hand has no others."""
+    return tuple(key for key in _JOINT_HEADS if np.isfinite(outcome[key]).any())[:1] or ("moved_joints_rad",)
 
 
 _JOINT_HEADS = {"moved_joints_rad": "joints\ndeg", "moved_slides_m": "slides\nmm"}

@@ -103,7 +103,8 @@ def test_a_document_has_si_units_and_null_for_nan():
     assert second["simulation"] == {"before": None, "after": None}
     assert second["penetration_m"] == {"before": 0.002, "after": 0.0001}
     assert second["moved"] == {
-        "palm_m": None, "palm_rad": pytest.approx(np.radians(5)), "joints_rad": pytest.approx(np.radians(6))
+        "palm_m": None, "palm_rad": pytest.approx(np.radians(5)), "joints_rad": pytest.approx(np.radians(6)),
+        "slides_m": None,
     }  # fmt: skip
 
 

@@ -60,6 +60,16 @@ def text(
 # The table
 
 
+def test_the_table_tells_slides_in_millimetres():
+    """A gripper that slides has no column in degrees for its joints."""
+    outcome = with_measures(
+        error_in_millimetres(3), moved_slides_m=np.full(3, 7e-3), moved_joints_rad=np.full(3, np.nan)
+    )
+    lines = text(outcome)
+    assert any("slides" in line.split() for line in lines) and not any("joints" in line.split() for line in lines[:4])
+    assert any("4.0 5.0 7.0 0.400" in " ".join(line.split()) for line in lines)
+
+
 def test_the_table_speaks_millimetres_and_degrees():
     lines = text(error_in_millimetres(3))
     assert_names(lines[0], "claw", "mug", "3 grasps")

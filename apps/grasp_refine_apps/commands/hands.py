@@ -25,7 +25,7 @@ from grasp_refine_apps.report.screen import screen
 if TYPE_CHECKING:
     from grasp_refine_apps.report.hand_check import HandCheck
 
-NUM_CANDIDATES = 16
+NUM_CANDIDATES, CHECK_CANDIDATES = 16, 512
 """Number of surface points per link where they are not used."""
 TRIED_CANDIDATES = 1024
 """Number of surface points per link of a hand that is tried, as everywhere."""
@@ -100,7 +100,7 @@ class Hands:
             raise GraspRefineError("several hands, and --markdown, go with --check --tries N")
         if (self.write and not self.check) or (self.out is not None and not self.write):
             raise GraspRefineError("--write goes with --check, and --out with both")
-        hand = self._load(self.hands[0], NUM_CANDIDATES)
+        hand = self._load(self.hands[0], CHECK_CANDIDATES if self.check else NUM_CANDIDATES)
         return self._check(hand) if self.check else self._show(hand)
 
     def _load(self, source: str, candidates: int) -> Hand:
@@ -226,6 +226,10 @@ def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
     for title, lines in sections.items():
         console.print(f"[bold]{title}[/]")
         console.print(bullets(lines or ["nothing"]))
+    if found.jaws:
+        console.print(
+            "two jaws: {:.1f} to {:.1f} mm wide; sample:N draws antipodal grasps".format(*(1e3 * w for w in found.jaws))
+        )
     if found.size:
         console.print("size at rest: {:.0f} x {:.0f} x {:.0f} mm".format(*(side * 1e3 for side in found.size)))
 

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
@@ -16,6 +17,8 @@ from grasp_refine.hands.description import joints_fixed_and_mimicking, links_wit
 from grasp_refine.hands.hand import Hand, Joint
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine.validation.validate import model_of
@@ -46,6 +49,8 @@ class HandCheck:
     """Missing or suspicious values."""
     size: tuple[float, ...]
     """Extent (3,) in metres along the axes of the base link, at the rest pose; empty if no link has geometry."""
+    jaws: tuple[float, ...]
+    """Least and greatest width (2,) in metres of a gripper with two jaws; empty for other hands."""
 
     def document(self) -> dict[str, Any]:
         """Return the check as a JSON object."""
@@ -60,7 +65,17 @@ def check_hand(hand: Hand) -> HandCheck:
     """
     notes, refused = _simulated(hand)
     size = _size(hand)
-    return HandCheck(_contacts(hand), classify_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size)
+    return HandCheck(
+        _contacts(hand), classify_pairs(hand), notes, refused, tuple(_suspicious(hand, size)), size, _jaws(hand)
+    )
+
+
+def _jaws(hand: Hand) -> tuple[float, ...]:
+    try:
+        jaws = jaw_frame(hand, closure_frame(hand))
+    except HandError:  # no joint moves a contact link
+        return ()
+    return () if jaws is None else (float(jaws.width[-1]), float(jaws.width[0]))
 
 
 def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:

@@ -123,6 +123,13 @@ def test_every_key_is_explained(tmp_path: Path) -> None:
 # where it is written
 
 
+def test_the_width_of_jaws_is_told_in_millimetres(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hands", "--check", "franka_hand"]) == 0
+    assert_names(capsys.readouterr().out.replace("\n", " "), "two jaws", "0.0 to 80.0 mm wide", "40.0 mm")
+    assert check_hand(load_hand("franka_hand", candidates=512)).jaws == pytest.approx((0.0, 0.08), abs=1e-9)
+    assert check_hand(load_hand("allegro", candidates=16)).jaws == ()
+
+
 def test_a_check_alone_writes_nothing(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = pincers(workplace)
     assert main(["hands", "--check", str(path)]) == 0

@@ -86,10 +86,10 @@ def test_stages_of_the_file_are_those_that_are_simulated(results: list[GroupResu
 
 def test_only_refinement_costs_and_moves(results: list[GroupResult]):
     for one in results[:2]:
-        for name in ("cpu_ms", "wall_ms", "starts", "moved_palm_m", "moved_joints_rad"):
+        for name in ("cpu_ms", "wall_ms", "starts", "moved_palm_m", "moved_slides_m"):
             assert np.isnan(one.values[name]).all()
         assert one.values["contact_gap_m"][0] == pytest.approx(0.002, abs=1e-6)
     for one in results[2:]:
         assert all((one.values[name] > 0).all() for name in ("cpu_ms", "wall_ms", "starts"))
-        assert one.values["contact_gap_m"][0] < 1e-4 and one.values["moved_joints_rad"][0] > 0.001
+        assert one.values["contact_gap_m"][0] < 1e-4 and one.values["moved_slides_m"][0] > 0.001
         assert one.reason["dexgraspbench"][0] == Reason.HELD
