@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from grasp_refine_apps.report.hand_check import HandCheck
 
 NUM_CANDIDATES, CHECK_CANDIDATES = 16, 512
-"""Number of surface points per link where they are not used."""
+"""Number of surface points per link where they are not used, and where pads are looked for."""
 TRIED_CANDIDATES = 1024
 """Number of surface points per link of a hand that is tried, as everywhere."""
 OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.03", "cylinder:0.03,0.12")

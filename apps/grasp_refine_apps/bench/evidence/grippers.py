@@ -1,6 +1,6 @@
 """Measure grasps of grippers before and after refinement: sampled ones, and the same ones perturbed.
 
-Run `python -m grasp_refine_apps.bench.grippers --assets ASSETS --hands franka_hand my_gripper.urdf`. Each
+Run `python -m grasp_refine_apps.bench.evidence.grippers --assets ASSETS --hands franka_hand my_gripper.urdf`. Each
 gripper samples grasps on each object of `OBJECTS`; each of them is tried as it is, and moved by 5 mm in a random
 direction and turned by 10 degrees about a random axis through its pads. All are refined, and simulated before and after
 with our pregrasps and squeezes, under `PROTOCOLS`. Objects are scaled as objects.csv suggests or, where no grasp is
