@@ -31,6 +31,9 @@ def _side(name: str, sign: int) -> str:
       </body>"""
 
 
+STIFF = 'solref="0.005 1" solimp="0.99 0.999 0.001"'
+"""Parameters of equalities that hardly give way."""
+
 XML = f"""<mujoco model="linkage_gripper">
   <compiler angle="radian"/>
   <worldbody>
@@ -50,9 +53,9 @@ XML = f"""<mujoco model="linkage_gripper">
     </fixed>
   </tendon>
   <equality>
-    <connect body1="right_inner" body2="right_finger" anchor="{INNER_M[0]} 0 {INNER_M[1]}"/>
-    <connect body1="left_inner" body2="left_finger" anchor="{-INNER_M[0]} 0 {INNER_M[1]}"/>
-    <joint joint1="left_driver_joint" joint2="right_driver_joint"/>
+    <connect body1="right_inner" body2="right_finger" anchor="{INNER_M[0]} 0 {INNER_M[1]}" {STIFF}/>
+    <connect body1="left_inner" body2="left_finger" anchor="{-INNER_M[0]} 0 {INNER_M[1]}" {STIFF}/>
+    <joint joint1="left_driver_joint" joint2="right_driver_joint" {STIFF}/>
   </equality>
   <actuator>
     <general name="close" tendon="split" biastype="affine" gainprm="0.176470588" biasprm="0 -50 -2" ctrlrange="0 255"

@@ -171,7 +171,7 @@ def test_it_grasps_refines_and_holds(hand: Hand) -> None:
     grasps = sample_grasps(hand, obj, 3)
     refined = refine(hand, obj, grasps)
     assert (refined.status == "converged").sum() >= 2
-    assert simulate(refined).held.sum() >= 2
+    assert simulate(refined).held[:, 1].sum() >= 2
 
 
 def test_an_equality_may_be_a_polynomial(tmp_path: Path) -> None:

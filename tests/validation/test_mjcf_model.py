@@ -350,7 +350,7 @@ def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
         '<motor name="p1" joint="rh_a1_j"/>',
         '<position name="p1" joint="rh_a1_j" kp="3" timeconst="0.1"/>',
         '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0.5 -3 0"/>',
-        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 -2 0"/>',
+        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 2 0"/>',
     ],
 )
 def test_what_is_no_position_servo_is_replaced_by_those_of_the_hand(tmp_path: Path, servo: str) -> None:
@@ -362,6 +362,17 @@ def test_what_is_no_position_servo_is_replaced_by_those_of_the_hand(tmp_path: Pa
     assert_names(" ".join(made.notes), "hand.xml", "p1", "position")
     np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
     np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
+
+
+def test_a_servo_whose_control_has_other_units_is_one_with_set_points(tmp_path: Path) -> None:
+    """Menagerie's grippers have a control from 0 to 255: its force is gain x control - stiffness x length."""
+    servo = '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="0.06" biasprm="0 -3 0" ctrlrange="0 255"/>'
+    path = written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo))
+    made = mjcf_model(ours(tmp_path), path)
+    model = made.spec.compile()
+    at = model.actuator("p1").id
+    assert model.actuator_gainprm[at, 0] == 3.0 and made.actuator.kp[0] == pytest.approx(3.0)
+    np.testing.assert_allclose(model.actuator_ctrlrange[at], [0.0, 255 * 0.06 / 3.0])
 
 
 def test_names_match_behind_a_prefix() -> None:
