@@ -343,6 +343,7 @@ class Slopes:
     def __init__(self, hills: Hills, dtype: str) -> None:
         self.hills, self.dtype = hills, getattr(torch, dtype)
         self.lower, self.upper = limits_within(hills.lower, hills.upper, self.dtype, "cpu")
+        self.per_radian = torch.ones(len(hills.lower), dtype=self.dtype)
         self.seen: dict[int, list[np.ndarray]] = defaultdict(list)
 
     def tensor(self, array: np.ndarray) -> torch.Tensor:

@@ -125,8 +125,9 @@ class Collection:
         """Hand, objects and source for users, in one line."""
         objects = list(dict.fromkeys(group.object for group in self.problem.groups))
         named = shortened(objects[0]) if len(objects) == 1 else f"{len(objects)} objects"
-        source = self.problem.sampled or self.problem.files[0].name
-        return f"{self.hand.name} on {named}, {source}"
+        # Grasps made in Python come from no file.
+        source = self.problem.sampled or ", ".join(path.name for path in self.problem.files[:1])
+        return f"{self.hand.name} on {named}{f', {source}' if source else ''}"
 
     def group(self, number: int) -> Group:
         """The group of a grasp."""
