@@ -351,6 +351,7 @@ def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     page.wait_for_text("Derivative")  # an option of descent: the choice has arrived
     page.click("Start")
     until(lambda: len(contact_errors(page)) > 20, "it refines again")
+    until(lambda: not np.allclose(page.pose(thumb), came, atol=1e-4), "the thumb is elsewhere than in the file")
     page.close()  # which stops nothing
     assert viewer.process.poll() is None
     viewer.process.send_signal(signal.SIGINT)
