@@ -8,6 +8,7 @@ balance within the active constraints counts almost nothing (variable projection
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,21 +16,23 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
+from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches, patches_columns
 from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, pyramid_faces
 from grasp_refine.forces.wrench import (
     LEVER_M,
     PLANNING_FRICTION,
     RIDGE,
     basis_spin,
-    contact_forces_under,
     grasp_map,
     turn_loads,
 )
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
+from grasp_refine.witness.face_patch import NUM_CORNERS
 
 COUPLING_LEVER_M = 0.06
 """Lever in metres: a torque that the joints of one actuator cannot share counts like the force making it there."""
@@ -58,22 +61,18 @@ class Balance:
     unbalanced: np.ndarray
     """[F, tau / `LEVER_M`] with the load, then the torques that no actuator can make (M, P, 6 + E)."""
     force: np.ndarray
-    """Force of each link on the object (M, P, L, 3), world frame."""
+    """Force on the object at each contact point (M, P, K, 3), columns as in `ContactPoints`, world frame."""
     local: np.ndarray
-    """Force of each link along the normal and its tangents (M, P, L, 3)."""
+    """Force at each contact point along the normal and its tangents (M, P, K, 3)."""
     solved: np.ndarray
     """True where the forces were found (M, P)."""
+    value: np.ndarray
+    """Mean over the loads of the squares of the unbalanced part and, times `RIDGE`, of the forces (M,)."""
 
     @property
-    def pressed(self) -> Bool[np.ndarray, "M L"]:
-        """Mask (M, L) of the links that press under any of the loads; derivatives leave out the others."""
+    def pressed(self) -> Bool[np.ndarray, "M K"]:
+        """Mask (M, K) of the points that press under any of the loads; derivatives leave out the others."""
         return np.any(self.local[..., 0] > 0, axis=1)
-
-    @property
-    def value(self) -> Float[np.ndarray, " M"]:
-        """Mean over the loads of the squares of the unbalanced part and, times `RIDGE`, of the forces (M,)."""
-        squares = (self.unbalanced**2).sum(axis=-1) + RIDGE * (self.local**2).sum(axis=(-2, -1))
-        return np.where(self.solved, squares, UNSOLVED_VALUE).mean(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +106,7 @@ class Equilibrium:
         frames: Frames,
         axes: Float[np.ndarray, "M 3 3"],
         last: Balance | None = None,
+        patches: LinkPatches | None = None,
     ) -> Balance:
         """The best forces of the links that touch, over the columns of all links.
 
@@ -117,22 +117,22 @@ class Equilibrium:
             axes: Rotations of the grasps' frames, in which loads are, and to which friction pyramids are aligned; they
                 rest while the hand moves.
             last: Those of the same grasps nearby, to start from.
+            patches: Patches of the links, with forces at their corners; None: where no link can have any.
         """
-        there = (touching & witness.valid)[..., None]
-        point, normal = (np.where(there, side, np.nan) for side in (witness.point_b, witness.normal))
-        forms = self.torque_forms(np.where(there, witness.point_b, 0.0), frames)
-        start = None if last is None else last.local
-        found = contact_forces_under(
+        if patches is not None and not touching.all():
+            patches = patches.restricted(touching)
+        points = ContactPoints.of(touching, witness, patches)
+        found = points.forces_under(
             turn_loads(self.loads, axes),
-            point,
-            normal,
             self.center,
-            friction=self.friction,
-            forms=forms,
             axes=axes,
-            start=start,
+            friction=self.friction,
+            forms=self.forms_at(frames),
+            start=None if last is None else last.local,
         )
-        return Balance(found.unbalanced, found.force, found.local, found.solved)
+        squares = (found.unbalanced**2).sum(axis=-1) + RIDGE * found.squares
+        value = np.where(found.solved, squares, UNSOLVED_VALUE).mean(axis=1)
+        return Balance(found.unbalanced, found.force, found.local, found.solved, value)
 
     def rows(
         self,
@@ -144,6 +144,7 @@ class Equilibrium:
         E: np.ndarray,
         K_link: np.ndarray,
         K_object: np.ndarray,
+        patches: LinkPatches | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (M, P (6 + E)) and their derivative (..., 6 + n) in root twist and joint values.
 
@@ -156,16 +157,38 @@ class Equilibrium:
             E: Tangents (M, C, 3, 2) at the normals.
             K_link: Curvatures (M, C, 2, 2) of the links in that basis, 1/m.
             K_object: Curvatures of the object.
+            patches: As for `forces`.
         """
-        M, C = witness.distance.shape
-        P = len(self.loads)
-        local, f = balance.local[:, :, columns], balance.force[:, :, columns]
-        there = (witness.valid & balance.pressed[:, columns])[..., None]
+        pressed = balance.pressed
+        there = (witness.valid & pressed[:, columns])[..., None]
         p, n = (np.where(there, side, fill) for side, fill in ((witness.point_b, 0.0), (witness.normal, [0, 0, 1.0])))
         motion = np.where(there[..., None], _contact_motion(witness, E, K_link, K_object, n, axes), 0.0)
-        motion = self.chain.to_joint_space(frames, motion.reshape(M, C * 6, 6), np.repeat(columns, 6))
+        f, local = balance.force[:, :, columns], balance.local[:, :, columns]
+        moving = _Moving(p, n, motion, there[..., 0], np.broadcast_to(columns, p.shape[:2]), f, local)
+        patched = np.zeros(len(p), dtype=bool) if patches is None else patches.faces.count.any(axis=1)
+        if patches is None or not patched.any():
+            return self._rows(balance, moving, columns, frames, axes)
+        plain, flat = np.flatnonzero(~patched), np.flatnonzero(patched)
+        corners = _with_corners(take(moving, flat), columns, take(patches, flat), take(balance, flat))
+        residual, J = self._rows(take(balance, flat), corners, corners.links, take(frames, flat), axes[flat])
+        every = np.empty((len(p), *residual.shape[1:])), np.empty((len(p), *J.shape[1:]))
+        for array, part in zip(every, (residual, J), strict=True):
+            array[flat] = part
+        if len(plain):
+            parts = self._rows(take(balance, plain), take(moving, plain), columns, take(frames, plain), axes[plain])
+            for array, part in zip(every, parts, strict=True):
+                array[plain] = part
+        return every
+
+    def _rows(
+        self, balance: Balance, moving: _Moving, link: np.ndarray, frames: Frames, axes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and their derivative, as `rows`, at points that move with links, (C,) or (M, C)."""
+        p, n, f, local = moving.point, moving.normal, moving.force, moving.local
+        (M, C), P = p.shape[:2], len(self.loads)
+        motion = self.chain.to_joint_space(frames, moving.motion.reshape(M, C * 6, 6), np.repeat(link, 6, axis=-1))
         # What is unbalanced is a . f, summed over the contacts, with forms a of forces at points x: da = b x dx.
-        twists = self._twist_forms(frames, columns)
+        twists = self._twist_forms(frames, link)
         forms = _at(twists, p)
         eye, arm = np.zeros((2, M, 3, C, 3))
         eye[:] = np.eye(3)[:, None]
@@ -176,8 +199,8 @@ class Equilibrium:
         covector = cross(np.stack([f, f], axis=-2)[:, :, None], np.stack([a, b], axis=-2)[:, None])
         J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
         if len(self.forms):
-            J[:, :, 6:] += self._axis_changes(frames, columns, p, f)
-        G, _ = grasp_map(np.where(there, p, np.nan), n, self.center, forms, axes)
+            J[:, :, 6:] += self._axis_changes(frames, link, p, f)
+        G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, self.center, forms, axes)
         # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
         L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local) / RIDGE)
         residual = matvec(L.mT, balance.unbalanced)
@@ -187,32 +210,47 @@ class Equilibrium:
         share = 1.0 / np.sqrt(P)
         return share * residual.reshape(M, -1), share * stiff.reshape(M, residual.shape[1] * residual.shape[2], -1)
 
-    def torque_forms(self, p: Float[np.ndarray, "M L 3"], frames: Frames) -> Float[np.ndarray, "M E L 3"] | None:
+    def forms_at(self, frames: Frames) -> Callable[[np.ndarray | slice, ContactPoints], np.ndarray | None]:
+        """Return the function from grasps and their contact points to the torques that no actuator can make."""
+
+        def forms(rows: np.ndarray | slice, points: ContactPoints) -> np.ndarray | None:
+            link = None if points.patches is None else points.link
+            return self.torque_forms(np.nan_to_num(points.point), take(frames, rows), link)
+
+        return forms
+
+    def torque_forms(
+        self, p: Float[np.ndarray, "M K 3"], frames: Frames, link: np.ndarray | None = None
+    ) -> Float[np.ndarray, "M E K 3"] | None:
         """Torques that no actuator can make, as linear forms of forces at points of links; None: actuators make all.
 
         Args:
-            p: Points of all links (M, L, 3), world frame.
+            p: Points (M, K, 3), world frame.
             frames: Poses of the links.
+            link: Links of the points, (K,) or (M, K); None: one of each.
         """
         if not len(self.forms):
             return None
-        return _at(self._twist_forms(frames, np.arange(p.shape[1])), p)
+        return _at(self._twist_forms(frames, np.arange(p.shape[1]) if link is None else link), p)
 
-    def _twist_forms(self, frames: Frames, columns: np.ndarray) -> Float[np.ndarray, "M E C 6"]:
-        """Twists of the links (C,) whose products with wrenches on these are the torques that no actuator can make."""
+    def _twist_forms(self, frames: Frames, links: np.ndarray) -> Float[np.ndarray, "M E C 6"]:
+        """Twists of links (C,) or (M, C) whose products with wrenches on them are torques that no actuator can make."""
         axes = frames.axes[..., 6:].mT
-        weight = self.forms[:, None] * self.chain.joint_mask(columns)[:, 6:]
+        if links.ndim > 1:
+            every = self._twist_forms(frames, np.arange(len(self.chain.links)))
+            return np.take_along_axis(every, links[:, None, :, None], axis=2)
+        weight = self.forms[:, None] * self.chain.joint_mask(links)[:, 6:]
         E, C, m = weight.shape
         return (weight.reshape(E * C, m) @ axes).reshape(len(axes), E, C, 6)
 
-    def _axis_changes(self, frames: Frames, columns: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
+    def _axis_changes(self, frames: Frames, links: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
         """Derivative (M, P, E, 6 + n) of these torques as the axes of the joints move, while the forces rest."""
         (M, P), chain = f.shape[:2], self.chain
         used = np.flatnonzero(self.forms.any(axis=0))
-        follows = chain.joint_mask(columns)[:, 6 + used]
+        follows = chain.joint_mask(links)[..., 6 + used]
         linear, angular = np.split(frames.axes[..., 6 + used].mT[:, None], 2, axis=-1)
         W = np.concatenate([f, cross(p[:, None] + np.zeros_like(f), f)], axis=-1)
-        force, moment = np.split(follows.T @ W, 2, axis=-1)
+        force, moment = np.split((follows.T if links.ndim == 1 else follows[:, None].mT) @ W, 2, axis=-1)
         linear, angular = (part + np.zeros_like(force) for part in (linear, angular))
         # An axis S moves with its link: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
         turned = cross(linear, force) + cross(angular, moment)
@@ -249,6 +287,55 @@ class Equilibrium:
         values, vectors = np.linalg.eigh(np.concatenate([squares, squares + np.diag([1.0, 0.0, 0.0])]))
         projectors = (vectors * (values < 1e-6)[:, None]) @ vectors.mT
         return faces, np.concatenate([projectors, np.zeros((1, 3, 3))])
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """C contact points of each of M grasps that move with the links."""
+
+    point: np.ndarray
+    """Points (M, C, 3); 0 where there is none."""
+    normal: np.ndarray
+    """Normals (M, C, 3)."""
+    motion: np.ndarray
+    """Rotations of the local bases, then movements of the points, in the twists of the links (M, C, 6, 6)."""
+    there: np.ndarray
+    """Mask (M, C) of the points that press."""
+    links: np.ndarray
+    """Links (M, C) of the points."""
+    force: np.ndarray
+    """Forces (M, P, C, 3)."""
+    local: np.ndarray
+    """Forces along the normal and its tangents (M, P, C, 3)."""
+
+
+def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, balance: Balance) -> _Moving:
+    """Contact points with the corners of patches, which take the columns of their links and some behind them.
+
+    The bases at corners rest: the normal is that of the object's face.
+    """
+    M, C = moving.there.shape
+    extra = SLOTS * (NUM_CORNERS - 1)
+    L = balance.local.shape[2] - extra
+
+    def padded(values: np.ndarray, fill: float = 0.0) -> np.ndarray:
+        return np.concatenate([values, np.full((M, extra, *values.shape[2:]), fill)], axis=1)
+
+    point, normal, motion = (padded(part) for part in (moving.point, moving.normal, moving.motion))
+    normal[:, C:, 2] = 1.0
+    there = np.concatenate([moving.there, np.zeros((M, extra), dtype=bool)], axis=1)
+    row, slot, corner, column = patches_columns(patches, L)
+    place = np.where(column < L, np.searchsorted(columns, column), C + column - L)
+    faces = patches.faces
+    presses = balance.pressed[row, column]
+    point[row, place] = np.where(presses[:, None], faces.point[row, slot, corner], 0.0)
+    normal[row, place] = faces.normal[row, slot]
+    motion[row, place, :3] = 0.0
+    motion[row, place, 3:] = np.where(presses[:, None, None], faces.motion[row, slot, corner], 0.0)
+    there[row, place] = presses
+    links = np.concatenate([moving.links, np.repeat(np.maximum(patches.link, 0), NUM_CORNERS - 1, axis=1)], axis=1)
+    both = np.concatenate([columns, np.arange(L, L + extra)])
+    return _Moving(point, normal, motion, there, links, balance.force[:, :, both], balance.local[:, :, both])
 
 
 def _at(twists: np.ndarray, p: np.ndarray) -> np.ndarray:

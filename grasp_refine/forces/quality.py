@@ -9,15 +9,17 @@ from jaxtyping import Float, Int
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_records import take
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.torques import joint_torques, limit_shares
-from grasp_refine.forces.wrench import center_of_mass, contact_forces, contact_forces_under, turn_loads
+from grasp_refine.forces.wrench import center_of_mass, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.witness.face_patch import FacePairs
 
 LOW_FRICTION = 0.1
 """Friction with which the forces should still balance: less than the planning friction."""
@@ -87,8 +89,11 @@ def quality(
     frames: Frames,
     witness: Witness,
     clearance: Float[np.ndarray, " L"] | float = 0.0,
+    faces: FacePairs | None = None,
 ) -> Quality:
     """Quality of N grasps: their shortcomings, and the probability that they hold, from contact points and normals.
+
+    Where flat faces meet, the contact is their patch, with forces at its corners (`contact_points`).
 
     Args:
         hand: The hand.
@@ -97,31 +102,39 @@ def quality(
         frames: Poses of the links.
         witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
         clearance: Gap (L,) in metres that links have on purpose, which is no shortcoming.
+        faces: Flat faces of links and object; None: found here.
     """
     check_kind("hand", hand, Hand)
     check_kind("obj", obj, Object)
     check_kind("chain", chain, Chain)
     check_kind("frames", frames, Frames)
     check_kind("witness", witness, Witness)
-    point, normal = contacts(hand, chain.links, witness)
+    points = contacts(hand, obj, chain.links, witness, frames.T_world_link, faces)
     center = center_of_mass(obj)
-    forms = Equilibrium.of(hand, chain, center).torque_forms(np.nan_to_num(point), frames)
+    equilibrium = Equilibrium.of(hand, chain, center)
     axes = frames.T_world_root[:, :3, :3]
     pushes = turn_loads(PUSHES, axes)
-    pushed = contact_forces_under(pushes, point, normal, center, forms=forms, axes=axes)
-    slippery = contact_forces(point, normal, center, friction=LOW_FRICTION, axes=axes)
-    torque = joint_torques(chain, frames, HOLDING_PRESSURE_N * pushed.force, np.nan_to_num(witness.point_a))
+    pushed = points.forces_under(pushes, center, forms=equilibrium.forms_at(frames), axes=axes)
+    slippery = points.forces_under(np.zeros((len(pushes), 1, 6)), center, friction=LOW_FRICTION, axes=axes)
+    torque = np.zeros((len(pushes), pushes.shape[1], len(hand.joint_names)))
+    for rows, some in points.groups():
+        force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
+        torque[rows] = joint_torques(chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link)
     share = limit_shares(hand, torque).max(axis=1)
-    distance = np.where(witness.valid, witness.distance, 0.0)
-    depth, gap = np.maximum(-distance, 0.0), slippery.pressure * np.maximum(distance - clearance, 0.0)
+    distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
+    wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
+    depth, gap = np.maximum(-distance, 0.0), slippery.pressure[:, 0] * np.maximum(points.gap - wanted, 0.0)
+    # Behind the columns of links are those of corners.
+    total = gap[:, :L].sum(axis=1) + gap[:, L:].sum(axis=1)
+    farthest = np.nan_to_num(gap).argmax(axis=1)
     return Quality(
-        slippery=slippery.residual,
+        slippery=slippery.residual[:, 0],
         pushed=pushed.residual.mean(axis=1),
         deep=depth.max(axis=1, initial=0.0) / DEEP,
-        open=gap.sum(axis=1) / DEEP,
+        open=total / DEEP,
         strained=np.maximum(share.max(axis=1, initial=0.0) - 1.0, 0.0),
         weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
-        farthest_contact=np.nan_to_num(gap).argmax(axis=1),
+        farthest_contact=points.link[np.arange(len(gap)), farthest],
         strained_joint=share.argmax(axis=1) if share.shape[1] else np.zeros(len(share), dtype=np.int64),
     )

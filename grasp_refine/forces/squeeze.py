@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
+from grasp_refine.core.array_records import take
+from grasp_refine.forces.contact_points import ContactPoints, LinkPatches, face_pairs
 from grasp_refine.forces.torques import joint_torques
-from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass, contact_forces
+from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.witness.face_patch import FacePairs
 
 CONTACTS = ContactSelection(farthest=0.0)
 """Selection of the links with a contact: those within reach, however few they are."""
@@ -50,46 +55,52 @@ def squeezed(
     T_link = frames.T_world_link
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
-    force = total * grasp_forces(hand, scene.object, scene.links, witness, T, ridge=SQUEEZE_RIDGE).force
-    torque = joint_torques(chain, frames, force[:, None], witness.point_a)[:, 0]
+    points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
+    axes = T[:, :3, :3]
+    force = total * grasp_forces(points, scene.object, axes, ridge=SQUEEZE_RIDGE).force
+    torque = np.zeros_like(q)
+    for rows, some in points.groups():
+        f = force[rows, None, : some.point.shape[1]]
+        torque[rows] = joint_torques(chain, take(frames, rows), f, np.nan_to_num(some.point_on_link), some.link)[:, 0]
     return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
 
 
 def grasp_forces(
-    hand: Hand,
-    obj: Object,
-    links: tuple[str, ...],
-    witness: Witness,
-    T_world_root: Float[np.ndarray, "N 4 4"],
-    *,
-    ridge: float = RIDGE,
+    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"], *, ridge: float = RIDGE
 ) -> ContactForces:
     """Best contact forces of N grasps, torques taken about the object's centre of mass.
 
     Args:
-        hand: The hand.
+        points: Contact points.
         obj: The object.
-        links: As for `contacts`.
-        witness: As for `contacts`.
-        T_world_root: Poses of the hand, to whose axes friction pyramids are aligned.
+        axes: Rotations of the hand, to whose axes friction pyramids are aligned.
         ridge: As for `contact_forces`.
     """
-    point, normal = contacts(hand, links, witness)
-    return contact_forces(point, normal, center_of_mass(obj), ridge=ridge, axes=T_world_root[:, :3, :3])
+    found = points.forces_under(np.zeros((len(axes), 1, 6)), center_of_mass(obj), ridge=ridge, axes=axes)
+    return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
 
 
 def contacts(
-    hand: Hand, links: tuple[str, ...], witness: Witness
-) -> tuple[Float[np.ndarray, "N L 3"], Float[np.ndarray, "N L 3"]]:
-    """Contact points on the object and normals into it (N, L, 3), of links near enough; NaN for other links.
+    hand: Hand,
+    obj: Object,
+    links: tuple[str, ...],
+    witness: Witness,
+    T_world_link: Float[np.ndarray, "N L 4 4"],
+    faces: FacePairs | None = None,
+) -> ContactPoints:
+    """Contact points of links near enough, and corners where flat faces meet.
 
     Args:
         hand: The hand.
+        obj: The object, at the origin of the frame of the witness points.
         links: Links with collision geometry; of one listed several times the first counts.
         witness: Witness points (N, L) of links and object.
+        T_world_link: Poses of the links.
+        faces: Flat faces of links and object; None: found here.
     """
-    touching = CONTACTS.choose(hand, links, witness)[..., None]
-    return np.where(touching, witness.point_b, np.nan), np.where(touching, witness.normal, np.nan)
+    touching = CONTACTS.choose(hand, links, witness)
+    faces = faces or face_pairs(hand, obj, links)
+    return ContactPoints.of(touching, witness, LinkPatches.of(faces, touching, T_world_link, witness))
 
 
 def set_point_offsets(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:

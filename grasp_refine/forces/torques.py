@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -13,21 +13,26 @@ MIN_LIMIT = 1e-6
 
 
 def joint_torques(
-    chain: Chain, frames: Frames, force: Float[np.ndarray, "N P L 3"], point: Float[np.ndarray, "N L 3"]
+    chain: Chain,
+    frames: Frames,
+    force: Float[np.ndarray, "N P K 3"],
+    point: Float[np.ndarray, "N K 3"],
+    link: Int[np.ndarray, "N K"],
 ) -> Float[np.ndarray, "N P n"]:
     """Return the torques J^T f (N, P, n) of the joints, in N m or N per unit of force, that make forces at rest.
 
     Args:
         chain: Kinematics of the L links.
         frames: Poses of the links.
-        force: P forces of each link on the object, world frame.
+        force: P forces on the object at each of K contact points, world frame.
         point: Points of the links that push, world frame; any finite one without a force.
+        link: Index of the link of each point.
     """
-    N, P, L = force.shape[:3]
+    N, P, K = force.shape[:3]
     # A force at the contact does work on the twist of the link: f . V(x) = f . v + (x x f) . w.
-    covector = np.concatenate([force, np.cross(point[:, None], force)], axis=-1).reshape(N, P * L, 6)
-    torque = chain.to_joint_space(frames, covector, np.tile(np.arange(L), P))[..., 6:]
-    return torque.reshape(N, P, L, torque.shape[-1]).sum(axis=2)
+    covector = np.concatenate([force, np.cross(point[:, None], force)], axis=-1).reshape(N, P * K, 6)
+    torque = chain.to_joint_space(frames, covector, np.tile(link, (1, P)))[..., 6:]
+    return torque.reshape(N, P, K, torque.shape[-1]).sum(axis=2)
 
 
 def limit_shares(hand: Hand, torque: Float[np.ndarray, "*N n"]) -> Float[np.ndarray, "*N n"]:

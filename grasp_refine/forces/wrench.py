@@ -57,6 +57,8 @@ class ContactForces:
     """Force (N, K, 3) along the normal and the two `basis_tangents` at it."""
     solved: Bool[np.ndarray, "*N"]
     """Mask (N,) of grasps that have forces: those with a contact, unless the solver failed."""
+    squares: Float[np.ndarray, "*N"]
+    """Sum (N,) of the squares of `local`."""
 
 
 def contact_forces(
@@ -131,7 +133,8 @@ def contact_forces_under(
     flat = np.moveaxis(G, 2, 3).reshape(N, 3 * K, G.shape[2])
     unbalanced = outer + local.reshape(N, outer.shape[1], 3 * K) @ flat
     residual = np.where(solved, np.linalg.norm(unbalanced[..., :6], axis=-1), np.nan)
-    return ContactForces(residual, unbalanced, force, np.maximum(local[..., 0], 0.0), local, solved)
+    squares = (local**2).sum(axis=(-2, -1))
+    return ContactForces(residual, unbalanced, force, np.maximum(local[..., 0], 0.0), local, solved, squares)
 
 
 def grasp_map(

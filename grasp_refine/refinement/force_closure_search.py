@@ -116,7 +116,9 @@ def score_of(
     cutoff = CONTACTS.cutoff(prepared.hand, prepared.chain.links)
     witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
     grasps = prepared.hand, prepared.object, prepared.chain, frames, witness
-    return quality(*grasps, clearance).score + np.nan_to_num(strong_push_residual(*grasps), nan=np.inf)
+    faces = prepared.faces
+    pushed = strong_push_residual(*grasps, faces)
+    return quality(*grasps, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
 
 
 def most_iterations(config: Config) -> int:

@@ -13,6 +13,7 @@ from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.array_records import choose
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, matvec, transform_points
+from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.clearance import clearances
@@ -57,6 +58,9 @@ class GraspProblem:
             scene, goal, prepared, config.margin, config.scales, clearances(config, prepared.hand, prepared.chain)
         )
         self.terms = config.weights.terms(setup, autograd=False)
+        self.meets_anywhere = goal.touching & ~goal.aimed
+        columns = self.meets_anywhere.any(axis=0)
+        self.patched = bool(columns.any() and (columns & prepared.faces.flat).any())
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
         hand = scene.hand
@@ -79,7 +83,8 @@ class GraspProblem:
         none, loss, rejected = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count, dtype=bool)
         no_pairs = nothing_near(np.zeros((count, 0)))
         forces = None if previous is None else previous.forces
-        state = State(loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces)
+        patches = LinkPatches.of(self.prepared.faces, self.meets_anywhere[member], T, witness) if self.patched else None
+        state = State(loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces, patches)
         # Points that will be rejected anyway need neither forces nor queries of the pairs of links.
         for weight, term in sorted(self.terms, key=lambda weighted: weighted[1].cost):
             state = term.complete(state, rejected, partial(self._against_itself, T, previous))

@@ -17,6 +17,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.witness.face_patch import FacePairs
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 
 CLEARANCE, CLEARANCE_OTHERS = 0.008, 0.003
@@ -60,6 +61,11 @@ class HandObject:
     def pairs(self) -> Pairs:
         """Each of these links and the object."""
         return Pairs.against(self.bodies, self.object.body)
+
+    @cached_property
+    def faces(self) -> FacePairs:
+        """Flat faces of these links and the object."""
+        return FacePairs.of(self.bodies, self.object.body)
 
     @cached_property
     def curvatures(self) -> PairCurvatures:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from grasp_refine.forces.quality import Quality, quality
-from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
@@ -81,7 +81,9 @@ def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the wrench (N,) that the best contact forces leave unbalanced, as `ContactForces.residual`."""
     T = np.where(grasps.known[:, None, None], grasps.T_world_root, np.eye(4))
-    return grasp_forces(grasps.hand, grasps.object, grasps.links, grasps.geometry.witness, T).residual
+    geometry = grasps.geometry
+    points = contacts(grasps.hand, grasps.object, grasps.links, geometry.witness, geometry.T_world_link)
+    return grasp_forces(points, grasps.object, T[:, :3, :3]).residual
 
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

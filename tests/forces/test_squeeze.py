@@ -62,9 +62,11 @@ def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     known = HandObject.of(scene)
     T = known.chain(scene.T_world_root, scene.q).T_world_link
     witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
-    point, normal = contacts(scene.hand, scene.links, witness)
-    axes = scene.T_world_root[:, :3, :3]
-    force = contact_forces(point, normal, center_of_mass(scene.object), ridge=SQUEEZE_RIDGE, axes=axes).force
+    points, axes = contacts(scene.hand, scene.object, scene.links, witness, T), scene.T_world_root[:, :3, :3]
+    assert not points.patched.any()
+    L, center = len(scene.links), center_of_mass(scene.object)
+    point, normal = points.point[:, :L], points.normal[:, :L]
+    force = contact_forces(point, normal, center, ridge=SQUEEZE_RIDGE, axes=axes).force
     return TOTAL_PRESSURE_N * force, witness.point_a
 
 

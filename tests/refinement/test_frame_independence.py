@@ -9,7 +9,7 @@ from boxed_example import boxed_example
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.forces.quality import quality
-from grasp_refine.forces.squeeze import grasp_forces, squeezed
+from grasp_refine.forces.squeeze import contacts, grasp_forces, squeezed
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.sampling import Candidates
 from grasp_refine.objects.object import Object
@@ -63,7 +63,8 @@ def test_quality_forces_squeeze_and_pregrasp_are_the_same_in_another_frame(scene
         T_link = frames.T_world_link
         witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
         judged = quality(one.hand, one.object, prepared.chain, frames, witness)
-        forces = grasp_forces(one.hand, one.object, one.links, witness, one.T_world_root)
+        points = contacts(one.hand, one.object, one.links, witness, T_link)
+        forces = grasp_forces(points, one.object, one.T_world_root[:, :3, :3])
         T_open, q_open = open_hand(one, prepared)
         found.append(
             (judged.slippery, judged.pushed, forces.residual, forces.local, squeezed(one), inverse(T) @ T_open, q_open)

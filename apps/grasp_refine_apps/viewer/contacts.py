@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.forces.squeeze import contacts
-from grasp_refine.forces.wrench import center_of_mass, contact_forces
+from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Frames
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
@@ -80,11 +79,12 @@ class Contacts:
     @property
     def forces(self) -> Forces:
         """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
-        point, normal = contacts(self.prepared.hand, self.prepared.chain.links, self.witness)
-        axes = self.frames.T_world_root[:, :3, :3]
-        found = contact_forces(point, normal, center_of_mass(self.prepared.object), axes=axes)
-        near = np.isfinite(point[0, :, 0])
-        return Forces(point[0, near], normal[0, near], found.force[0, near])
+        prepared, frames = self.prepared, self.frames
+        links, T_link = prepared.chain.links, frames.T_world_link
+        points = contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
+        found = grasp_forces(points, prepared.object, frames.T_world_root[:, :3, :3])
+        near = np.isfinite(points.point[0, :, 0])
+        return Forces(points.point[0, near], points.normal[0, near], found.force[0, near])
 
 
 def distances_text(contact_error: float, penetration: float) -> str:

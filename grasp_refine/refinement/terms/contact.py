@@ -8,10 +8,12 @@ import numpy as np
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace, matvec, transform_points
+from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.motion import contact_curvatures, distance_covectors, target_misses, without_nan
 from grasp_refine.refinement.terms.term import Setup, State, Term
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
+from grasp_refine.witness.face_patch import NUM_CORNERS
 
 
 class Contact(Term):
@@ -33,7 +35,11 @@ class Contact(Term):
         return bool((setup.goal.touching | setup.goal.aimed).any())
 
     def residuals(self, state: State) -> tuple[Array, ...]:
-        """Return the gaps and misses (M, C, 7) of links with targets, and the gaps (M, L) of the others."""
+        """Return the gaps and misses (M, C, 7) of links with targets, and the gaps (M, L) of the others.
+
+        Where flat faces meet, the gaps (M, S, 4) at the corners of their patches count as well: faces turn onto each
+        other.
+        """
         goal, w, T, member, found = self.setup.goal, state.witness, state.T_link, state.member, []
         if len(self.aimed_columns):
             on_link, on_object = goal.target_link[member], goal.target_object[member]
@@ -45,6 +51,8 @@ class Contact(Term):
             )
         if len(self.gap_columns):
             found.append(contact_gap(state.witness, state.like(self.anywhere[member]), state.like(self.gap)))
+        if state.patches is not None:
+            found.append(self._corner_gaps(state.patches))
         return tuple(found)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
@@ -67,6 +75,25 @@ class Contact(Term):
             covector = np.where(touching[..., None], distance_covectors(w), 0.0)
             gap = contact_gap(w, touching, self.gap[columns])
             yield LinkRows.of(gap[..., None], covector[..., None, :], columns)
+        if state.patches is not None and (number := int(state.patches.faces.count.any(axis=0).sum())):
+            # Slots are filled in order.
+            patches = state.patches.first(number)
+            faces, shape = patches.faces, (len(state.member), -1)
+            covector = self._corner_weights(patches)[..., None] * faces.slope
+            link = np.repeat(np.maximum(patches.link, 0), NUM_CORNERS, axis=1)
+            yield LinkRows(self._corner_gaps(patches).reshape(shape), covector.reshape(*shape, 6), link)
+
+    def _corner_gaps(self, patches: LinkPatches) -> np.ndarray:
+        """Return the gaps (M, S, 4) at the corners of patches, which count together as much as that of a link."""
+        wanted = np.broadcast_to(self.gap, (self.anywhere.shape[1],))[np.maximum(patches.link, 0)]
+        return self._corner_weights(patches) * (patches.faces.gap - wanted[..., None])
+
+    @staticmethod
+    def _corner_weights(patches: LinkPatches) -> np.ndarray:
+        """Return the square roots (M, S, 4) of the weights of corners; they count as constants in derivatives."""
+        faces = patches.faces
+        each = np.sqrt(faces.weight / np.maximum(faces.count, 1))
+        return np.where(faces.there, each[..., None], 0.0)
 
 
 def contact_targets(

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace
+from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.equilibrium import Balance
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.solvers.rows import JointRows, LinkRows
@@ -52,6 +53,8 @@ class State:
     """Witness points (M, S) of pairs of links; no pairs where no term has asked for them."""
     forces: Balance | None = None
     """Optimal contact forces, where a term needs them; before it has found them, those of a state nearby."""
+    patches: LinkPatches | None = None
+    """Patches where flat faces of touching links meet the object; None: no link can have any, or none is wanted."""
     T_object: Array | None = None
     """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
 

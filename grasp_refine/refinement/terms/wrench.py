@@ -42,7 +42,8 @@ class Wrench(Term):
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the best contact forces, searched from those it has; none where it is rejected."""
         pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
-        forces = self.equilibrium.forces(pushing, state.witness, state.frames, self._axes(state), state.forces)
+        known = state.forces, state.patches
+        forces = self.equilibrium.forces(pushing, state.witness, state.frames, self._axes(state), *known)
         return replace(state, forces=forces)
 
     def residuals(self, state: State) -> tuple[Array, ...]:
@@ -60,8 +61,10 @@ class Wrench(Term):
         assert state.forces is not None
         pressed = state.forces.pressed[:, columns]
         radius = np.full((2, *pressed.shape), 0.5 * CURVATURE_RADIUS_M)
-        w, E, *K = contact_curvatures(self.setup, state, columns, pressed, radius, width)
-        yield JointRows(*self.equilibrium.rows(state.forces, columns, w, state.frames, self._axes(state), E, *K))
+        w, E, K_link, K_object = contact_curvatures(self.setup, state, columns, pressed, radius, width)
+        axes, patches = self._axes(state), state.patches
+        known = columns, w, state.frames, axes, E, K_link, K_object, patches
+        yield JointRows(*self.equilibrium.rows(state.forces, *known))
 
     def _axes(self, state: State) -> Float[np.ndarray, "M 3 3"]:
         """Return the rotations of the hands in the initial grasps: a frame that rotates with the scene."""

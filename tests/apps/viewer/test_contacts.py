@@ -172,8 +172,9 @@ def agrees_with_validation(prepared: HandObject, T: np.ndarray, q: np.ndarray) -
         np.testing.assert_allclose(found.distance, geometry.distance[0, place], atol=1e-9)
         deep = {link for link, distance in zip(scene.links, geometry.distance[0], strict=True) if distance < -1e-4}
         assert deep == {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
-        forces = grasp_forces(prepared.hand, prepared.object, scene.links, geometry.witness, T[rows])
-        pressing = np.isfinite(contacts(prepared.hand, scene.links, geometry.witness)[0][0]).all(axis=1)
+        given = prepared.hand, prepared.object, scene.links, geometry.witness, geometry.T_world_link
+        forces = grasp_forces(contacts(*given), prepared.object, T[rows][:, :3, :3])
+        pressing = np.isfinite(contacts(*given).point[0]).all(axis=1)
         np.testing.assert_allclose(found.forces.force, forces.force[0, pressing], atol=1e-6)
 
 

@@ -1,0 +1,170 @@
+"""Contacts of flat faces: forces at corners make torques, gaps turn faces onto each other, exact derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.collision.query import query
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.quality import quality
+from grasp_refine.forces.squeeze import contacts, grasp_forces, squeezed
+from grasp_refine.forces.wrench import LEVER_M
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.grasp_problem import GraspProblem
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.scene.goal import goal_of
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+
+JAW = '<link name="{0}"><collision><origin xyz="0 {1} 0.03"/><geometry>{2}</geometry></collision></link>'
+JOINT = (
+    '<joint name="{0}_joint" type="prismatic"><parent link="palm"/><child link="{0}"/><axis xyz="0 {1} 0"/>'
+    '<limit lower="0" upper="0.06" effort="60" velocity="1"/></joint>'
+)
+BOX_JAW, ROUND_JAW = '<box size="0.02 0.01 0.04"/>', '<sphere radius="0.005"/>'
+
+
+def jaws(tmp_path, shape: str = BOX_JAW) -> Hand:
+    """A palm and two jaws that open along y; joint values are the distances of the faces from its middle."""
+    links = "".join(JAW.format(name, y, shape) for name, y in (("left", 0.005), ("right", -0.005)))
+    joints = "".join(JOINT.format(name, y) for name, y in (("left", 1), ("right", -1)))
+    path = tmp_path / "jaws.urdf"
+    path.write_text(f'<robot name="jaws"><link name="palm"/>{links}{joints}</robot>')
+    return load_hand(path)
+
+
+@pytest.fixture(name="block")
+def the_block(tmp_path) -> Object:
+    import trimesh
+
+    path = tmp_path / "block.obj"
+    trimesh.creation.box([0.05, 0.04, 0.06]).export(path)
+    return load_object(path)
+
+
+def gripping(*twists: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Grasps of the block whose hands are moved by twists at its centre."""
+    T = np.tile(np.eye(4), (len(twists), 1, 1))
+    T[:, 2, 3] = -0.03
+    return exp_se3(np.array(twists)) @ T, np.full((len(twists), 2), 0.02)
+
+
+def points_of(hand: Hand, obj: Object, T: np.ndarray, q: np.ndarray):
+    prepared = HandObject.of(Scene(hand, obj, T, q))
+    frames = prepared.chain(T, q)
+    T_link = frames.T_world_link
+    witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
+    return contacts(hand, obj, prepared.chain.links, witness, T_link), frames, witness, prepared
+
+
+def test_two_flat_jaws_have_eight_corners_and_balance_any_torque(tmp_path, block: Object):
+    T, q = gripping([0.0] * 6)
+    points, *_ = points_of(jaws(tmp_path), block, T, q)
+    there = np.isfinite(points.point[0, :, 0])
+    assert there.sum() == 8
+    expected = [[x, y, z] for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    np.testing.assert_allclose(sorted(points.point[0, there].round(9).tolist()), expected, atol=1e-9)
+    np.testing.assert_allclose(points.normal[0, there][:, 1], -np.sign(points.point[0, there, 1]), atol=1e-9)
+    # Two points cannot make a torque about the line between them, nor more than friction and width about others.
+    for axis, flat, rounded in ((0, True, False), (1, True, False), (2, True, False)):
+        load = np.zeros((1, 1, 6))
+        load[0, 0, 3 + axis] = 0.0011 / LEVER_M
+        for shape, balanced in ((BOX_JAW, flat), (ROUND_JAW, rounded)):
+            points, *_ = points_of(jaws(tmp_path, shape), block, T, q)
+            residual = points.forces_under(load, np.zeros(3), axes=np.eye(3)[None], friction=0.15).residual
+            if axis == 1 or shape == BOX_JAW:
+                assert (residual[0, 0] < 1e-3) == balanced, (axis, shape)
+    # Torsion is at most friction times pressure times the mean distance of the corners.
+    reach = 0.15 * np.cos(np.pi / 8) * np.hypot(0.01, 0.02)
+    load = np.zeros((1, 1, 6))
+    load[0, 0, 4] = 2.0 * reach / LEVER_M
+    points, *_ = points_of(jaws(tmp_path), block, T, q)
+    residual = points.forces_under(load, np.zeros(3), axes=np.eye(3)[None], friction=0.15).residual[0, 0]
+    assert residual == pytest.approx(reach / LEVER_M, rel=0.09), "between an octagon's edges and its corners"
+
+
+def test_forces_of_a_squeeze_do_the_work_of_its_torques(tmp_path, block: Object):
+    hand = jaws(tmp_path)
+    T, q = gripping([0.004, 0, 0.003, 0, 0.2, 0])
+    scene = Scene(hand, block, T, q)
+    found = squeezed(scene, total=1.0)
+    kp = hand.actuator.kp
+    np.testing.assert_allclose((q - found) * kp, [[0.5, 0.5]], atol=1e-6)
+
+
+def test_grasps_without_patches_do_not_depend_on_those_with(tmp_path, block: Object):
+    hand = jaws(tmp_path)
+    T, q = gripping([0.0] * 6, [0, 0, 0, 0, 0, 0.5], [0.001, 0, 0, 0.02, 0.3, 0.03])
+    together, frames, witness, prepared = points_of(hand, block, T, q)
+    assert together.patched.tolist() == [True, False, True]
+    all_forces = grasp_forces(together, block, np.tile(np.eye(3), (3, 1, 1)))
+    judged = quality(hand, block, prepared.chain, frames, witness)
+    for i in range(3):
+        alone, frames, witness, _ = points_of(hand, block, T[i : i + 1], q[i : i + 1])
+        one = grasp_forces(alone, block, np.eye(3)[None])
+        assert (one.local[0] == all_forces.local[i]).all() and one.residual[0] == all_forces.residual[i]
+        assert quality(hand, block, prepared.chain, frames, witness).score[0] == judged.score[i]
+
+
+def problem(hand: Hand, obj: Object, T: np.ndarray, q: np.ndarray, **weights: float) -> GraspProblem:
+    scene = Scene(hand, obj, T, q)
+    prepared = HandObject.of(scene)
+    config = Config()
+    goal = goal_of(scene, config.contact_selection, prepared)
+    return GraspProblem(scene, goal, replace(config, weights=replace(config.weights, **weights)), prepared)
+
+
+def test_gaps_of_corners_have_the_derivative_of_their_squares(tmp_path, block: Object):
+    T, q = gripping([0.002, 0, 0, 0.03, 0.1, 0.02], [0.0, 0.0, 0.021, 0.0, -0.3, 0.05])
+    q = q + 0.001
+    of = problem(jaws(tmp_path), block, T, q, penetration=0.0, self_penetration=0.0, wrench=0.0)
+    member, point = np.arange(2), Point(T, q)
+    known = of.evaluate(member, point, None)
+    assert (known.patches.faces.count > 0).sum() == 4
+    linear = of.linearize(member, point, known, np.ones(2))
+    gradient = 2.0 * np.einsum("mrd,mr->md", linear.jacobian, linear.residual)
+    for k in range(8):
+        dx = np.zeros((2, 8))
+        dx[:, k] = 1e-6
+        ahead, behind = (of.evaluate(member, of.integrate(member, point, sign * dx), None).loss for sign in (1, -1))
+        np.testing.assert_allclose(gradient[:, k], (ahead - behind) / 2e-6, atol=1e-6, rtol=1e-5)
+
+
+def test_balance_at_corners_has_the_derivative_of_finite_differences(tmp_path, block: Object):
+    T, q = gripping([0.011, 0, 0.018, 0.004, 0.2, 0.003], [0.013, 0.0, 0.004, 0.002, -0.3, 0.005])
+    of = problem(jaws(tmp_path), block, T, q, penetration=0.0, self_penetration=0.0, contact=0.0, wrench=1.0)
+    member, point = np.arange(2), Point(T, q)
+    known = of.evaluate(member, point, None)
+    assert known.loss.min() > 1e-4
+    linear = of.linearize(member, point, known, np.ones(2))
+    gradient = 2.0 * np.einsum("mrd,mr->md", linear.jacobian, linear.residual)
+    for k in range(8):
+        dx = np.zeros((2, 8))
+        dx[:, k] = 1e-6
+        ahead, behind = (of.evaluate(member, of.integrate(member, point, sign * dx), None).loss for sign in (1, -1))
+        np.testing.assert_allclose(gradient[:, k], (ahead - behind) / 2e-6, atol=2e-4 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("angle", [0.03, 0.15])
+def test_refinement_turns_faces_onto_each_other(tmp_path, block: Object, angle: float):
+    rng = np.random.default_rng(0)
+    T, q = gripping(*np.concatenate([0.003 * rng.normal(size=(8, 3)), angle * rng.normal(size=(8, 3)) / 1.7], axis=1))
+    hand = jaws(tmp_path)
+    scene = Scene(hand, block, T, q + 0.003)
+    found = refine(scene, Config(starts=1))
+    points, *_ = points_of(hand, block, found.T_world_root, found.q)
+    assert points.patched.all() and np.abs(points.gap).max() < 2e-5
+    normal = found.T_world_root[:, :3, 1]
+    np.testing.assert_allclose(np.abs(normal).max(axis=1), 1.0, atol=1e-6)
+
+
+def test_nothing_is_looked_for_where_no_link_is_flat(tmp_path, block: Object):
+    T, q = gripping([0.0] * 6)
+    points, *_ = points_of(jaws(tmp_path, ROUND_JAW), block, T, q)
+    assert points.patches is None and points.point.shape[1] == 2
