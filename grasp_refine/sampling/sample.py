@@ -14,7 +14,7 @@ from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import matvec, pose_from_transform, transform_points
-from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
@@ -170,7 +170,9 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
     touching = proximity.witness.distance <= CONTACT_DISTANCE_M
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
-    forces = grasp_forces(prepared.hand, prepared.object, links, proximity.witness.rows(good), hands.T[good])
+    given = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
+    points = contacts(prepared.hand, prepared.object, links, *given)
+    forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3])
     hands = _Scored(
         hands.T[good], hands.q[good], hands.way[good], forces.residual + SINGLE_GROUP_PENALTY / groups[good]
     )

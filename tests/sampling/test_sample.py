@@ -9,7 +9,8 @@ import pytest
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.errors import GraspRefineError, HandError
 from grasp_refine.core.se3 import transform_from_pose, transform_points
-from grasp_refine.forces.squeeze import grasp_forces
+from grasp_refine.forces.contact_points import ContactPoints
+from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
@@ -81,7 +82,9 @@ def test_sampled_grasps_hold_the_object(allegro: Hand, box: Object, held: GraspS
     assert (held.scale == 1.0).all()
     assert len(held) == 12
     T = transform_from_pose(held.hand_pose)
-    forces = grasp_forces(allegro, box, links_of(allegro), witness_of(allegro, box, held), T)
+    T_link = HandObject(allegro, box).chain(T, held.q).T_world_link
+    points = contacts(allegro, box, links_of(allegro), witness_of(allegro, box, held), T_link)
+    forces = grasp_forces(points, box, T[:, :3, :3])
     assert np.median(forces.residual) < 0.05, "most of them can squeeze the object without moving it"
 
 
@@ -112,10 +115,8 @@ def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
 def test_of_forces_that_balance_alike_those_of_more_groups_are_better(
     allegro: Hand, box: Object, monkeypatch: pytest.MonkeyPatch
 ):
-    def balanced(
-        hand: Hand, obj: Object, links: tuple[str, ...], witness: Witness, T_world_root: np.ndarray
-    ) -> SimpleNamespace:
-        return SimpleNamespace(residual=np.zeros(len(witness.distance)), solved=np.ones(len(witness.distance), bool))
+    def balanced(points: ContactPoints, obj: Object, axes: np.ndarray) -> SimpleNamespace:
+        return SimpleNamespace(residual=np.zeros(len(axes)), solved=np.ones(len(axes), bool))
 
     monkeypatch.setattr(grasp_sampling, "grasp_forces", balanced)
     count = [len(groups) for groups in groups_touching(allegro, box, sample_grasps(allegro, box, 6))]

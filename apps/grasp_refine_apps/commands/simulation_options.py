@@ -46,6 +46,9 @@ class Simulation:
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Duration of each push, or of the lift, in steps of 0.2 s, or those of the protocol; 0.4 instead of 2 takes a
     third of the time."""
+    multiccd: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
+    """Let two convex pieces touch in several points, so that flat faces hold each other by a patch, instead of turning
+    about one point; for mujoco."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
     engine: EngineChoice = "mujoco"
@@ -65,6 +68,7 @@ class Simulation:
             if value == 0:
                 raise GraspRefineError(f"--{name} must be above 0")
         protocol = load_protocol(self.protocol).with_friction(self.friction).with_mass(self.mass)
+        protocol = protocol.with_multiccd(self.multiccd)
         return protocol if self.seconds is None else replace(protocol, checks=_checks(protocol, self.seconds))
 
 

@@ -34,6 +34,8 @@ class Forces:
     """Unit normals (C, 3) from link to object."""
     force: Float[np.ndarray, "C 3"]
     """Force (C, 3) of each link on the object, within the cones of `PLANNING_FRICTION`; 0 where none is known."""
+    outline: Float[np.ndarray, "S 2 3"]
+    """Edges (S, 2, 3) of the patches where flat faces meet, on the object; their corners are contacts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,8 @@ class Contacts:
         points = contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
         found = grasp_forces(points, prepared.object, frames.T_world_root[:, :3, :3])
         near = np.isfinite(points.point[0, :, 0])
-        return Forces(points.point[0, near], points.normal[0, near], found.force[0, near])
+        outline = np.zeros((0, 2, 3)) if points.patches is None else points.patches.outlines(0)
+        return Forces(points.point[0, near], points.normal[0, near], found.force[0, near], outline)
 
 
 def distances_text(contact_error: float, penetration: float) -> str:

@@ -92,6 +92,7 @@ class GraspNodes:
         self._target_lines = Lines(scene, f"{GRASP_NODE}/targets/lines", 2.0)
         self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
         self.forces = Arrows(scene, f"{GRASP_NODE}/forces", length, FORCE_COLOR)
+        self.patches = Lines(scene, f"{GRASP_NODE}/forces/patches", 3.0)
         self.push = Arrows(scene, f"{GRASP_NODE}/push", length, DEEP_COLOR)
         self.cones: Any = None
         self.axes = [
@@ -173,15 +174,17 @@ class GraspNodes:
         self.push.draw(arrows)
 
     def _draw_forces(self, forces: Forces | None) -> None:
-        """Draw contact forces as arrows into the object, and friction cones; None: nothing."""
+        """Draw contact forces as arrows into the object, friction cones, and outlines of patches; None: nothing."""
         if self.cones is not None:
             self.cones.remove()
             self.cones = None
         if forces is None:
             self.forces.draw(np.zeros((0, 2, 3)))
+            self.patches.draw(np.zeros((0, 2, 3)), NO_POINTS)
             return
         body = self.prepared.object.body
         self.forces.draw(force_arrows(forces.point, forces.force, body))
+        self.patches.draw(forces.outline, np.full((len(forces.outline), 3), FORCE_COLOR))
         vertices, faces = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
         if len(faces):
             self.cones = self._scene.add_mesh_simple(

@@ -125,8 +125,8 @@ class Protocol:
 
     @property
     def label(self) -> str:
-        """Name, with the rule unless it is that all directions must hold."""
-        return ", ".join([self.name, *self._concessions])
+        """Name, with the rule unless all directions must hold, and with contacts unless they are single points."""
+        return ", ".join([self.name, *self._concessions, *self._contacts])
 
     @property
     def _concessions(self) -> list[str]:
@@ -134,6 +134,11 @@ class Protocol:
         least, count = self.required(len(self.directions)), len(self.directions)
         share = [] if least == count else [f"in at least {least} of {count} directions"]
         return [*share, *([f"{self._label_rule} elsewhere"] if self.noise.count else [])]
+
+    @property
+    def _contacts(self) -> list[str]:
+        """Number of points in which two pieces touch, for people, unless it is one."""
+        return ["faces touch in several points"] if self.multiccd else []
 
     def bounds(self, share: float = 1.0) -> tuple[str, ...]:
         """Return displacement and rotation from which on the object is lost, times `share`, for people."""
@@ -159,7 +164,7 @@ class Protocol:
         else:
             motion = f"pushed with {force} in {len(self.directions)} directions for {self.seconds:g} s each"
         rule = [f"held {' and '.join(self._concessions)}"] if self._concessions else []
-        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *rule])
+        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *self._contacts, *rule])
 
     @property
     def tabletop(self) -> bool:
@@ -183,6 +188,10 @@ class Protocol:
         if mass is None:
             return self
         return replace(self, mass=mass, density=None, density_size=None, largest_mass=None)
+
+    def with_multiccd(self, multiccd: bool | None) -> Protocol:
+        """Return a copy in which two pieces may touch in several points, or in one; None: this protocol."""
+        return self if multiccd is None else replace(self, multiccd=multiccd)
 
     def with_friction(self, friction: float | None) -> Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""
