@@ -29,7 +29,8 @@ def test_torques_do_the_work_of_the_forces(hand: Hand) -> None:
     def points(q: np.ndarray) -> np.ndarray:
         return transform_points(chain(scene.T_world_root, q).T_world_link, on_link)
 
-    found = joint_torques(chain, chain(scene.T_world_root, scene.q), force, points(scene.q))
+    link = np.tile(np.arange(L), (N, 1))
+    found = joint_torques(chain, chain(scene.T_world_root, scene.q), force, points(scene.q), link)
     h = 1e-6
     for j in range(scene.q.shape[1]):
         step = np.zeros_like(scene.q)
