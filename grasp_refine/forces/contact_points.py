@@ -18,17 +18,10 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
 from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, contact_forces_under
-from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object
 from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs, FacePatches
 
 SLOTS = 4
 """Largest number of patches of a grasp; further links keep their witness points."""
-
-
-def face_pairs(hand: Hand, obj: Object, links: tuple[str, ...]) -> FacePairs:
-    """Return the flat faces of links and object."""
-    return FacePairs.of([hand.links_by_name[name].solid for name in links], obj.body)
 
 
 @dataclass(frozen=True, eq=False)

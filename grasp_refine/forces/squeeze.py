@@ -9,13 +9,13 @@ from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_records import take
-from grasp_refine.forces.contact_points import ContactPoints, LinkPatches, face_pairs
+from grasp_refine.forces.contact_points import ContactPoints, LinkPatches
 from grasp_refine.forces.torques import joint_torques
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
-from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.hand_object import HandObject, face_pairs
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.face_patch import FacePairs
 

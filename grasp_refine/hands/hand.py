@@ -111,6 +111,8 @@ class Hand:
     """Joint -> its name in that file, where hand.toml gives it."""
     collision: Literal["urdf", "mjcf"] = "urdf"
     """File that is simulated when a grasp is validated."""
+    patches: bool = False
+    """Whether flat faces of its links touch flat faces of objects in patches, not in points."""
     toml: Path | None = None
     """The hand.toml that was read; None where there was none."""
     contacts_guessed: bool = False
@@ -303,6 +305,7 @@ def load_hand(
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,
+        patches=toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
     )

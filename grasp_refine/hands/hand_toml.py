@@ -18,10 +18,13 @@ T = TypeVar("T")
 HAND_TOML = "hand.toml"
 """Name of the file beside a URDF or MJCF that adds what that does not hold."""
 
-TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text"}
+TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text", bool: "boolean, true or false"}
 """TOML's names of the required types."""
 
-KEYS = ("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "rest_pose", "contact", "coupled", "actuator")
+KEYS = (
+    *("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "patches"),
+    *("rest_pose", "contact", "coupled", "actuator"),
+)
 """Keys of a hand.toml."""
 
 ACTUATOR = {"kp": 5.0, "force_limit": None, "damping": 0.1, "armature": 2e-4, "frictionloss": 0.01}
@@ -75,6 +78,8 @@ class HandToml:
     """Joint of the hand -> its name in the MJCF; the others are found by their names."""
     collision: Literal["urdf", "mjcf"] = "urdf"
     """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`."""
+    patches: bool = False
+    """Whether flat faces of its links touch flat faces of objects in patches, not in points."""
     rest_pose: dict[str, float] = field(default_factory=dict)
     """Joint values in rad or m; joints that are not named rest in the middle of their range."""
     contacts: tuple[Contact, ...] = ()
@@ -121,6 +126,7 @@ def read_hand_toml(path: Path) -> HandToml:
         mjcf=mjcf,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,
+        patches=_typed(raw.get("patches", False), bool, f"{path}: patches"),
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
         coupled=tuple(_coupled(entry, where) for entry, where in _tables(raw, "coupled", path)),

@@ -64,8 +64,8 @@ class HandObject:
 
     @cached_property
     def faces(self) -> FacePairs:
-        """Flat faces of these links and the object."""
-        return FacePairs.of(self.bodies, self.object.body)
+        """Flat faces of these links and the object, as of `face_pairs`."""
+        return face_pairs(self.hand, self.object, links_of(self.hand))
 
     @cached_property
     def curvatures(self) -> PairCurvatures:
@@ -170,3 +170,9 @@ def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:
 
 def _inflate(body: Body, by: float) -> Body:
     return replace(body, pieces=tuple(replace(piece, radius=piece.radius + by) for piece in body.pieces))
+
+
+def face_pairs(hand: Hand, obj: Object, links: tuple[str, ...]) -> FacePairs:
+    """Return the flat faces of links and object; none for a hand that touches in points (`Hand.patches`)."""
+    bodies = [hand.links_by_name[name].solid for name in links]
+    return FacePairs.of(bodies, obj.body) if hand.patches else FacePairs.none(len(bodies))

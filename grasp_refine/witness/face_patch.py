@@ -90,6 +90,12 @@ class FacePairs:
         faces = obj.facets
         return FacePairs(tuple(link.facets if len(faces) else Facets.of(()) for link in links), faces)
 
+    @staticmethod
+    def none(count: int) -> FacePairs:
+        """Return no faces, for a number of links."""
+        nothing = Facets.of(())
+        return FacePairs((nothing,) * count, nothing)
+
     @cached_property
     def derived(self) -> dict[str, Any]:
         """Structures that the compiled engine built from the faces."""

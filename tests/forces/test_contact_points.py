@@ -36,7 +36,7 @@ def jaws(tmp_path, shape: str = BOX_JAW) -> Hand:
     joints = "".join(JOINT.format(name, y) for name, y in (("left", 1), ("right", -1)))
     path = tmp_path / "jaws.urdf"
     path.write_text(f'<robot name="jaws"><link name="palm"/>{links}{joints}</robot>')
-    return load_hand(path)
+    return replace(load_hand(path), patches=True)
 
 
 @pytest.fixture(name="block")
@@ -168,3 +168,14 @@ def test_nothing_is_looked_for_where_no_link_is_flat(tmp_path, block: Object):
     T, q = gripping([0.0] * 6)
     points, *_ = points_of(jaws(tmp_path, ROUND_JAW), block, T, q)
     assert points.patches is None and points.point.shape[1] == 2
+
+
+def test_hands_whose_file_asks_for_no_patches_touch_in_points(tmp_path, block: Object) -> None:
+    jaws(tmp_path)
+    T, q = gripping([0.0] * 6)
+    for patches, asks in ((True, "true"), (False, "false")):
+        (tmp_path / "hand.toml").write_text(f"patches = {asks}")
+        hand = load_hand(tmp_path / "jaws.urdf")
+        points, *_ = points_of(hand, block, T, q)
+        assert hand.patches == patches and points.patched.all() == patches
+        assert np.isfinite(points.point[..., 0]).sum() == (8 if patches else 2)

@@ -63,7 +63,7 @@ def test_every_key(tmp_path: Path) -> None:
         ("urdf = ", ("TOML",)),
         (
             "urfd = 'x'",
-            ("urfd", "name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose, contact, "),
+            ("urfd", "name, urdf, base_link, mjcf, mjcf_joints, collision, patches, rest_pose, contact, "),
         ),
         ("urdf = 'none.urdf'", ("urdf = 'none.urdf'", "/none.urdf")),
         ("urdf = 1", ("urdf", "text", "1")),
@@ -79,6 +79,7 @@ def test_every_key(tmp_path: Path) -> None:
         ("base_link = ''", ("base_link", "text", "''")),
         ("mjcf = 'none.xml'", ("mjcf = 'none.xml'",)),
         ("collision = 'mesh'", ("collision = 'mesh'", "'urdf', 'mjcf'")),
+        ("patches = 1", ("patches must be", "true or false", "1")),
         ("mjcf_joints = 'x'", ("[mjcf_joints]", "table", "'x'")),
         ("mjcf_joints = {J1 = 1}", ("[mjcf_joints] J1", "text", "1")),
         ("rest_pose = 1", ("[rest_pose]", "table", "1")),
