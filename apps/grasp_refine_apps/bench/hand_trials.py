@@ -10,6 +10,7 @@ import numpy as np
 
 import grasp_refine as gr
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine_apps.bench.chart import Row
@@ -52,10 +53,16 @@ def try_hand(
         coupled = sum(len(group.joints) - 1 for group in hand.coupled)
         row |= {
             "file": f"{hand.urdf.name} ({'MJCF' if hand.mjcf == hand.urdf else 'URDF'})",
-            "reads": f"{len(hand.joint_names)} joints{f', {coupled} coupled' * bool(coupled)}, {len(fingers)} fingers",
+            "reads": ", ".join(
+                (
+                    count_text(len(hand.joint_names), "joint"),
+                    *((f"{coupled} coupled",) if coupled else ()),
+                    count_text(len(fingers), "finger"),
+                )
+            ),
         }
         closing = np.count_nonzero(closure_frame(hand).closing)
-        row["closes"] = f"{closing} joints, {closure_frame(hand).opening * 1e3:.0f} mm wide"
+        row["closes"] = f"{count_text(closing, 'joint')}, {closure_frame(hand).opening * 1e3:.0f} mm wide"
         row |= _grasped(hand, objects, count, protocol, seed, row)
     except GraspRefineError as error:
         row["trouble"] = str(error)
