@@ -61,7 +61,7 @@ def try_hand(
                 )
             ),
         }
-        closing = np.count_nonzero(closure_frame(hand).closing)
+        closing = int(np.count_nonzero(closure_frame(hand).closing))
         row["closes"] = f"{count_text(closing, 'joint')}, {closure_frame(hand).opening * 1e3:.0f} mm wide"
         row |= _grasped(hand, objects, count, protocol, seed, row)
     except GraspRefineError as error:
