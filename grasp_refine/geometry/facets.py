@@ -1,7 +1,7 @@
 """Flat faces of bodies: polygons in one plane, over all convex pieces whose surface lies in it.
 
 A cut of the decomposition does not end a face. Curved surfaces have none, however finely they are meshed: a surface
-whose radius of curvature is below `MIN_WIDTH_M`^2 / (8 `FLATNESS_M`) = 0.16 m leaves the plane within the least width.
+whose radius of curvature is below `MIN_WIDTH_M`^2 / (8 `FLATNESS_M`) = 0.6 m leaves the plane within the least width.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from grasp_refine.geometry.pieces import Piece
 FLATNESS_M = 2e-5
 """Largest distance in metres of a face's vertices from its plane."""
 
-MIN_WIDTH_M = 5e-3
-"""Least width in metres of a face, across its narrowest direction."""
+MIN_WIDTH_M = 1e-2
+"""Least width in metres of a face across its narrowest direction: more than the triangles of scans have."""
 
 _MIN_AREA = 0.5 * MIN_WIDTH_M**2
 """Least area in square metres: a triangle of the least width has 0.577 of its square, other polygons have more."""

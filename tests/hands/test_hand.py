@@ -350,7 +350,7 @@ def test_what_hand_toml_says_of_links_above_the_base_is_left_out(tmp_path: Path)
         ("coupled = [{joints = ['1', '2']}, {joints = ['2', 'wrist']}]", ("[[coupled]]", "'2'")),
         ("mjcf_joints = {x = 'y'}", ("[mjcf_joints]", "'x'", "wrist, 1, 2")),
         ("mjcf_joints = {'1' = 'y', '2' = 'y'}", ("[mjcf_joints]", "'y'")),
-        ("kp = 5", ("hand.toml", "'kp'", "name, urdf, base_link, mjcf, mjcf_joints, collision, rest_pose")),
+        ("kp = 5", ("hand.toml", "'kp'", "name, urdf, base_link, mjcf, mjcf_joints, collision, patches, rest_pose")),
     ],
 )
 def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, named: tuple[str, ...]) -> None:

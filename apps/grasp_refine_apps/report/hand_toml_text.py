@@ -55,6 +55,9 @@ def _head(hand: Hand, folder: Path) -> str:
             f"base_link = {_text(hand.base_link)}",
             "",
             *mjcf,
+            "",
+            "# Whether flat faces of its links touch flat faces of objects in patches, not in points.",
+            f"patches = {str(hand.patches).lower()}",
         ]
     )
 
