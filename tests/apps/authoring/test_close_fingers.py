@@ -108,7 +108,10 @@ def test_they_are_almost_right_and_refinement_makes_them_right(name: str):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-@pytest.mark.parametrize("hand", ["allegro", *(pytest.param(hand, marks=pytest.mark.slow) for hand in HANDS[1:])])
+# Grippers with two jaws lose hardly any object: of them, the examples are the first accepted, held or not.
+@pytest.mark.parametrize(
+    "hand", ["allegro", *(pytest.param(hand, marks=pytest.mark.slow) for hand in HANDS[1:] if hand != "franka_hand")]
+)
 def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
     grasps, ours, obj = (
         load_grasps(resource_dir("robots") / hand / f"example_{name}.npz"),
