@@ -15,12 +15,24 @@ from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.prefixed_names import prefixed_names
 
 
-def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Return the MJCF file `path`, in which bodies stay those of the file; its textures are left out.
+def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
+    """Return the hand in the MJCF file `path`, whose bodies stay those of the file and all have names, as joints do.
+
+    Everything else is left out: what is beside it, its free joint, cameras, lights, sensors, keyframes and textures.
+
+    Returns:
+        The hand, the name of its root body, and notes on what is left out.
 
     Raises:
-        HandError: it is missing, no MJCF, or holds what no hand may have.
+        HandError: it is missing, no MJCF, holds what no hand may have, no hand, or several.
     """
+    spec = _read(path)
+    root, notes = _keep_hand(spec, path)
+    _name_all(spec)
+    return spec, root, notes
+
+
+def _read(path: Path) -> mujoco.MjSpec:
     check_xml(path)
     try:
         with unlogged():
@@ -50,15 +62,8 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 
 
-def keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
-    """Delete everything but the hand: what is beside it, its free joint, cameras, lights, sensors and keyframes.
-
-    Returns:
-        Name of its root body, and notes on what is left out.
-
-    Raises:
-        HandError: there is no hand, or several.
-    """
+def _keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
+    """Delete everything but the hand; return the name of its root body, and notes on what is left out."""
     for things in (
         spec.keys,
         spec.sensors,
@@ -113,7 +118,7 @@ def _moving_below(body: mujoco.MjsBody) -> bool:
     return any(joint.type != free for joint in body.joints) or any(_moving_below(child) for child in body.bodies)
 
 
-def name_all(spec: mujoco.MjSpec) -> None:
+def _name_all(spec: mujoco.MjSpec) -> None:
     """Name all bodies and joints without a name."""
     for kind, things in (("body", spec.bodies), ("joint", spec.joints)):
         taken = {thing.name for thing in things}

@@ -14,7 +14,7 @@ from grasp_refine.hands.alignment import Mechanism, align
 from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.hands.linkages import linkage_note, linkages
 from grasp_refine.hands.mimics import followed
-from grasp_refine.hands.mjcf import compile_mjcf, joints_of, keep_hand, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, read_mjcf
 from grasp_refine.hands.tree import Joint, Mimic
 
 MIN_ALIGNMENT = 1.0 - 1e-6
@@ -105,9 +105,7 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         named: As for `matched_joints`.
     """
     try:
-        spec = read_mjcf(path)
-        keep_hand(spec, path)
-        name_all(spec)
+        spec, _, _ = read_mjcf(path)
         matched = matched_joints(mechanism, named, spec, path)
         model = compile_mjcf(spec, path)
         sign = align(mechanism, matched, model, path).sign

@@ -18,7 +18,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.se3 import exp_so3, matrix_from_quaternion, transform
 from grasp_refine.hands.inertia import Inertia
-from grasp_refine.hands.mjcf import compile_mjcf, keep_hand, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, read_mjcf
 from grasp_refine.hands.shape import Geometry, Hull, Primitive, Shape, Surface
 from grasp_refine.hands.tree import JointEntry, LinkEntry, Tree
 
@@ -95,9 +95,7 @@ def mjcf_visuals(path: Path) -> dict[str, list[Shape | HandError]]:
 
 
 def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[str]]:
-    spec = read_mjcf(path)
-    _, notes = keep_hand(spec, path)
-    name_all(spec)
+    spec, _, notes = read_mjcf(path)
     return spec, compile_mjcf(spec, path), notes
 
 

@@ -13,7 +13,7 @@ from grasp_refine.hands.alignment import Mechanism
 from grasp_refine.hands.defaults import Actuator
 from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.hands.mimics import mimic_map
-from grasp_refine.hands.mjcf import compile_mjcf, joints_of, keep_hand, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, joints_of, read_mjcf
 
 
 def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuator) -> Actuator:
@@ -24,9 +24,7 @@ def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuat
         coupled: Groups of independent joints that share an actuator.
         given: Stiffness and limits where the file has no actuators, or others than position servos.
     """
-    spec = read_mjcf(mechanism.path)
-    keep_hand(spec, mechanism.path)
-    name_all(spec)
+    spec, _, _ = read_mjcf(mechanism.path)
     rescale_servos(spec)
     model = compile_mjcf(spec, mechanism.path)
     matrix, _, names = mimic_map(mechanism.joints, mechanism.independent)

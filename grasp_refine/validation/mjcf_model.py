@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.hands.alignment import Mechanism, align, body_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.linkages import linkages
-from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, keep_hand, matched_joints, name_all, read_mjcf
+from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, matched_joints, read_mjcf
 from grasp_refine.hands.servos import moved_joints, other_actuators, rescale_servos, servo_settings
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.urdf_model import add_actuators
@@ -33,10 +33,8 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     Raises:
         HandError: the file cannot be used, or is of another hand.
     """
-    spec = read_mjcf(path)
+    spec, root, notes = read_mjcf(path)
     _reset(spec)
-    root, notes = keep_hand(spec, path)
-    name_all(spec)
     rescale_servos(spec)
     mechanism = Mechanism(hand.name, hand.urdf, hand.base_link, hand.joints, hand.joint_names)
     matched = matched_joints(mechanism, hand.mjcf_joints, spec, path)
