@@ -11,7 +11,6 @@ import viser
 from jaxtyping import Float, UInt8
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.hand_object import HandObject
@@ -130,10 +129,8 @@ def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
     def push(k: int) -> np.ndarray:
         if not motion.pushed[k]:
             return np.zeros((0, 2, 3))
-        T = motion.T_object[k]
-        points = transform_points(T, obj.body.candidates.points)
-        middle = transform_points(T, np.mean(obj.mesh.bounds, axis=0))
-        return arrow_lines(push_arrow(points, middle, motion.force, PUSH_SHARE * size), 0.3 * PUSH_SHARE * size)
+        arrow = push_arrow(prepared, motion.T_object[k], motion.force, PUSH_SHARE * size)
+        return arrow_lines(arrow, 0.3 * PUSH_SHARE * size)
 
     frames = [
         Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k], push=push(k))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, UInt32
 
-from grasp_refine.core.se3 import tangents
+from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
+from grasp_refine.scene.hand_object import HandObject
 
 UNIT_FORCE_LENGTH = 0.5
 """Arrow length of a force of 1, the total pressure of all contacts, as a share of the object's diagonal."""
@@ -25,16 +26,18 @@ def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> 
 
 
 def push_arrow(
-    points: Float[np.ndarray, "N 3"], middle: Float[np.ndarray, " 3"], force: Float[np.ndarray, " 3"], extra: float
+    prepared: HandObject, T_world_object: Float[np.ndarray, "4 4"], force: Float[np.ndarray, " 3"], extra: float
 ) -> Float[np.ndarray, "2 3"]:
     """Start and end (2, 3) of the arrow of a push, from the middle of the object through its surface outwards.
 
     Args:
-        points: Points on the surface of the object.
-        middle: Middle of the object.
+        prepared: The object, and a hand.
+        T_world_object: Pose of the object.
         force: The push, not zero.
         extra: Length outside of the object.
     """
+    points = transform_points(T_world_object, prepared.object.body.candidates.points)
+    middle = transform_points(T_world_object, np.mean(prepared.box, axis=0))
     direction = force / np.linalg.norm(force)
     return np.stack([middle, middle + (((points - middle) @ direction).max() + extra) * direction])
 

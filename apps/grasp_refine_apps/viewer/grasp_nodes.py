@@ -168,9 +168,7 @@ class GraspNodes:
         """Draw the push of a simulation, from the middle of the object outwards."""
         motion, arrows = state.motion, np.zeros((0, 2, 3))
         if motion is not None and motion.pushed[state.motion_frame]:
-            points = transform_points(state.T_shown_object, self.prepared.object.body.candidates.points)
-            middle = transform_points(state.T_shown_object, np.mean(self.prepared.box, axis=0))
-            arrows = push_arrow(points, middle, motion.force, 0.4 * self._length)[None]
+            arrows = push_arrow(self.prepared, state.T_shown_object, motion.force, 0.4 * self._length)[None]
         self.push.draw(arrows)
 
     def _draw_forces(self, forces: Forces | None) -> None:
