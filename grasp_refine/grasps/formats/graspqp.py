@@ -87,9 +87,7 @@ MODELS = {
     ),
     "panda": _own(FRANKA, "panda", FRANKA_LINK, FRANKA_JOINTS[:1], (0.0, 0.0, -0.075, *IDENTITY)),
     "robotiq2": _own("robotiq_2f_140", "Root", "robotiq_arg2f_base_link", ("finger_joint",), (0, 0, -0.125, *IDENTITY)),
-    "robotiq3": _own(
-        "robotiq_3finger", "RobotIQ", "RIQ_palm", ROBOTIQ, (0, 0, -0.08, 0.5003982, 0.4999998, -0.4996018, -0.4999998)
-    ),
+    "robotiq3": _own("robotiq_3finger", "RobotIQ", "RIQ_palm", ROBOTIQ, (0, 0, -0.08, *RIQ_PALM)),
     "schunk2": _own("schunk_egu_50", "root_link", "root_link", ("egu_50_prismatic_1",), (0, 0, 0, *IDENTITY)),
     "ability_hand": _own(
         "ability_hand",
