@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
-from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, contact_forces_under
+from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, ContactForces, contact_forces
 from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs, FacePatches
 
 SLOTS = 4
@@ -162,7 +162,7 @@ class ContactPoints:
         forms: Callable[[np.ndarray | slice, ContactPoints], np.ndarray | None] | None = None,
         start: Float[np.ndarray, "N P K 3"] | None = None,
     ) -> ContactForces:
-        """Return the best forces at these points, see `wrench.contact_forces_under`.
+        """Return the best forces at these points, see `wrench.contact_forces`.
 
         Args:
             loads: As there.
@@ -176,7 +176,7 @@ class ContactPoints:
         parts = []
         for rows, points in self.groups():
             K = points.point.shape[1]
-            found = contact_forces_under(
+            found = contact_forces(
                 loads[rows],
                 points.point,
                 points.normal,

@@ -7,7 +7,7 @@ What is left is the wrench residual: 0 where the hand can squeeze the object wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,44 +61,8 @@ class ContactForces:
     """Sum (N,) of the squares of `local`."""
 
 
-def contact_forces(
-    point: Float[np.ndarray, "N K 3"],
-    normal: Float[np.ndarray, "N K 3"],
-    center: Float[np.ndarray, " 3"],
-    *,
-    friction: float = PLANNING_FRICTION,
-    ridge: float = RIDGE,
-    load: Float[np.ndarray, "N 6"] | Float[np.ndarray, " 6"] | None = None,
-    forms: Float[np.ndarray, "N E K 3"] | None = None,
-    axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
-) -> ContactForces:
-    """The forces f_k that minimise |[F, tau / LEVER_M]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
-
-    The pressures n_k . f_k sum to 1 and none is above `MAX_PRESSURE_SHARE`, or, of a single contact, 1. Friction is at
-    most that of a pyramid of `NUM_EDGES` edges within the cone (see `programs`); its orientation about the normal is
-    that of `basis_tangents`. Where the axes rotate with everything else, the forces do too; where only they rotate, the
-    result changes as little as a friction between that and cos(pi / NUM_EDGES) times it would change it.
-
-    Args:
-        point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is ignored.
-        normal: Unit normals (N, K, 3) from link to object, into the object.
-        center: The point (3,) that torques are about, the object's centre of mass.
-        friction: Coefficient of friction.
-        ridge: Weight of the squared forces, above 0: it makes the solution unique. Its cost is in the residual,
-            about as large as the weight itself.
-        load: Outer load on the object, [F, tau / `LEVER_M`] per unit of total pressure; None: none.
-        forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
-        axes: Rotations (N, 3, 3) of the frames to which pyramids are aligned, such as the hand's, or one for all.
-    """
-    outer = np.zeros((len(point), 1, 6))
-    if load is not None:
-        outer[:, 0] = load
-    found = contact_forces_under(outer, point, normal, center, friction=friction, ridge=ridge, forms=forms, axes=axes)
-    return ContactForces(*(getattr(found, field.name)[:, 0] for field in fields(found)))
-
-
 @stage("forces")
-def contact_forces_under(
+def contact_forces(
     loads: Float[np.ndarray, "N P 6"] | Float[np.ndarray, "P 6"],
     point: Float[np.ndarray, "N K 3"],
     normal: Float[np.ndarray, "N K 3"],
@@ -110,17 +74,25 @@ def contact_forces_under(
     axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
     start: Float[np.ndarray, "N P K 3"] | None = None,
 ) -> ContactForces:
-    """`contact_forces` under each of P loads, all fields (N, P, ...); it costs less than one after another.
+    """The forces f_k that minimise |[F, tau / LEVER_M]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
+
+    They do so under each of P outer loads, which are added to F and tau; all fields of the result are (N, P, ...).
+    The pressures n_k . f_k sum to 1 and none is above `MAX_PRESSURE_SHARE`, or, of a single contact, 1. Friction is at
+    most that of a pyramid of `NUM_EDGES` edges within the cone (see `programs`); its orientation about the normal is
+    that of `basis_tangents`. Where the axes rotate with everything else, the forces do too; where only they rotate, the
+    result changes as little as a friction between that and cos(pi / NUM_EDGES) times it would change it.
 
     Args:
-        loads: Loads, the same for all grasps or not.
-        point: As for `contact_forces`.
-        normal: As for `contact_forces`.
-        center: As for `contact_forces`.
-        friction: As for `contact_forces`.
-        ridge: As for `contact_forces`.
-        forms: As for `contact_forces`.
-        axes: As for `contact_forces`; loads are in the frame of the contacts (see `turn_loads`).
+        loads: Outer loads on the object, [F, tau / `LEVER_M`] per unit of total pressure, the same for all grasps or
+            not, in the frame of the contacts (see `turn_loads`).
+        point: Contact points (N, K, 3) in metres; a contact with any NaN, in point or normal, is ignored.
+        normal: Unit normals (N, K, 3) from link to object, into the object.
+        center: The point (3,) that torques are about, the object's centre of mass.
+        friction: Coefficient of friction.
+        ridge: Weight of the squared forces, above 0: it makes the solution unique. Its cost is in the residual,
+            about as large as the weight itself.
+        forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
+        axes: Rotations (N, 3, 3) of the frames to which pyramids are aligned, such as the hand's, or one for all.
         start: `local` forces to start from (see `programs.solve_programs`).
     """
     N, K = point.shape[:2]

@@ -6,7 +6,8 @@ import pytest
 from grasp_refine.collision.engine import VARIABLE, why_not_native
 from grasp_refine.forces.equilibrium import LOADS
 from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES, solve_programs
-from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, contact_forces, grasp_map
+from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, grasp_map
+from single_load import single_load_forces
 
 compiled = pytest.mark.skipif(bool(why_not_native()), reason=f"no compiled engine: {why_not_native()}")
 
@@ -178,5 +179,5 @@ def test_a_solver_that_gives_up_is_no_result(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv(VARIABLE, "python")
     monkeypatch.setattr("daqp.solve", lambda *arguments: (np.ones(6), 0.0, -4, {}))
     point, normal = opposite(np.random.default_rng(4), 1, 2)
-    found = contact_forces(point, normal, np.zeros(3))
+    found = single_load_forces(point, normal, np.zeros(3))
     assert not found.solved[0] and np.isnan(found.residual[0]) and not found.force.any()

@@ -10,7 +10,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL_PRESSURE_N, contacts, set_point_offsets, squeezed
-from grasp_refine.forces.wrench import center_of_mass, contact_forces
+from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
@@ -18,6 +18,7 @@ from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from single_load import single_load_forces
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="{}" velocity="1"/>'
@@ -66,7 +67,7 @@ def forces_of(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     assert not points.patched.any()
     L, center = len(scene.links), center_of_mass(scene.object)
     point, normal = points.point[:, :L], points.normal[:, :L]
-    force = contact_forces(point, normal, center, ridge=SQUEEZE_RIDGE, axes=axes).force
+    force = single_load_forces(point, normal, center, ridge=SQUEEZE_RIDGE, axes=axes).force
     return TOTAL_PRESSURE_N * force, witness.point_a
 
 

@@ -16,11 +16,11 @@ from grasp_refine.forces.wrench import (
     basis_spin,
     basis_tangents,
     center_of_mass,
-    contact_forces,
     grasp_map,
     turn_loads,
 )
 from grasp_refine.objects.object import load_object
+from single_load import single_load_forces
 
 INNER = np.cos(np.pi / NUM_EDGES)
 """The pyramid lies between the cone of the friction itself and that of this times it."""
@@ -38,7 +38,9 @@ def random_contacts(count: int, contacts: int, seed: int) -> tuple[np.ndarray, n
 
 def of(normal: list, point: list, **settings: float | np.ndarray) -> ContactForces:
     """The forces of a single grasp about the origin."""
-    return contact_forces(np.array(point, dtype=float)[None], np.array(normal, dtype=float)[None], ORIGIN, **settings)
+    return single_load_forces(
+        np.array(point, dtype=float)[None], np.array(normal, dtype=float)[None], ORIGIN, **settings
+    )
 
 
 # closed forms
@@ -99,7 +101,7 @@ def test_torques_count_by_the_length_and_about_the_centre() -> None:
     point = [[-0.03, 0.01, 0], [0.03, -0.01, 0]]
     found = of([[1, 0, 0], [-1, 0, 0]], point, friction=0.0)
     assert found.residual[0] == pytest.approx(0.5 * 0.02 / LEVER_M)
-    moved = contact_forces(
+    moved = single_load_forces(
         np.array(point)[None] + [1.0, 2.0, 3.0],
         np.array([[[1.0, 0, 0], [-1.0, 0, 0]]]),
         np.array([1.0, 2.0, 3.0]),
@@ -115,7 +117,7 @@ def test_torques_count_by_the_length_and_about_the_centre() -> None:
 def test_forces_are_allowed_and_make_the_residual(contacts: int, friction: float) -> None:
     point, normal = random_contacts(50, contacts, seed=contacts)
     center = np.array([0.003, -0.002, 0.001])
-    found = contact_forces(point, normal, center, friction=friction)
+    found = single_load_forces(point, normal, center, friction=friction)
     assert found.solved.all()
     np.testing.assert_allclose(found.pressure.sum(axis=1), 1.0, atol=1e-8)
     assert found.pressure.min() >= 0 and found.pressure.max() <= MAX_PRESSURE_SHARE + 1e-8
@@ -131,7 +133,7 @@ def test_forces_are_allowed_and_make_the_residual(contacts: int, friction: float
 def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> None:
     """SLSQP over the edges of the pyramids instead of their faces."""
     point, normal = random_contacts(6, contacts, seed=10 + contacts)
-    found = contact_forces(point, normal, ORIGIN, ridge=ridge)
+    found = single_load_forces(point, normal, ORIGIN, ridge=ridge)
     angle = 2.0 * np.pi * np.arange(NUM_EDGES) / NUM_EDGES
     circle = np.stack([np.cos(angle), np.sin(angle)])
     for m in range(len(point)):
@@ -164,13 +166,13 @@ def test_moving_everything_changes_nothing() -> None:
     R = exp_so3(np.array([0.4, -1.1, 0.7]))
 
     def residual(friction: float) -> np.ndarray:
-        return contact_forces(point, normal, center, friction=friction).residual
+        return single_load_forces(point, normal, center, friction=friction).residual
 
     def turned(friction: float) -> ContactForces:
-        return contact_forces(point @ R.T + shift, normal @ R.T, R @ center + shift, friction=friction)
+        return single_load_forces(point @ R.T + shift, normal @ R.T, R @ center + shift, friction=friction)
 
     np.testing.assert_allclose(turned(0.0).residual, residual(0.0), atol=1e-9)
-    without = contact_forces(point, normal, center, friction=0.0)
+    without = single_load_forces(point, normal, center, friction=0.0)
     np.testing.assert_allclose(turned(0.0).force, without.force @ R.T, atol=1e-6)
     assert (turned(0.15).residual <= residual(0.15 * INNER) + 1e-5).all()
     assert (turned(0.15).residual >= residual(0.15 / INNER) - 1e-5).all()
@@ -181,9 +183,9 @@ def test_forces_rotate_with_their_axes() -> None:
     point, normal = random_contacts(40, 4, seed=3)
     load, forms = (np.random.default_rng(5).normal(size=shape) for shape in ((40, 6), (40, 2, 4, 3)))
     axes, R = (exp_so3(np.random.default_rng(seed).normal(size=(40, 3))) for seed in (6, 7))
-    here = contact_forces(point, normal, ORIGIN, load=0.1 * load, forms=forms, axes=axes)
+    here = single_load_forces(point, normal, ORIGIN, load=0.1 * load, forms=forms, axes=axes)
     turned_load = 0.1 * turn_loads(np.eye(6), R).mT @ load[..., None]
-    there = contact_forces(
+    there = single_load_forces(
         point @ R.mT, normal @ R.mT, ORIGIN, load=turned_load[..., 0], forms=forms @ R[:, None].mT, axes=R @ axes
     )
     np.testing.assert_allclose(there.residual, here.residual, atol=1e-12)
@@ -193,13 +195,15 @@ def test_forces_rotate_with_their_axes() -> None:
 
 def test_more_friction_never_harms() -> None:
     point, normal = random_contacts(40, 3, seed=4)
-    residuals = [contact_forces(point, normal, ORIGIN, friction=f, ridge=1e-9).residual for f in (0.0, 0.1, 0.3, 0.9)]
+    residuals = [
+        single_load_forces(point, normal, ORIGIN, friction=f, ridge=1e-9).residual for f in (0.0, 0.1, 0.3, 0.9)
+    ]
     assert (np.diff(residuals, axis=0) <= 1e-7).all() and residuals[3].mean() < 0.5 * residuals[0].mean()
 
 
 def test_a_large_ridge_spreads_the_load() -> None:
     point, normal = random_contacts(40, 8, seed=5)
-    little, much = (contact_forces(point, normal, ORIGIN, ridge=ridge) for ridge in (RIDGE, 0.2))
+    little, much = (single_load_forces(point, normal, ORIGIN, ridge=ridge) for ridge in (RIDGE, 0.2))
     assert ((much.pressure**2).sum(axis=1) <= (little.pressure**2).sum(axis=1) + 1e-9).all()
     assert (much.residual >= little.residual - 1e-9).all()
 
@@ -210,8 +214,8 @@ def test_the_order_of_contacts_means_nothing(loaded: bool) -> None:
     load = np.array([0.1, -0.2, 0.05, 0.0, 0.1, 0.0]) if loaded else None
     forms = np.random.default_rng(0).normal(size=(20, 2, 5, 3))
     order = [3, 0, 4, 1, 2]
-    found = contact_forces(point, normal, ORIGIN, load=load, forms=forms)
-    other = contact_forces(point[:, order], normal[:, order], ORIGIN, load=load, forms=forms[:, :, order])
+    found = single_load_forces(point, normal, ORIGIN, load=load, forms=forms)
+    other = single_load_forces(point[:, order], normal[:, order], ORIGIN, load=load, forms=forms[:, :, order])
     np.testing.assert_allclose(other.unbalanced, found.unbalanced, atol=1e-7)
     np.testing.assert_allclose(other.force, found.force[:, order], atol=1e-4)
 
@@ -219,8 +223,8 @@ def test_the_order_of_contacts_means_nothing(loaded: bool) -> None:
 def test_a_contact_that_comes_twice_may_carry_more_and_never_harms() -> None:
     """Two opposing contacts are as good as ever; a lopsided grasp gains, since each of two may carry half."""
     point, normal = random_contacts(20, 3, seed=10)
-    once = contact_forces(point, normal, ORIGIN, ridge=1e-9)
-    twice = contact_forces(
+    once = single_load_forces(point, normal, ORIGIN, ridge=1e-9)
+    twice = single_load_forces(
         np.concatenate([point, point], axis=1), np.concatenate([normal, normal], axis=1), ORIGIN, ridge=1e-9
     )
     assert (twice.residual <= once.residual + 1e-6).all() and (twice.residual < once.residual - 1e-3).any()
@@ -237,7 +241,7 @@ def test_level_normals_turn_no_pyramid(azimuth: float) -> None:
     normal[:, 0] = [np.cos(azimuth), np.sin(azimuth), 0.0]
     below, above = normal.copy(), normal.copy()
     below[:, 0, 2], above[:, 0, 2] = -1e-12, 1e-12
-    residuals = [contact_forces(point, n, ORIGIN).residual for n in (below, above)]
+    residuals = [single_load_forces(point, n, ORIGIN).residual for n in (below, above)]
     np.testing.assert_allclose(residuals[0], residuals[1], atol=1e-9)
 
 
@@ -251,7 +255,7 @@ def test_normals_along_axes_turn_no_pyramid(axis: int, sign: float) -> None:
     for tilt in (np.roll([0.0, 1e-12, 0.0], axis), np.roll([0.0, -1e-12, 1e-12], axis)):
         tilted = normal.copy()
         tilted[:, 0] += tilt
-        residuals.append(contact_forces(point, tilted, ORIGIN).residual)
+        residuals.append(single_load_forces(point, tilted, ORIGIN).residual)
     np.testing.assert_allclose(residuals[0], residuals[1], atol=1e-9)
 
 
@@ -289,9 +293,9 @@ def test_a_load_that_turns_counts_by_the_length() -> None:
 def test_each_grasp_may_have_a_load_of_its_own() -> None:
     point, normal = random_contacts(5, 4, seed=13)
     load = 0.2 * np.random.default_rng(1).normal(size=(5, 6))
-    together = contact_forces(point, normal, ORIGIN, load=load)
+    together = single_load_forces(point, normal, ORIGIN, load=load)
     for m in range(5):
-        alone = contact_forces(point[[m]], normal[[m]], ORIGIN, load=load[m])
+        alone = single_load_forces(point[[m]], normal[[m]], ORIGIN, load=load[m])
         np.testing.assert_array_equal(alone.force[0], together.force[m])
         np.testing.assert_array_equal(alone.unbalanced[0], together.unbalanced[m])
 
@@ -302,8 +306,8 @@ def test_other_forms_count_with_the_rest_but_are_no_residual() -> None:
     normal = -np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)[None]
     forms = np.zeros((1, 1, 4, 3))
     forms[0, 0, 2] = 100.0 * normal[0, 2]
-    free = contact_forces(-0.04 * normal, normal, ORIGIN)
-    found = contact_forces(-0.04 * normal, normal, ORIGIN, forms=forms)
+    free = single_load_forces(-0.04 * normal, normal, ORIGIN)
+    found = single_load_forces(-0.04 * normal, normal, ORIGIN, forms=forms)
     np.testing.assert_allclose(free.pressure, 0.25, atol=1e-4)
     # Without the third, the first has no opponent but friction of the other two.
     assert found.pressure[0, 2] < 1e-3 and found.pressure[0, [1, 3]].min() > 0.4
@@ -316,7 +320,7 @@ def test_the_grasp_map_gives_what_forces_come_to() -> None:
     point[1, 2] = np.nan
     center, forms = np.array([0.01, 0.0, -0.02]), np.random.default_rng(2).normal(size=(6, 3, 4, 3))
     G, basis = grasp_map(point, normal, center, forms)
-    found = contact_forces(point, normal, center, forms=forms)
+    found = single_load_forces(point, normal, center, forms=forms)
     np.testing.assert_allclose(np.einsum("mcij,mcj->mi", G, found.local), found.unbalanced, atol=1e-12)
     np.testing.assert_allclose((basis @ found.local[..., None])[..., 0], found.force, atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(basis), 1.0)
@@ -333,12 +337,12 @@ def test_the_grasp_map_gives_what_forces_come_to() -> None:
 
 def test_what_is_no_contact_counts_nothing() -> None:
     point, normal = random_contacts(5, 4, seed=6)
-    alone = contact_forces(point, normal, ORIGIN)
+    alone = single_load_forces(point, normal, ORIGIN)
     place = [5, 0, 3, 2]
     wide_point, wide_normal = np.full((2, 5, 6, 3), np.nan)
     wide_point[:, place], wide_normal[:, place] = point, normal
     wide_point[:, 1] = 0.01  # a point without a normal
-    wide = contact_forces(wide_point, wide_normal, ORIGIN)
+    wide = single_load_forces(wide_point, wide_normal, ORIGIN)
     np.testing.assert_allclose(wide.residual, alone.residual, atol=1e-7)
     np.testing.assert_allclose(wide.force[:, place], alone.force, atol=1e-5)
     assert not wide.force[:, [1, 4]].any() and not wide.pressure[:, [1, 4]].any()
@@ -347,9 +351,9 @@ def test_what_is_no_contact_counts_nothing() -> None:
 def test_grasps_do_not_depend_on_the_others() -> None:
     point, normal = random_contacts(7, 4, seed=7)
     point[2, 1:], normal[5, 0] = np.nan, np.nan
-    together = contact_forces(point, normal, ORIGIN)
+    together = single_load_forces(point, normal, ORIGIN)
     for m in range(7):
-        alone = contact_forces(point[m : m + 1], normal[m : m + 1], ORIGIN)
+        alone = single_load_forces(point[m : m + 1], normal[m : m + 1], ORIGIN)
         np.testing.assert_array_equal(alone.force[0], together.force[m])
         np.testing.assert_array_equal(alone.residual[0], together.residual[m])
 
@@ -357,12 +361,12 @@ def test_grasps_do_not_depend_on_the_others() -> None:
 def test_without_contacts_there_is_no_residual() -> None:
     point, normal = random_contacts(2, 3, seed=8)
     normal[1] = np.nan
-    found = contact_forces(point, normal, ORIGIN)
+    found = single_load_forces(point, normal, ORIGIN)
     np.testing.assert_array_equal(found.solved, [True, False])
     np.testing.assert_array_equal(np.isnan(found.residual), [False, True])
     assert not found.force[1].any() and not found.pressure[1].any()
-    assert not contact_forces(np.zeros((2, 0, 3)), np.zeros((2, 0, 3)), ORIGIN).solved.any()
-    assert len(contact_forces(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), ORIGIN).residual) == 0
+    assert not single_load_forces(np.zeros((2, 0, 3)), np.zeros((2, 0, 3)), ORIGIN).solved.any()
+    assert len(single_load_forces(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), ORIGIN).residual) == 0
 
 
 # the basis of local forces
