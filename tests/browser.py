@@ -270,9 +270,21 @@ class ViserPage:
         self._let_it_send()
 
     def choose(self, label: str, option: str) -> None:
-        """Pick one of a list."""
-        self.row(label).get_by_role("combobox").click(timeout=1000 * SECONDS)
-        self.page.get_by_role("option", name=option, exact=True).click(timeout=1000 * SECONDS)
+        """Pick one of a list, which is opened again where what the server sends meanwhile closes it."""
+        from playwright.sync_api import TimeoutError as NotInTime
+
+        wanted = self.page.get_by_role("option", name=option, exact=True)
+
+        def picked() -> bool:
+            try:
+                if not wanted.is_visible():
+                    self.row(label).get_by_role("combobox").click(timeout=1000 * SECONDS)
+                wanted.click(timeout=5000)
+            except NotInTime:
+                return False
+            return True
+
+        until(picked, f"{option!r} picked as {label!r}")
         self._let_it_send()
 
     def upload(self, label: str, file: Path) -> None:

@@ -63,6 +63,8 @@ def load_yaml(data: bytes) -> Any:
                 raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep")
         return yaml.load(text, Loader=LOADER)
     except yaml.YAMLError as error:
+        if "nesting depth" in str(error):  # libyaml's own limit, which its scanner may meet before the events above
+            raise Refused(f"holds lists or dicts nested more than {MAX_DEPTH} deep") from None
         raise Refused(f"is no valid YAML ({' '.join(str(error).split())[:120]})") from None
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
         # Of the loader, on values that look like dates or numbers.
