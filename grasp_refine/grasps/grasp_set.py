@@ -15,13 +15,14 @@ and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K
 `target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
 the motion that closes the hand may be present, each whole or not at all, in the form of `hand_pose` and `q`:
 `pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
-actuators are sent so that it presses; those joint values may lie beyond the limits. Other entries (results,
-provenance) may be present too and are not read here.
+actuators are sent so that it presses; those joint values may lie beyond the limits. Entries `label_<name>` (N,) are
+numbers that a generator gives its grasps. Other entries (results, provenance) may be present too and are not read here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,8 @@ REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", 
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
 OTHER_STAGES = ("pregrasp", "squeeze")
 """Stages beside the grasp itself: attributes of a set, and prefixes of their entries in a file."""
+LABEL_PREFIX = "label_"
+"""Prefix of the entries of a file that hold labels."""
 MIMIC_TOLERANCE = 1e-3
 """Greatest deviation of a mimic joint in a file from the joint that it follows, in rad or m, without a note."""
 
@@ -108,6 +111,8 @@ class GraspSet:
     """The hand before it closes to the grasp, if the file has it."""
     squeeze: Stage | None = None
     """Set points of the hand after that, to press, if the file has them."""
+    labels: Mapping[str, Float[np.ndarray, " N"]] = field(default_factory=dict)
+    """Numbers (N,) that the generator gives each grasp, by name, such as confidence or success; NaN: none."""
 
     @classmethod
     def of(cls, hand: Hand, pose: ArrayLike, q: ArrayLike, *, object: str = "object", scale: float = 1.0) -> GraspSet:
@@ -139,7 +144,7 @@ class GraspSet:
     def __repr__(self) -> str:
         names = np.unique(self.object)
         on = str(names[0]) if len(names) == 1 else count_text(len(names), "object")
-        with_parts = [*(["targets"] if self.targets is not None else []), *self.other_stages]
+        with_parts = [*(["targets"] if self.targets is not None else []), *self.other_stages, *self.labels]
         more = f", with {', '.join(with_parts)}" if with_parts else ""
         return f"GraspSet({count_text(len(self), 'grasp')} of {self.hand} on {on}{more})"
 
@@ -165,9 +170,11 @@ class GraspSet:
             for name in OTHER_STAGES:
                 check_kind(name, getattr(self, name), Stage | None)
             check_kind("targets", self.targets, Targets | None)
+            check_kind("labels", self.labels, Mapping)
+            numbers = {str(name): as_numbers(f"labels[{name!r}]", its, count) for name, its in self.labels.items()}
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
-        arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q}
+        arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q, "labels": numbers}
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
 
@@ -219,7 +226,7 @@ class GraspSet:
             entries["target_point_object"] = self.targets.point_object
         for name, stage in self.other_stages.items():
             entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
-        return entries
+        return entries | {LABEL_PREFIX + name: values for name, values in self.labels.items()}
 
 
 def load_grasps(path: str | Path) -> GraspSet:
@@ -260,6 +267,7 @@ def load_grasps(path: str | Path) -> GraspSet:
         q=grasp.q,
         targets=_targets(file, n),
         **{name: _optional_stage(file, name, n, len(joint_names)) for name in OTHER_STAGES},
+        labels=_labels(file, n),
     )
 
 
@@ -350,6 +358,16 @@ def _optional_stage(file: NpzFile, name: str, n: int, joints: int) -> Stage | No
     if len(present) < len(keys):
         raise file.error(f"a {name} needs {' and '.join(keys)} together; found only {present[0]}")
     return _stage(file, *keys, n, joints)
+
+
+def _labels(file: NpzFile, n: int) -> dict[str, Float[np.ndarray, " N"]]:
+    found = {}
+    for key in sorted(key for key in file.entries if key.startswith(LABEL_PREFIX)):
+        values = file.numbers(key, allowed="any")
+        if values.shape != (n,):
+            raise file.error(f"{key} must have shape ({n},), one number per grasp; it has {values.shape}")
+        found[key.removeprefix(LABEL_PREFIX)] = values
+    return found
 
 
 def _targets(file: NpzFile, n: int) -> Targets | None:

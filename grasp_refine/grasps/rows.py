@@ -1,12 +1,14 @@
-"""Rows of grasp sets: those of one object, by their numbers, or by a mask."""
+"""Rows of grasp sets: those of one object, by their numbers, by a mask, or by their labels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.arguments import describe_value
 from grasp_refine.core.errors import GraspFileError
@@ -14,6 +16,13 @@ from grasp_refine.core.plurals import count_text
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+COMPARISONS: dict[str, Callable[[Any, float], Any]] = {
+    ">=": operator.ge, "<=": operator.le, "=": operator.eq, ">": operator.gt, "<": operator.lt,
+}  # fmt: skip
+"""Comparisons of conditions on labels."""
+CONDITION = re.compile(r"\s*([^<>=\s]+)\s*(>=|<=|=|>|<)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*")
+"""Condition on a label: its name, a comparison and a number."""
 
 
 def choose_rows(
@@ -43,6 +52,26 @@ def choose_rows(
             f"'{object_name}' has {count_text(len(rows), 'grasp')}, 0 to {len(rows) - 1}"
         )
     return rows[np.asarray(index, dtype=int)]
+
+
+def rows_where(labels: Mapping[str, Float[np.ndarray, " N"]], condition: str) -> Int[np.ndarray, " chosen"]:
+    """Return the rows whose label fulfils a condition such as "success=1" or "confidence>=0.5".
+
+    A grasp without the label, NaN, fulfils none.
+
+    Raises:
+        GraspFileError: the condition is none, or the grasps have no such label.
+    """
+    found = CONDITION.fullmatch(condition)
+    if found is None:
+        raise GraspFileError(
+            f"a condition is LABEL, one of {', '.join(COMPARISONS)}, and a number, as in success=1; got '{condition}'"
+        )
+    name, sign, number = found.groups()
+    if name not in labels:
+        there = ", ".join(labels) or "none"
+        raise GraspFileError(f"the grasps have no label '{name}'; their labels: {there}")
+    return np.flatnonzero(COMPARISONS[sign](labels[name], float(number)))
 
 
 def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:

@@ -100,7 +100,7 @@ def refine_group(
     scene, prepared = group.scene, prepared or HandObject.of(group.scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
     after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
-    return compare(
+    outcome = compare(
         scene,
         refinement,
         closing_motion(after, prepared, on_opening, pressure=config.pressure),
@@ -111,6 +111,7 @@ def refine_group(
         row=group.rows,
         index=group.index,
     )
+    return replace(outcome, labels=group.grasps.labels)
 
 
 def simulate_refined(

@@ -60,7 +60,9 @@ class RefinedGrasps:
         """Input grasps, joint values in the order of the hand."""
         hand, outcome = self.problem.hand, self.outcome
         pose, q = outcome.initial_pose, outcome.initial_q
-        return GraspSet(hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q)
+        return GraspSet(
+            hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q, labels=outcome.labels
+        )
 
     @property
     def after(self) -> GraspSet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -66,6 +66,8 @@ class Outcome:
     """Joint values (N, 3, n) at these stages; those of a squeeze may lie beyond the limits."""
     weakness: np.ndarray
     """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Numbers (N,) that the generator gave the grasps, as `GraspSet.labels`."""
 
     __repr__ = brief
 

@@ -54,6 +54,7 @@ def refined_set(hand: Hand, links: tuple[str, ...], outcome: Outcome) -> GraspSe
         hand_pose=outcome.hand_pose,
         q=outcome.q,
         targets=targets,
+        labels=outcome.labels,
         **{
             name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
             for at, name in enumerate(STAGES)

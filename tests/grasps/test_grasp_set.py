@@ -255,6 +255,8 @@ INFINITE["target_point_link"][2, 0, 0] = np.inf
         ),
         ({"target_link": ["tip"]}, ("target_link, target_point_link, target_point_object",)),
         ({**targets(), "target_link": ["tip"]}, ("target_point_link", "(3, 1, 3)", "(3, 2, 3)")),
+        ({"label_score": [1.0, 2.0]}, ("label_score", "(3,)", "(2,)")),
+        ({"label_score": ["a", "b", "c"]}, ("label_score", "numbers")),
         (PARTLY, ("'thumb'", "row 0", "NaN")),
         (INFINITE, ("target_point_link", "finite", "row 2")),
     ],
@@ -295,11 +297,12 @@ def test_stages_are_read_where_they_are(write):
 
 
 def test_select_takes_rows_of_everything_in_the_given_order(write):
-    grasps = load_grasps(write(object=["mug", "can", "jar"], **targets(), **stages()))
+    grasps = load_grasps(write(object=["mug", "can", "jar"], label_score=[1.0, np.nan, 3.0], **targets(), **stages()))
     chosen = grasps.select([2, 0])
     np.testing.assert_array_equal(chosen.pregrasp.hand_pose, grasps.pregrasp.hand_pose[[2, 0]])
     np.testing.assert_array_equal(chosen.squeeze.q, grasps.squeeze.q[[2, 0]])
     assert chosen.object.tolist() == ["jar", "mug"]
+    np.testing.assert_array_equal(chosen.labels["score"], [3.0, 1.0])
     np.testing.assert_array_equal(chosen.q, grasps.q[[2, 0]])
     np.testing.assert_array_equal(chosen.hand_pose, grasps.hand_pose[[2, 0]])
     np.testing.assert_array_equal(chosen.targets.point_link, grasps.targets.point_link[[2, 0]])
@@ -310,7 +313,7 @@ def test_select_takes_rows_of_everything_in_the_given_order(write):
 
 
 def test_saved_grasps_load_again(write, tmp_path: Path):
-    grasps = load_grasps(write(**targets(), **stages()))
+    grasps = load_grasps(write(label_score=[1.0, np.nan, 3.0], **targets(), **stages()))
     path = tmp_path / "new" / "folder" / "result.npz"
     save_npz(path, {**grasps.arrays(), "contact_error_m": np.zeros(3)})
     again = load_grasps(path)

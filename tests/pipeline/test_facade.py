@@ -31,13 +31,15 @@ def gripper(tmp_path_factory: pytest.TempPathFactory) -> gr.Hand:
 @pytest.fixture(scope="module")
 def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
     box = gr.load_object("box:0.05,0.06,0.07")
-    return gr.refine(gripper, box, gr.sample_grasps(gripper, box, 3))
+    grasps = replace(gr.sample_grasps(gripper, box, 3), labels={"confidence": [0.5, np.nan, 1.0]})
+    return gr.refine(gripper, box, grasps)
 
 
 def test_what_is_saved_is_what_is_told(refined: gr.RefinedGrasps, workplace: Path):
     refined.save("refined.npz")
     assert "gripper on box" in str(refined) and "3 of 3 grasps converged" in str(refined)
     saved = gr.load_grasps("refined.npz")
+    np.testing.assert_array_equal(saved.labels["confidence"], [0.5, np.nan, 1.0])
     # Reading divides quaternions by their length, which is 1 up to rounding.
     for was, found in ((refined.after, saved), (refined.pregrasp, saved.pregrasp), (refined.squeeze, saved.squeeze)):
         np.testing.assert_allclose(found.hand_pose, was.hand_pose, rtol=0.0, atol=1e-15)

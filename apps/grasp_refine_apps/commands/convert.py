@@ -23,6 +23,7 @@ from grasp_refine.grasps.formats.listing import FormatName, format_named
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.grasps.rows import rows_where
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known, is_known
 from grasp_refine.scene.convention_check import joint_notes, position_notes
@@ -61,6 +62,8 @@ class Convert:
     names neither hand nor joints and fits several hands."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """URDF of the hand, if it ships without one."""
+    where: Annotated[DisallowNone[str | None], arg(metavar="CONDITION", help_behavior_hint="(default: all)")] = None
+    """Only grasps whose label fulfils a condition, as in success=1, confidence>=0.5 or energy<2."""
     json: OptionalFile = None
     """Write a summary of the conversion to this file."""
     overwrite: Overwrite = False
@@ -94,6 +97,10 @@ class Convert:
                 raise GraspRefineError(
                     f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert"
                 )
+            if self.where is not None:
+                known = np.intersect1d(known, rows_where(read.grasps.labels, self.where))
+                if not len(known):
+                    raise GraspRefineError(f"{self.source}: no grasp has {self.where}: nothing to convert")
             grasps, left = read.grasps.select(known), len(read.grasps) - len(known)
             to, load = format_named(self.to), self._load(grasps)
             parts, lost = to.write(grasps, load)

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import SUCCESS, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK, hand_named, without_follower
 from grasp_refine.grasps.formats.layout import Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -97,13 +98,22 @@ class Acronym:
             scale=np.full(count, source.scale(held["object"]["scale"], "object/scale")),
             hand_pose=pose_from_transform(T_object_gripper @ layout.T_root_base),
             q=q,
+            labels=_success(source, held["grasps"], count),
         )
-        return grasps, [*notes, *_success_notes(source, held["grasps"], count)]
+        return grasps, notes
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object and scale."""
         moved, layout = fit_layout(without_follower(grasps), (PANDA,), load, self.name)
         T = transform_from_pose(root_poses(moved, layout))
+        success, lost = grasps.labels.get(SUCCESS), []
+        if success is None:
+            success = np.ones(len(grasps))
+            lost.append("object_in_gripper 1 is written for every grasp: these do not tell")
+        elif np.isnan(success).any():
+            raise GraspFileError(
+                f"format {self.name} tells of every grasp whether it succeeded; some have no {SUCCESS}"
+            )
         groups = rows_by_object(grasps)
         files = disambiguate(f"{object_folder(name)}_{scale!r}" for name, scale in groups)
         parts = []
@@ -117,14 +127,13 @@ class Acronym:
             content = {
                 "grasps": {
                     "transforms": T[rows],
-                    "qualities": {"flex": {"object_in_gripper": np.ones(len(rows), np.int64)}},
+                    "qualities": {"flex": {"object_in_gripper": success[rows].astype(np.int64)}},
                 },
                 "gripper": {"type": "panda", "configuration": opening[:1].copy()},
                 "object": {"file": f"meshes/{name}.obj", "scale": scale},
             }
             parts.append(Part(f"{file}.h5", rows, content))
-        lost = ["object_in_gripper 1 is written for every grasp: a grasp set does not tell"]
-        return parts, [*lost, *omission_notes(grasps, FRANKA_JOINTS, stages=False)]
+        return parts, [*lost, *omission_notes(grasps, FRANKA_JOINTS, stages=False, labels=(SUCCESS,))]
 
 
 def _as_tree(content: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -141,15 +150,14 @@ def _as_tree(content: Mapping[str, Any]) -> Mapping[str, Any]:
     }
 
 
-def _success_notes(source: Source, grasps: Mapping[str, Any], count: int) -> list[str]:
-    """Note on how many grasps failed."""
+def _success(source: Source, grasps: Mapping[str, Any], count: int) -> dict[str, Float[np.ndarray, " N"]]:
+    """Whether each grasp held in simulation, a label: 1 or 0."""
     qualities = grasps.get("qualities")
     flex = qualities.get("flex") if isinstance(qualities, Mapping) else None
     told = flex.get("object_in_gripper") if isinstance(flex, Mapping) else grasps.get("object_in_gripper")
     if told is None:
-        return []
+        return {}
     held = np.asarray(told)
     if held.dtype.kind not in "biuf" or held.shape != (count,):
         raise source.error(f"object_in_gripper must have shape ({count},); it has {held.shape}")
-    failed = int((held == 0).sum())
-    return [f"object_in_gripper has no place in a grasp set; it is 0 for {failed} of {count} grasps, which failed"]
+    return {SUCCESS: held.astype(np.float64)}

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
-from grasp_refine.grasps.formats.format import Load, Part
+from grasp_refine.grasps.formats.format import SUCCESS, Load, Part
 from grasp_refine.grasps.formats.leap_cache import NUM_COLUMNS as NUM_LEAP_COLUMNS
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.multidex import (
@@ -73,13 +73,15 @@ class DRO:
         """The grasps of a file."""
         held = source.content
         more: list[str] = []
+        labels = {}
         if isinstance(held, np.ndarray):
             entries = _entries_of_array(source)
         elif isinstance(held, list):
-            entries, more = _entries_of_predictions(source)
+            entries, success = _entries_of_predictions(source)
+            labels = {} if np.isnan(success).all() else {SUCCESS: success}
         else:
             entries = entries_of_metadata(source)
-        grasps, notes = grasps_of_entries(source, entries, ROBOTS, hand, NUM_POSE_COLUMNS, _transforms)
+        grasps, notes = grasps_of_entries(source, entries, ROBOTS, hand, NUM_POSE_COLUMNS, _transforms, labels)
         if grasps.joint_names == ROBOTS["allegro"].joints and hand is not None and "left" not in hand.name:
             more.append("the Allegro hand of D(R,O)-Grasp is a left one")
         return grasps, [*notes, *more]
@@ -102,19 +104,20 @@ def _entries_of_array(source: Source) -> Entries:
     return [(row, thing, robot) for row in source.content]
 
 
-def _entries_of_predictions(source: Source) -> tuple[Entries, list[str]]:
-    """Rows of `vis_info`, and notes."""
+def _entries_of_predictions(source: Source) -> tuple[Entries, list[float]]:
+    """Rows of `vis_info`, and whether each succeeded, NaN where that is not told."""
     entries: list[tuple[np.ndarray, str, str]] = []
-    passed = []
+    passed: list[float] = []
     for at, part in enumerate(source.content):
         robot, thing = (source.text(part.get(key), f"{key} of [{at}]") for key in ("robot_name", "object_name"))
         rows = source.numbers(part["predict_q"], f"predict_q of [{at}]", (None, None))
         entries += [(row, thing, robot) for row in rows]
-        success = part.get("success")
-        passed += [] if success is None else np.asarray(success).ravel().tolist()
-    if not passed:
-        return entries, []
-    return entries, [f"success, true of {sum(map(bool, passed))} of {len(passed)}, has no place in a grasp set"]
+        told = part.get("success")
+        success = np.full(len(rows), np.nan) if told is None else np.asarray(told).ravel()
+        if success.dtype.kind not in "biuf" or len(success) != len(rows):
+            raise source.error(f"success of [{at}] must tell of {len(rows)} grasps; it tells of {len(success)}")
+        passed += success.astype(float).tolist()
+    return entries, passed
 
 
 def _transforms(rows: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 4 4"]:

@@ -16,6 +16,9 @@ from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
+SUCCESS, CONFIDENCE, ENERGY, FALL_TIME = "success", "confidence", "energy", "fall_time"
+"""Labels that formats have a place for: result of a trial, 1 or 0; a score from 0 to 1; lower is better; seconds."""
+
 Load = Callable[[str], Hand]
 """Loader of the hand below one of its links."""
 
@@ -72,12 +75,17 @@ class Format(Protocol):
         ...
 
 
-def omission_notes(grasps: GraspSet, joints: Collection[str], *, stages: bool = True) -> list[str]:
-    """Notes on what a format with a place for these `joints` and maybe for `stages`, but none for targets, omits."""
+def omission_notes(
+    grasps: GraspSet, joints: Collection[str], *, stages: bool = True, labels: Collection[str] = ()
+) -> list[str]:
+    """Notes on what a format omits: it has a place for these joints and labels, maybe for stages, none for targets."""
     others = [] if stages else [*grasps.other_stages]
     notes = [f"{' and '.join(others)} have no place in this format and are left out"] if others else []
     if grasps.targets is not None:
         notes.append("targets have no place in this format and are left out")
+    without_place = [name for name in grasps.labels if name not in labels]
+    if without_place:
+        notes.append(f"the labels {', '.join(without_place)} have no place in this format and are left out")
     above = [name for name in grasps.joint_names if name not in joints]
     if above:
         notes.append(f"{', '.join(above)} have no place in this format: the pose of the hand is that behind them")

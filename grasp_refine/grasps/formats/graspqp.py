@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
-from grasp_refine.grasps.formats.format import Load, Part, check_file_names, omission_notes
+from grasp_refine.grasps.formats.format import ENERGY, Load, Part, check_file_names, omission_notes
 from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK, without_follower
 from grasp_refine.grasps.formats.layout import ALLEGRO, SHADOW_FINGERS, SHADOW_THUMB, Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -124,7 +125,9 @@ class GraspQP:
         columns = [source.numbers(held[name], name, (len(poses),)) for name in names]
         q = np.stack(columns, axis=1) if names else np.zeros((len(poses), 0))
         thing, folder = _path_names(source)
-        notes = _dropped(source)
+        notes = []
+        if source.content.get("grasp_velocities") is not None:
+            notes.append("grasp_velocities, which close the hand, have no place in a grasp set")
         found = next((model for model in MODELS.values() if set(model.joints) == set(names)), None)
         if found is not None and (hand is None or set(found.layout.joints) <= set(hand.joint_names)):
             order = [names.index(joint) for joint in found.joints]
@@ -150,6 +153,7 @@ class GraspQP:
             scale=np.ones(len(poses)),
             hand_pose=poses,
             q=q,
+            labels=_energy(source, len(poses)),
         )
         return grasps, notes
 
@@ -161,13 +165,14 @@ class GraspQP:
         hand, model = next((name, model) for name, model in MODELS.items() if model.layout == layout)
         q = moved.q[:, [moved.joint_names.index(joint) for joint in layout.joints]] * model.signs
         poses = root_poses(moved, layout)
+        energy = grasps.labels.get(ENERGY, np.zeros(len(grasps)))
         parts = []
         for thing in dict.fromkeys(grasps.object.tolist()):
             rows = np.flatnonzero(grasps.object == thing)
             values = dict(zip(model.joints, q[rows].astype(np.float32).T, strict=True))
             zeros = dict.fromkeys(model.joints, np.zeros(len(rows), np.float32))
             content = {
-                "values": np.zeros(len(rows), np.float32),
+                "values": energy[rows].astype(np.float32),
                 "parameters": values | {ROOT: poses[rows].astype(np.float32)},
                 "grasp_velocities": zeros,
                 "full_grasp_velocities": zeros,
@@ -175,10 +180,11 @@ class GraspQP:
             }
             place = f"{thing}/{PREDICTIONS}/{hand}/12_contacts/graspqp/default"
             parts.append(Part(f"{place}/{thing}{ENDING}.pt", rows, content))
-        lost = ["energies and velocities are written as 0", "numbers are written in single precision, as its own are"]
+        zeros_of = "velocities" if ENERGY in grasps.labels else "energies and velocities"
+        lost = [f"{zeros_of} are written as 0", "numbers are written in single precision, as its own are"]
         if (grasps.scale != 1.0).any():
             lost.append("scale has no place in this format: its meshes are in metres")
-        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False)]
+        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False, labels=(ENERGY,))]
 
 
 def _path_names(source: Source) -> tuple[str, str]:
@@ -190,14 +196,12 @@ def _path_names(source: Source) -> tuple[str, str]:
     return source.path.stem.removesuffix(ENDING), "hand"
 
 
-def _dropped(source: Source) -> list[str]:
-    notes = []
-    energies = source.content.get("values")
-    if energies is not None:
-        values = source.numbers(energies, "values").ravel()
-        if np.isfinite(values).any() and np.ptp(values[np.isfinite(values)]):
-            low, high = np.nanmin(values), np.nanmax(values)
-            notes.append(f"values, the energy of each grasp, {low:.4g} to {high:.4g}, have no place in a grasp set")
-    if source.content.get("grasp_velocities") is not None:
-        notes.append("grasp_velocities, which close the hand, have no place in a grasp set")
-    return notes
+def _energy(source: Source, count: int) -> dict[str, Float[np.ndarray, " N"]]:
+    """Energy of each grasp, a label, lower is better; files that say 0 of all have none."""
+    told = source.content.get("values")
+    if told is None:
+        return {}
+    values = source.numbers(told, "values").ravel()
+    if values.shape != (count,):
+        raise source.error(f"values must have shape ({count},); it has {values.shape}")
+    return {ENERGY: values} if values.any() else {}

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder, scale_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes, rows_by_object
+from grasp_refine.grasps.formats.format import CONFIDENCE, SUCCESS, Load, Part, omission_notes, rows_by_object
 from grasp_refine.grasps.formats.grippers import hand_named
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
@@ -87,12 +87,17 @@ class IsaacGrasp:
             hand_pose=poses,
             q=q,
             pregrasp=pregrasp,
+            labels=_confidence(source),
         )
-        return grasps, [*notes, *more, *_confidence_notes(source)]
+        return grasps, [*notes, *more]
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object and scale."""
-        notes = ["confidence 1.0 is written for every grasp: a grasp set has none"]
+        notes = []
+        label = next((name for name in (CONFIDENCE, SUCCESS) if name in grasps.labels), None)
+        if label is None:
+            notes.append("confidence 1.0 is written for every grasp: these have none")
+        confidence = np.ones(len(grasps)) if label is None else grasps.labels[label]
         opened = grasps.q
         if grasps.pregrasp is None:
             notes.append("there is no pregrasp: the joints of the grasp itself are written in its place")
@@ -114,16 +119,18 @@ class IsaacGrasp:
                 "object_file": f"{name}.obj",
                 "object_scale": scale,
                 "gripper_file": f"{grasps.hand}.usd",
-                "grasps": {f"grasp_{at}": _entry(grasps, opened, row) for at, row in enumerate(rows.tolist())},
+                "grasps": {
+                    f"grasp_{at}": {"confidence": float(confidence[row]), **_entry(grasps, opened, row)}
+                    for at, row in enumerate(rows.tolist())
+                },
             }
             parts.append(Part(f"{file}.yaml", rows, content))
-        return parts, [*notes, *omission_notes(grasps, grasps.joint_names)]
+        return parts, [*notes, *omission_notes(grasps, grasps.joint_names, labels=() if label is None else (label,))]
 
 
 def _entry(grasps: GraspSet, opened: Float[np.ndarray, "N n"], row: int) -> dict[str, Any]:
     x, y, z, qw, qx, qy, qz = grasps.hand_pose[row].tolist()
     return {
-        "confidence": 1.0,
         "position": [x, y, z],
         "orientation": {"w": qw, "xyz": [qx, qy, qz]},
         JOINTS: dict(zip(grasps.joint_names, grasps.q[row].tolist(), strict=True)),
@@ -198,11 +205,8 @@ def _gripper(source: Source, hand: Hand | None) -> tuple[str, str, list[str]]:
     return named, UNNAMED, ["the file names no gripper_frame: give the gripper with --hand, which begins there"]
 
 
-def _confidence_notes(source: Source) -> list[str]:
-    given = [grasp["confidence"] for grasp in source.content["grasps"].values() if "confidence" in grasp]
-    values = source.numbers([_number(value) for value in given], "confidence") if given else np.zeros(0)
-    if not len(values) or (values == values[0]).all():
-        return []
-    failed = int((values == 0.0).sum())
-    zero = f"; {failed} of {len(values)} have 0, which marks grasps that failed" if failed else ""
-    return [f"confidence, {np.nanmin(values):.3g} to {np.nanmax(values):.3g}, has no place in a grasp set{zero}"]
+def _confidence(source: Source) -> dict[str, Float[np.ndarray, " N"]]:
+    """Confidence of each grasp, a label; 0 marks one that failed, NaN one that has none."""
+    given = [grasp.get("confidence", np.nan) for grasp in source.content["grasps"].values()]
+    values = source.numbers([_number(value) for value in given], "confidence")
+    return {} if np.isnan(values).all() else {CONFIDENCE: values}

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -125,8 +126,9 @@ def grasps_of_entries(
     hand: Hand | None,
     pose_columns: int,
     transforms: Callable[[np.ndarray], np.ndarray],
+    labels: Mapping[str, Sequence[float]] | None = None,
 ) -> tuple[GraspSet, Sequence[str]]:
-    """The grasps of the one hand in a file, or of that which the user gave, and notes.
+    """The grasps of the one hand in a file, or of that which the user gave, with `labels` of the entries, and notes.
 
     Raises:
         GraspFileError: several hands, one whose joints are not known, or rows of another length.
@@ -163,6 +165,10 @@ def grasps_of_entries(
         scale=np.ones(len(rows)),
         hand_pose=pose_from_transform(T_object_root @ layout.T_root_base),
         q=rows[:, pose_columns:],
+        labels={
+            name: source.numbers(list(compress(its, (of == robot for _, _, of in entries))), name)
+            for name, its in (labels or {}).items()
+        },
     )
     notes = [f"joints are in the order of the URDF of {robot}, which the file does not name"]
     if len(counts) > 1:

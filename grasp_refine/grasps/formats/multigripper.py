@@ -18,7 +18,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
-from grasp_refine.grasps.formats.format import Load, Part, omission_notes
+from grasp_refine.grasps.formats.format import FALL_TIME, SUCCESS, Load, Part, omission_notes
 from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK
 from grasp_refine.grasps.formats.layout import Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
@@ -47,6 +47,8 @@ ROBOTIQ = (
     *("RIQ_link_1_RIQ_link_2_joint_c", "RIQ_link_1_RIQ_link_2_joint_b", "RIQ_link_2_RIQ_link_3_joint_a"),
     *("RIQ_link_2_RIQ_link_3_joint_c", "RIQ_link_2_RIQ_link_3_joint_b"),
 )
+LABELS = {"result": SUCCESS, "fall_time": FALL_TIME}
+"""What its simulation tells of each grasp -> label."""
 GRIPPERS = {
     "Allegro": Layout("allegro", BASE, tuple(f"joint_{first + n}.0" for n in range(4) for first in (0, 12, 4, 8))),
     "Barrett": Layout(
@@ -123,8 +125,15 @@ class MultiGripperGrasp:
             scale=np.ones(len(poses)),
             hand_pose=poses,
             q=q,
+            labels={
+                name: source.numbers(held[key], key, (len(poses),))
+                for key, name in LABELS.items()
+                if held.get(key) is not None
+            },
         )
-        return grasps, [*notes, *_dropped(source, len(poses))]
+        if held.get("final_dofs") is not None:
+            notes.append("final_dofs, the joints once the gripper had closed, have no place in a grasp set")
+        return grasps, notes
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object."""
@@ -142,12 +151,13 @@ class MultiGripperGrasp:
                 "object_id": name,
                 "pose": moved.hand_pose[rows].tolist(),
                 "dofs": q[rows].tolist(),
+                **{key: grasps.labels[name][rows].tolist() for key, name in LABELS.items() if name in grasps.labels},
             }
             parts.append(Part(f"{gripper}-{file}.json", rows, content))
         lost = []
         if (grasps.scale != 1.0).any():
             lost.append("scale has no place in this format: its objects have their own size")
-        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False)]
+        return parts, [*lost, *omission_notes(grasps, layout.joints, stages=False, labels=LABELS.values())]
 
 
 def _with_follower(grasps: GraspSet) -> GraspSet:
@@ -157,16 +167,3 @@ def _with_follower(grasps: GraspSet) -> GraspSet:
     return replace(
         grasps, joint_names=FRANKA_JOINTS, q=np.repeat(grasps.q, 2, axis=1), pregrasp=None, squeeze=None, targets=None
     )
-
-
-def _dropped(source: Source, count: int) -> list[str]:
-    """Notes on what its simulation adds."""
-    notes = []
-    for key, says in (("result", "1 of those that passed"), ("fall_time", "seconds until the object fell")):
-        if source.content.get(key) is not None:
-            values = source.numbers(source.content[key], key, (count,))
-            passed = f", 0 for {int((values == 0).sum())} of {count}" if key == "result" else ""
-            notes.append(f"{key}, {says}{passed}, has no place in a grasp set")
-    if source.content.get("final_dofs") is not None:
-        notes.append("final_dofs, the joints once the gripper had closed, have no place in a grasp set")
-    return notes

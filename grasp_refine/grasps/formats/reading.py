@@ -105,7 +105,7 @@ def reading(
     if found != OURS:
         joined, empty = _without_empty_stages(joined)
         more += empty
-    more += _not_finite(joined)
+    more += [*_label_notes(joined), *_not_finite(joined)]
     return Reading(joined, found, tuple(files), tuple(dict.fromkeys([*notes, *more])))
 
 
@@ -206,16 +206,21 @@ def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, li
     notes = [f"only some files have a {name}: it is left out" for name in lost]
     if any(grasps.targets is not None for grasps in sets):
         notes.append("targets are read from single files only, not from folders: they are left out")
-    return join(*(_with_columns(grasps, first.joint_names, stages) for grasps in sets)), notes
+    labels = list(dict.fromkeys(name for grasps in sets for name in grasps.labels))
+    return join(*(_with_columns(grasps, first.joint_names, stages, labels) for grasps in sets)), notes
 
 
-def _with_columns(grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str]) -> GraspSet:
-    """The grasps with the columns of `joint_names` and only the given stages, without targets."""
+def _with_columns(
+    grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str], labels: Sequence[str]
+) -> GraspSet:
+    """The grasps with the columns of `joint_names`, the given stages only and all `labels`, NaN where it has none."""
     columns = [grasps.joint_names.index(name) for name in joint_names]
     parts: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
     for name in stages:
         stage = grasps.other_stages[name]
         parts[name] = Stage(stage.hand_pose, stage.q[:, columns])
+    none = np.full(len(grasps), np.nan)
+    parts["labels"] = {name: grasps.labels.get(name, none) for name in labels}
     return replace(grasps, joint_names=joint_names, q=grasps.q[:, columns], targets=None, **parts)
 
 
@@ -232,6 +237,20 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
             grasps = replace(grasps, **without)
             notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")
     return grasps, notes
+
+
+def _label_notes(grasps: GraspSet) -> list[str]:
+    """Note on the labels that tell grasps apart."""
+    said = []
+    for name, values in grasps.labels.items():
+        known = values[np.isfinite(values)]
+        if not len(known) or np.ptp(known) == 0:
+            continue
+        if np.isin(known, (0, 1)).all():
+            said.append(f"{name} (1 of {int(known.sum())}, 0 of {int((known == 0).sum())})")
+        else:
+            said.append(f"{name} ({known.min():.4g} to {known.max():.4g})")
+    return [f"labels of the grasps are kept: {', '.join(said)}"] if said else []
 
 
 def _not_finite(grasps: GraspSet) -> list[str]:

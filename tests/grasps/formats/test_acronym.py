@@ -64,7 +64,7 @@ def test_a_file_of_the_dataset(tmp_path: Path):
     assert set(grasps.object) == {"10f6e090"} and set(grasps.scale) == {0.0003}
     assert grasps.joint_names == ("panda_finger_joint1",) and set(grasps.q.ravel()) == {0.04}
     assert_names(read.notes[0], "open")
-    assert_names(read.notes[1], "object_in_gripper", "2 of 5", "failed")
+    assert_names(read.notes[1], "success", "1 of 3", "0 of 2")
     # The tips of both fingers: the file draws them at x = 41 mm and -41 mm, ours move along y.
     tips = np.array([[0.041, 0.0, 0.112], [-0.041, 0.0, 0.112]])
     ours = np.array([[0.0, 0.041, 0.112], [0.0, -0.041, 0.112]])
@@ -102,13 +102,17 @@ def test_round_trips_to_the_last_digit(tmp_path: Path):
     before = replace(before, object=np.array(["cup", "mug", "cup", "mug", "cup"]), q=np.full((5, 1), 0.0123))
     known = format_named("acronym")
     parts, lost = known.write(before, load)
-    assert len(parts) == 2 and any("object_in_gripper" in note for note in lost)
+    assert len(parts) == 2 and not any("object_in_gripper" in note for note in lost)
     with written(tmp_path / "out", known, parts) as (_, rows):
         pass
     again = reading(tmp_path / "out")
     assert again.format == known and again.grasps.object.tolist() == before.select(rows).object.tolist()
     assert check_same(before.select(rows), again.grasps) < 1e-14
     np.testing.assert_array_equal(again.grasps.scale, before.scale)
+    np.testing.assert_array_equal(again.grasps.labels["success"], before.select(rows).labels["success"])
+    assert any("object_in_gripper" in note for note in known.write(replace(before, labels={}), load)[1])
+    with refused(GraspFileError, "acronym", "success"):
+        known.write(replace(before, labels={"success": np.array([1, np.nan, 1, 0, 1])}), load)
     with refused(GraspFileError, "acronym", "one opening", "'cup'"):
         known.write(replace(before, q=np.linspace(0, 0.04, 5)[:, None]), load)
 

@@ -65,7 +65,8 @@ def test_what_its_optimiser_writes(hand: str, tmp_path: Path):
     np.testing.assert_allclose(
         transform_from_pose(grasps.hand_pose), np.repeat(T_root @ model.layout.T_root_base, 3, 0), atol=1e-6
     )
-    assert_names(" ".join(read.notes), "values", "1 to 2", "grasp_velocities")
+    assert_names(" ".join(read.notes), "energy", "1 to 2", "grasp_velocities")
+    np.testing.assert_array_equal(grasps.labels["energy"], [1.0, 1.5, 2.0])
     # The order in the file does not matter.
     held = contents(hand)
     held["parameters"] = dict(reversed(held["parameters"].items()))

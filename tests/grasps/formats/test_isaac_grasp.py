@@ -107,10 +107,11 @@ def test_the_file_of_isaac_sims_documentation(tmp_path: Path):
 def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
     read = reading(save(tmp_path / "box.yaml", GRASP_GEN))
     assert read.grasps.q.shape == (3, 0) and set(read.grasps.object) == {"box"}
-    joints, frame, confidence = read.notes
+    joints, frame, labels = read.notes
     assert_names(joints, "no joint")
     assert_names(frame, "gripper_frame", "--hand")
-    assert_names(confidence, "0.5 to 0.7")
+    assert_names(labels, "confidence", "0.5 to 0.7")
+    np.testing.assert_allclose(read.grasps.labels["confidence"], [0.5, 0.6, 0.7])
     given = reading(tmp_path / "box.yaml", hand=load("allegro", "base_link"))
     assert (given.grasps.hand, given.grasps.base_link) == ("allegro", "base_link")
     assert_names(given.notes[1], "gripper_frame", "base_link")
@@ -126,7 +127,8 @@ def test_files_of_graspdatagen(tmp_path: Path):
     np.testing.assert_array_equal(grasps.q, [[0.1, 0.2], [0.1, 0.2]])
     assert grasps.pregrasp is not None
     np.testing.assert_array_equal(grasps.pregrasp.q, [[0.3, 0.4], [0.3, 0.4]])
-    assert_names(read.notes[0], "confidence", "1 of 2", "failed")
+    np.testing.assert_array_equal(grasps.labels["confidence"], [0.0, 1.0])
+    assert_names(read.notes[0], "confidence", "1 of 1", "0 of 1")
 
 
 @pytest.mark.parametrize("hand", ["shadow", "allegro", "leap"])
