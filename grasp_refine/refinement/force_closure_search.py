@@ -23,6 +23,7 @@ from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.gap_closing import close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
@@ -80,7 +81,8 @@ SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
 SETTLE = Phase("contacts settle", 15)
 CLOSE = Phase("gaps close", 40, balance=False, patience=12)
 PHASES = (SLIDE, SETTLE, CLOSE)
-"""Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close."""
+"""Contacts slide to where forces balance; they settle without penetration; last, by geometry alone, gaps close (see
+`gap_closing`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +260,8 @@ class _Search:
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
         left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]
-        found = minimise(
+        solve = minimise if phase.balance else close_gaps
+        found = solve(
             problem,
             start,
             solver,
@@ -292,7 +295,7 @@ class _Search:
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)
         config = replace(self.config, weights=PHASES[-1].weights(self.config.weights))
-        problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared)
+        problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared).in_points()
         for column, point in enumerate((self.given(rows), take(found.point, rows))):
             loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
         minimum = replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from zlib import crc32
@@ -72,6 +73,12 @@ class GraspProblem:
         )
         # Bounds of each unknown would depend on the axes of the world: `integrate` shortens steps of the root.
         self.step[:6] = np.inf
+
+    def in_points(self) -> GraspProblem:
+        """Return the problem without gaps at the corners where flat faces meet."""
+        points = copy(self)
+        points.patched = False
+        return points
 
     # interface of `levenberg_marquardt.LeastSquares`
 

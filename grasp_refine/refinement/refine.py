@@ -14,6 +14,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import labels, spread, tallied
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import search
+from grasp_refine.refinement.gap_closing import close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
@@ -43,7 +44,8 @@ class Refinement:
     status: np.ndarray
     """A `Status` for each grasp (N,)."""
     loss: np.ndarray
-    """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known."""
+    """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known. Gaps at corners of patches
+    count after only where they closed."""
     iterations: np.ndarray
     """Iterations of each grasp (N,), those of all attempts."""
     queries: np.ndarray
@@ -167,7 +169,7 @@ def _solve(
         return minimise(objective, given, config.solver, config.tolerance, status=status, **settings)
     problem = GraspProblem(scene, goal, config, prepared)
     if not goal.aimed.any():
-        return minimise(problem, given, config.solver, config.tolerance, status=status, **settings)
+        return close_gaps(problem, given, config.solver, config.tolerance, status=status, **settings)
     before, num_queries = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
     rows = np.flatnonzero(status == Status.RUNNING)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
@@ -178,7 +180,7 @@ def _solve(
     start = Point(given.T.copy(), given.q.copy())
     reached = problem.solve_position_ik(rows, take(given, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
-    found = minimise(problem, start, config.solver, config.tolerance, status=status, **settings)
+    found = close_gaps(problem, start, config.solver, config.tolerance, status=status, **settings)
     # The input grasp may still be the best.
     first = before <= found.loss[:, 1]
     found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED

@@ -167,6 +167,28 @@ def test_refinement_turns_faces_onto_each_other(tmp_path, block: Object, angle: 
     np.testing.assert_allclose(np.abs(normal).max(axis=1), 1.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("config", [Config(starts=1), Config(weights=replace(Config().weights, wrench=0.0))])
+def test_parallel_jaws_touch_a_wedge_as_flat_as_they_can(tmp_path, config: Config):
+    half = np.radians(2.0)
+    corners = np.array([[x, y, z] for x in (-0.025, 0.025) for y in (-0.02, 0.02) for z in (-0.03, 0.03)])
+    corners[:, 1] *= 1.0 + corners[:, 0] / 0.02 * np.tan(half)
+    import trimesh
+
+    path = tmp_path / "wedge.obj"
+    trimesh.convex.convex_hull(corners).export(path)
+    wedge, hand = load_object(path), jaws(tmp_path)
+    T, q = gripping([0.001, 0, 0, 0, 0, 0.015], [0, 0.001, 0.002, 0.02, 0.1, -0.01], [0, 0, 0, 0.02, 0, 0.05])
+    found = refine(Scene(hand, wedge, T, q + 0.003), config)
+    assert found.labels.tolist() == ["converged"] * 3
+    points, _, witness, _ = points_of(hand, wedge, found.T_world_root, found.q)
+    assert points.patched.all() and np.abs(witness.distance[:, :2]).max() < 1e-5
+    # Jaws that are parallel share the angle between the faces about evenly.
+    normal = found.T_world_root[:, :3, 1]
+    faces = np.stack([[-np.sin(half), side * np.cos(half), 0.0] for side in (-1, 1)])
+    tilt = np.degrees(np.arccos(np.abs(normal @ faces.T)))
+    np.testing.assert_allclose(tilt, 2.0, atol=0.5)
+
+
 def test_nothing_is_looked_for_where_no_link_is_flat(tmp_path, block: Object):
     T, q = gripping([0.0] * 6)
     points, *_ = points_of(jaws(tmp_path, ROUND_JAW), block, T, q)
