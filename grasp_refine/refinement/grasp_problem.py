@@ -22,6 +22,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Linear, stack
+from grasp_refine.refinement.terms.environment import Clearance
 from grasp_refine.refinement.terms.self_penetration import SelfPenetration
 from grasp_refine.refinement.terms.table import Table
 from grasp_refine.refinement.terms.term import Setup, State
@@ -55,9 +56,8 @@ class GraspProblem:
         self.chain = prepared.chain
         self.axes = scene.T_world_root[:, :3, :3]
         self.boxes = prepared.boxes(self.axes)
-        setup = Setup(
-            scene, goal, prepared, config.margin, config.scales, clearances(config, prepared.hand, prepared.chain)
-        )
+        clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
+        setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.terms = config.weights.terms(setup, autograd=False)
         self.meets_anywhere = goal.touching & ~goal.aimed
         columns = self.meets_anywhere.any(axis=0)
@@ -89,9 +89,11 @@ class GraspProblem:
         witness = self._against_object(member, T, previous)
         none, loss, rejected = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count, dtype=bool)
         no_pairs = nothing_near(np.zeros((count, 0)))
-        forces = None if previous is None else previous.forces
+        forces, nearby = (None, None) if previous is None else (previous.forces, previous.nearby)
         patches = LinkPatches.of(self.prepared.faces, self.meets_anywhere[member], T, witness) if self.patched else None
-        state = State(loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces, patches)
+        state = State(
+            loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces, patches, nearby=nearby
+        )
         # Points that will be rejected anyway need neither forces nor queries of the pairs of links.
         for weight, term in sorted(self.terms, key=lambda weighted: weighted[1].cost):
             state = term.complete(state, rejected, partial(self._against_itself, T, previous))
@@ -100,6 +102,8 @@ class GraspProblem:
         pairs = witness, state.self_witness
         unknown = np.logical_or(*((found.status > QueryStatus.FAR).any(axis=1) for found in pairs))
         num_queries = sum(found.num_queries.sum(axis=1) for found in pairs)
+        if state.nearby is not None:
+            unknown, num_queries = unknown | state.nearby.failed, num_queries + state.nearby.num_queries
         return replace(state, loss=np.where(unknown, np.nan, loss), num_queries=num_queries)
 
     @stage("derivative")
@@ -165,8 +169,8 @@ class GraspProblem:
         return point
 
     def other_depth(self, state: State) -> np.ndarray:
-        """Return the largest depth (M,) in metres of links in each other or below the table."""
-        terms = [term for _, term in self.terms if isinstance(term, SelfPenetration | Table)]
+        """Return the largest depth (M,) in metres of links in each other, below the table or in a body around."""
+        terms = [term for _, term in self.terms if isinstance(term, SelfPenetration | Table | Clearance)]
         depth = [residual for term in terms for residual in term.residuals(state)]
         return np.concatenate([np.zeros((len(state.member), 1)), *depth], axis=1).max(axis=1)
 

@@ -20,6 +20,7 @@ from grasp_refine.refinement.terms.term import Setup, State
 from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.surroundings import Nearby
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
 
@@ -40,6 +41,8 @@ class Slope:
     """Witness points of links and object (M, L)."""
     self_witness: Witness
     """Witness points of pairs of links (M, S)."""
+    nearby: Nearby | None
+    """What is near in the environment; None: nothing can be."""
 
 
 class Objective:
@@ -53,9 +56,8 @@ class Objective:
         self.goal, self.width = goal, max(len(scene.q), 1)
         hand, dtype = scene.hand, getattr(torch, config.dtype)
         self.kinematics = Kinematics(hand, scene.links, dtype=dtype, device=config.device)
-        setup = Setup(
-            scene, goal, prepared, config.margin, config.scales, clearances(config, prepared.hand, prepared.chain)
-        )
+        clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
+        setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.clearance = np.broadcast_to(setup.clearance, goal.touching.shape)
         terms = config.weights.terms(setup, autograd=True)
         self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
@@ -100,7 +102,8 @@ class Objective:
         count = len(member)
         none, loss = np.zeros(count, dtype=np.int64), T[:, 0, 0] * 0.0
         no_pairs = nothing_near(np.zeros((count, 0)))
-        state = State(none, none, member, T, q, T_moving, None, witness, no_pairs, T_object=T_object)
+        nearby = None if previous is None else previous.nearby
+        state = State(none, none, member, T, q, T_moving, None, witness, no_pairs, T_object=T_object, nearby=nearby)
         for weight, term in self.terms:
             state = term.complete(state, none.astype(bool), self_witness)
             loss = loss + weight * term.loss(state)
@@ -114,7 +117,9 @@ class Objective:
         unknown = np.logical_or(*((found.status > QueryStatus.FAR).any(axis=1) for found in pairs))
         value, slope = (found.detach().double().cpu().numpy() for found in (loss, gradient))
         num_queries = sum(found.num_queries.sum(axis=1) for found in pairs)
-        return Slope(np.where(unknown, np.nan, value), slope, num_queries, none + key, *pairs)
+        if state.nearby is not None:
+            unknown, num_queries = unknown | state.nearby.failed, num_queries + state.nearby.num_queries
+        return Slope(np.where(unknown, np.nan, value), slope, num_queries, none + key, pairs[0], pairs[1], state.nearby)
 
 
 def limits_within(lower: np.ndarray, upper: np.ndarray, dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:

@@ -16,7 +16,9 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.scene.surroundings import LEAVES_START_M, Surroundings, choose_bodies
 from grasp_refine.witness.face_patch import FacePairs
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
 
@@ -91,7 +93,7 @@ class HandObject:
     @cached_property
     def bounding_spheres(self) -> np.ndarray:
         """Centre and radius (L, 4) of a bounding sphere of each link, link frames, metres."""
-        return np.array([bounding_sphere(body) for body in self.bodies])
+        return self._bare_spheres
 
     @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -125,6 +127,28 @@ class HandObject:
         point = build_body("point", [sphere(POINT)], candidates=16)
         return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
 
+    def surroundings(self, scene: Scene) -> Surroundings | None:
+        """Return the links with those bodies around the object that grasps may reach in a refinement; None: none."""
+        if scene.environment is None:
+            return None
+        with np.errstate(invalid="ignore"):
+            T = self.chain(scene.T_world_root, scene.q).T_world_link
+        chosen = choose_bodies(scene.environment, self._bare_spheres, T, LEAVES_START_M, self.box)
+        key = scene.environment, chosen.tobytes()
+        if len(chosen) and key not in self._surroundings:
+            # Grasps of a refinement reach the same bodies, in all its phases.
+            self._surroundings[key] = Surroundings(self.bodies, self._bare_spheres, scene.environment, chosen)
+        return self._surroundings.get(key)
+
+    @cached_property
+    def _surroundings(self) -> dict[tuple[Environment, bytes], Surroundings]:
+        return {}
+
+    @cached_property
+    def _bare_spheres(self) -> np.ndarray:
+        """Centre and radius (L, 4) of a bounding sphere of each link without padding."""
+        return np.array([bounding_sphere(body) for body in self.bodies])
+
     @cached_property
     def padded(self) -> PaddedHand:
         """The hand with padding, for opening it."""
@@ -151,6 +175,10 @@ class PaddedHand(HandObject):
     def bounding_spheres(self) -> np.ndarray:
         """Centre and radius (L, 4) of a bounding sphere of each padded link."""
         return np.array([bounding_sphere(body) for body in self._padded])
+
+    def surroundings(self, scene: Scene) -> Surroundings | None:
+        """Return what links without padding may reach: bodies have margins of their own."""
+        return self.bare.surroundings(scene)
 
     @cached_property
     def self_collision_pairs(self) -> Pairs | None:

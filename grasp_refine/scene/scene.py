@@ -13,6 +13,7 @@ from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
 from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 
 MAX_MAGNITUDE = 1e6
@@ -47,9 +48,11 @@ class Scene:
     """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
     table: Plane | None = None
     """A plane that no link may go through."""
+    environment: Environment | None = None
+    """Bodies around the object that no link may go into."""
 
     def __repr__(self) -> str:
-        given = [name for name in (*TARGET_FIELDS, "table") if getattr(self, name) is not None]
+        given = [name for name in (*TARGET_FIELDS, "table", "environment") if getattr(self, name) is not None]
         more = f", with {', '.join(given)}" if given else ""
         return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
 
@@ -63,6 +66,7 @@ class Scene:
         check_kind("hand", self.hand, Hand)
         check_kind("object", self.object, Object)
         check_kind("table", self.table, Plane | None)
+        check_kind("environment", self.environment, Environment | None)
         arrays: dict[str, np.ndarray] = {}
         arrays["T_world_root"], arrays["q"] = grasp_arrays(self.hand, self.T_world_root, self.q)
         count, links = len(arrays["q"]), len(self.links)

@@ -58,7 +58,7 @@ class LinkRows:
         Args:
             depth: Depths in metres; negative: distance that is left; -inf where there is no row.
             covector: Their covectors on the twists of the links.
-            link: Indices (P,) of the links; None: 0 to P - 1.
+            link: Indices (P,) or (M, P) of the links; None: 0 to P - 1.
             minus: Indices (P,) of the links whose twists are subtracted.
         """
         near = depth > -NEAR_DISTANCE_M
@@ -66,7 +66,8 @@ class LinkRows:
         chosen = np.take_along_axis(near, place, axis=1)
         residual = np.where(chosen, np.take_along_axis(depth, place, axis=1), -NEAR_DISTANCE_M)
         covector = np.where(chosen[..., None], np.take_along_axis(covector, place[..., None], axis=1), 0.0)
-        first, second = (side if side is None else side[place] for side in (link, minus))
+        first = None if link is None else np.take_along_axis(np.broadcast_to(link, depth.shape), place, axis=1)
+        second = None if minus is None else minus[place]
         return LinkRows(residual, covector, place if first is None else first, second, unilateral=True)
 
 

@@ -48,7 +48,7 @@ def depth_rows(
 
     Args:
         witness: Witness points.
-        link: Links (P,) that are the first bodies; None: 0 to P - 1.
+        link: Links (P,) or (M, P) that are the first bodies; None: 0 to P - 1.
         minus: Links that are the second bodies; None: these rest.
         clearance: As for `depths`.
     """

@@ -27,6 +27,7 @@ from grasp_refine.refinement.terms.scales import Scales
 from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.surroundings import Nearby, Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,8 @@ class State:
     """Patches where flat faces of touching links meet the object; None: no link can have any, or none is wanted."""
     T_object: Array | None = None
     """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
+    nearby: Nearby | None = None
+    """What is near in the environment; before its term has found it, that of a state nearby. None: nothing can be."""
 
     @property
     def frames(self) -> Frames:
@@ -86,6 +89,8 @@ class Setup:
     """Movements of equal cost."""
     clearance: Float[np.ndarray, " L"]
     """Gap (L,) in metres that each link without a target keeps from the object, see `clearance.clearances`."""
+    surroundings: Surroundings | None = None
+    """Links, and the bodies around the object that grasps could reach; None: there are none."""
 
 
 class Term(ABC):

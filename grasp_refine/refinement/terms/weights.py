@@ -13,6 +13,7 @@ from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.terms.contact import Contact
 from grasp_refine.refinement.terms.direction import Direction
+from grasp_refine.refinement.terms.environment import Clearance
 from grasp_refine.refinement.terms.joint_limits import JointLimits
 from grasp_refine.refinement.terms.penetration import Penetration
 from grasp_refine.refinement.terms.self_penetration import SelfPenetration
@@ -35,6 +36,8 @@ class Weights:
     """Weight of the depth of links in each other (metres); likewise."""
     table: Annotated[float, Table] = 100.0
     """Weight of the depth of every link below the table, where there is one (metres)."""
+    environment: Annotated[float, Clearance] = 100.0
+    """Weight of the depth of every link in a body of the scene, or in its margin (metres)."""
     joint_limits: Annotated[float, JointLimits] = 0.01
     """Weight of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
     levenberg-marquardt, limits hold exactly and it has no effect."""

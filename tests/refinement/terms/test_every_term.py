@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.core.se3 import matvec
+from grasp_refine.core.se3 import exp_se3, matvec
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
@@ -16,6 +18,7 @@ from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.terms.weights import Weights, term_kinds
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.finite_difference import FiniteDifference
@@ -50,7 +53,19 @@ CASES = [
 def many(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Hands around an object, of spheres, boxes or meshes."""
     hand = sliding_gripper(tmp_path_factory.mktemp(request.param), request.param, candidates=1024)
-    return around_object(hand, 600, 1, OBJECTS[request.param], table=True)
+    scene = around_object(hand, 600, 1, OBJECTS[request.param], table=True)
+    return replace(scene, environment=beside(0.004))
+
+
+def beside(margin: float) -> Environment:
+    """A ball and a tilted corner of two boxes beside the object, and a body far away, in a turned world."""
+    far, T_world_object = np.eye(4), exp_se3(np.array([0.3, -0.2, 0.7, 0.4, 1.1, -0.6]))
+    far[0, 3] = 9.0
+    corner = [box([0.1, 0.06, 0.02]), box([0.02, 0.06, 0.1])]
+    T = exp_se3(np.array([[-0.06, -0.01, -0.07, 0.3, 0.5, 0.2], [0.055, 0.02, 0.01, 0.0, 0.0, 0.0]]))
+    parts = ("ball", [sphere(0.03)], T[1]), ("corner", corner, T[0]), ("far", [sphere(0.1)], far)
+    bodies = [EnvironmentBody(n, build_body(n, pieces), T_world_object @ T, margin) for n, pieces, T in parts]
+    return Environment(tuple(bodies), T_world_object)
 
 
 def with_goal(scene: Scene, name: str) -> Goal:

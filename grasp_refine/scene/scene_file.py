@@ -1,0 +1,316 @@
+"""Scene files: TOML that lists the bodies around an object, and the poses of all in one world frame with z up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspRefineError, quote_value
+from grasp_refine.core.names import exists, is_valid
+from grasp_refine.core.se3 import matrix_from_quaternion, transform
+from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.geometry.body import Body, build_body
+from grasp_refine.geometry.pieces import Piece, box, capsule
+from grasp_refine.geometry.shapes import EMBEDDED
+from grasp_refine.geometry.units import UNITS
+from grasp_refine.objects.object import UncutObject, cut_objects, read_object
+from grasp_refine.scene.environment import DEFAULT_MARGIN_M, Environment, EnvironmentBody
+from grasp_refine.scene.furniture import FURNITURE
+
+POSE_KEYS = ("pose", "position", "rpy")
+"""Keys of a pose: position and quaternion x y z qw qx qy qz; or a position, and angles about x, y and z in degrees."""
+
+SHAPES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
+"""Shape of a body -> number of its lengths in metres: sides; radius; radius and height; radius and length."""
+
+SOURCES = (*SHAPES, "object", "mesh", "pieces")
+"""Keys that say what a body is, of which it has one."""
+
+COMMON_KEYS = ("name", *POSE_KEYS, "margin", "movable", "mass", "density")
+"""Keys of every body."""
+
+BODY_KEYS = (*SOURCES, "scale", "unit", *COMMON_KEYS)
+"""Keys of a [[body]]."""
+
+OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", *POSE_KEYS)
+"""Keys of [object]."""
+
+TOP_KEYS = ("name", "margin", "object", "body", *FURNITURE)
+"""Keys of a scene file."""
+
+MAX_MAGNITUDE_M = 100.0
+"""Largest magnitude of a length or coordinate in metres."""
+
+UNIT_TOLERANCE = 1e-3
+"""Largest error of the length of a quaternion, which is then made a unit one."""
+
+MAX_BODIES = 10_000
+"""Most bodies of a scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFile:
+    """Contents of a scene file: the environment, and which object is grasped in it."""
+
+    path: Path
+    """The file."""
+    environment: Environment
+    """Bodies around the object, and its pose."""
+    object: str | None
+    """Object that is grasped, as `--object` takes it; None: the file says only where it is."""
+    scale: float
+    """Factor that takes the mesh of the object to metres."""
+
+
+def load_scene(
+    path: str | Path, *, on_message: Callable[[str], None] | None = None, cache: Path | None | str = "user"
+) -> SceneFile:
+    """Return the contents of a scene file; concave meshes are cut into convex pieces as objects are.
+
+    Args:
+        path: A TOML file.
+        on_message: Called when a decomposition starts and ends.
+        cache: Folder of earlier decompositions; "user" is the user's cache folder, None: no cache.
+
+    Raises:
+        GraspRefineError: it cannot be read, or a key or value in it is wrong; names file, key, value and choices.
+    """
+    path = Path(path)
+    try:
+        raw = read_toml(path)
+    except FileNotFoundError:
+        raise GraspRefineError(f"{path}: no such scene file") from None
+    except UNREADABLE as error:
+        raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
+    where = f"{path}: "
+    _check_keys(raw, TOP_KEYS, where)
+    name = _text(raw.get("name", path.stem), f"{where}name")
+    margin = _length(raw.get("margin", DEFAULT_MARGIN_M), f"{where}margin", least=0.0)
+    grasped = raw.get("object")
+    if not isinstance(grasped, Mapping):
+        what = "is missing" if grasped is None else f"must be a table, got {quote_value(grasped)}"
+        raise GraspRefineError(f'{where}[object] {what}; as in [object] name = "mug", position = [0, 0, 0.7]')
+    at = f"{where}[object] "
+    _check_keys(grasped, OBJECT_KEYS, at)
+    sources = [key for key in ("name", "mesh", "pieces") if key in grasped]
+    if len(sources) > 1:
+        raise GraspRefineError(f"{at}has {' and '.join(sources)}: give one of them")
+    obj = None if not sources else _source(grasped[sources[0]], path.parent, f"{at}{sources[0]}")
+    scale = _factor(grasped, at)
+    drafts = [_Draft.furniture(kind, one, w, margin) for kind in FURNITURE for one, w in _tables(raw, kind, where)]
+    drafts += [_Draft.body(one, path.parent, w, margin) for one, w in _tables(raw, "body", where)]
+    if len(drafts) > MAX_BODIES:
+        raise GraspRefineError(f"{where}has {len(drafts)} bodies, of at most {MAX_BODIES}")
+    uncut = {draft.key: draft.uncut for draft in drafts if draft.uncut is not None}
+    cut = cut_objects(list(uncut.values()), cache=cache, progress=on_message)  # type: ignore[arg-type]
+    found = dict(zip(uncut, (one.body for one in cut), strict=True))
+    taken: set[str] = set()
+    bodies = tuple(draft.finish(found, taken, where) for draft in drafts)
+    try:
+        environment = Environment(bodies, _pose(grasped, at), name)
+    except GraspRefineError as error:
+        raise GraspRefineError(f"{where}{error}") from None
+    return SceneFile(path, environment, obj, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class _Draft:
+    """A body whose mesh is not cut yet."""
+
+    name: str
+    key: tuple[str, float]
+    """Source and scale, by which equal bodies are cut once."""
+    uncut: UncutObject | None
+    pieces: tuple[Piece, ...]
+    """Pieces of shapes; empty: those of `uncut`."""
+    raw: Mapping[str, Any]
+    where: str
+    margin: float
+
+    @staticmethod
+    def furniture(kind: str, raw: Mapping[str, Any], where: str, margin: float) -> _Draft:
+        """Return a body that is made of boxes."""
+        made = FURNITURE[kind]
+        _check_keys(raw, (*made.sizes, *COMMON_KEYS), where)
+        sizes: dict[str, Any] = {}
+        for key, default in made.sizes.items():
+            value = raw.get(key, default)
+            if isinstance(default, tuple):
+                sizes[key] = _lengths(value, len(default), f"{where}{key}")
+            else:
+                sizes[key] = _length(value, f"{where}{key}")
+        return _Draft(raw.get("name", kind), ("", 0.0), None, made.pieces(sizes), raw, where, margin)
+
+    @staticmethod
+    def body(raw: Mapping[str, Any], folder: Path, where: str, margin: float) -> _Draft:
+        """Return a body of a shape, an object or files."""
+        _check_keys(raw, BODY_KEYS, where)
+        kinds = [key for key in SOURCES if key in raw]
+        if len(kinds) != 1:
+            given = f"has {' and '.join(kinds)}" if kinds else "has no shape"
+            raise GraspRefineError(f"{where}{given}: give one of {', '.join(SOURCES)}")
+        (kind,) = kinds
+        if kind in SHAPES:
+            if "scale" in raw or "unit" in raw:
+                raise GraspRefineError(f"{where}{kind} has lengths in metres; scale and unit are for files and objects")
+            value = raw[kind]
+            lengths = _lengths([value] if kind == "sphere" else value, SHAPES[kind], f"{where}{kind}")
+            return _Draft(raw.get("name", kind), ("", 0.0), None, _shape(kind, lengths), raw, where, margin)
+        source, scale = _source(raw[kind], folder, f"{where}{kind}"), _factor(raw, where)
+        try:
+            uncut = read_object(source, scale=scale, unit="m")
+        except GraspRefineError as error:
+            raise GraspRefineError(f"{where}{kind}: {error}") from None
+        return _Draft(raw.get("name", uncut.name), (source, scale), uncut, (), raw, where, margin)
+
+    def finish(self, cut: Mapping[tuple[str, float], Body], taken: set[str], file: str) -> EnvironmentBody:
+        """Return the body, with a number after a name that was not given and is `taken`."""
+        raw, where = self.raw, self.where
+        name = _text(self.name, f"{where}name")
+        if "name" not in raw:
+            base, number = name, 2
+            while name in taken:
+                name, number = f"{base} {number}", number + 1
+        taken.add(name)
+        movable = raw.get("movable", False)
+        if not isinstance(movable, bool):
+            raise GraspRefineError(f"{where}movable must be true or false, got {quote_value(movable)}")
+        body = cut[self.key] if self.uncut is not None else build_body(name, self.pieces, candidates=64)
+        margin = _length(raw.get("margin", self.margin), f"{where}margin", least=0.0)
+        try:
+            return EnvironmentBody(name, body, _pose(raw, where), margin, movable, self._mass(body))
+        except GraspRefineError as error:
+            raise GraspRefineError(f"{file}{error}") from None
+
+    def _mass(self, body: Body) -> float | None:
+        """Return the given mass in kg, or that of the given density; None: neither is given."""
+        raw, where = self.raw, self.where
+        if "mass" in raw and "density" in raw:
+            raise GraspRefineError(f"{where}has mass and density: give one of them")
+        if "mass" in raw:
+            return _positive(raw["mass"], f"{where}mass")
+        if "density" not in raw:
+            return None
+        volume = sum(float(piece.mesh().volume) for piece in body.pieces)
+        return _positive(raw["density"], f"{where}density") * volume
+
+
+def _shape(kind: str, lengths: tuple[float, ...]) -> tuple[Piece, ...]:
+    """Return the exact pieces of a shape about its origin; cylinders and capsules are along z."""
+    if kind == "box":
+        return (box(lengths),)
+    if kind == "capsule":
+        radius, length = lengths
+        return (capsule(radius, (0.0, 0.0, -length / 2.0), (0.0, 0.0, length / 2.0)),)
+    from grasp_refine.geometry.shapes import primitive_pieces
+
+    return primitive_pieces(f"{kind}:{','.join(map(repr, lengths))}")
+
+
+def _pose(raw: Mapping[str, Any], where: str) -> np.ndarray:
+    """Return the pose (4, 4) in the world of `POSE_KEYS`; the identity where there are none."""
+    if "pose" in raw:
+        if len([key for key in POSE_KEYS if key in raw]) > 1:
+            raise GraspRefineError(f"{where}has pose beside position or rpy: give one or the other")
+        values = np.array(_numbers(raw["pose"], 7, f"{where}pose", "x, y, z, qw, qx, qy, qz"))
+        length = float(np.linalg.norm(values[3:]))
+        if not abs(length - 1.0) <= UNIT_TOLERANCE:
+            raise GraspRefineError(f"{where}pose: the length of its quaternion qw, qx, qy, qz must be 1, is {length:g}")
+        return transform(matrix_from_quaternion(values[3:] / length), values[:3])
+    position = _numbers(raw.get("position", [0.0, 0.0, 0.0]), 3, f"{where}position", "x, y, z in metres")
+    rpy = _numbers(raw.get("rpy", [0.0, 0.0, 0.0]), 3, f"{where}rpy", "angles about x, y, z in degrees", most=1e6)
+    return transform(rotation_from_rpy(np.radians(rpy)), np.array(position))
+
+
+def rotation_from_rpy(angles: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) about the fixed axes x, then y, then z by angles (3,) in radians, as in URDF."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
+    Rx = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    Ry = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    Rz = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return Rz @ Ry @ Rx
+
+
+def _source(value: Any, folder: Path, where: str) -> str:
+    """Return an embedded object, a primitive, or a path relative to the folder."""
+    text = _text(value, where)
+    if text in EMBEDDED or (":" in text and not exists(folder / text)):
+        return text
+    if not exists(folder / text):
+        close = get_close_matches(text, EMBEDDED, n=1)
+        meant = f", did you mean {close[0]}?" if close else ";"
+        raise GraspRefineError(
+            f"{where} = '{text}': no such file or folder {folder / text}{meant} embedded objects are "
+            f"{', '.join(EMBEDDED)}"
+        )
+    return str(folder / text)
+
+
+def _factor(raw: Mapping[str, Any], where: str) -> float:
+    """Return the factor that takes a mesh to metres, of its scale and unit."""
+    unit = raw.get("unit", "m")
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise GraspRefineError(f"{where}unit must be among {', '.join(UNITS)}, got {quote_value(unit)}")
+    return _positive(raw.get("scale", 1.0), f"{where}scale") * UNITS[unit]
+
+
+def _check_keys(raw: Mapping[str, Any], valid: Collection[str], where: str) -> None:
+    for key in raw:
+        if key not in valid:
+            close = get_close_matches(key, valid, n=1)
+            meant = f", did you mean {close[0]}?" if close else ";"
+            raise GraspRefineError(f"{where}no key '{key}'{meant} there are {', '.join(valid)}")
+
+
+def _tables(raw: Mapping[str, Any], key: str, where: str) -> list[tuple[Mapping[str, Any], str]]:
+    """Return the tables of a key, [key] or each [[key]], with how messages name them."""
+    given = raw.get(key, [])
+    if isinstance(given, Mapping):
+        return [(given, f"{where}[{key}] ")]
+    if not isinstance(given, list) or not all(isinstance(one, Mapping) for one in given):
+        raise GraspRefineError(f"{where}{key} must be a table [{key}] or [[{key}]], got {quote_value(given)}")
+    return [(one, f"{where}[[{key}]] {number} ") for number, one in enumerate(given, 1)]
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not value or not is_valid(value):
+        raise GraspRefineError(f"{where} must be a text, got {quote_value(value)}")
+    return value
+
+
+def _number(value: Any, where: str, most: float = MAX_MAGNITUDE_M) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
+        raise GraspRefineError(f"{where} must be a number, at most {most:g}, got {quote_value(value)}")
+    return float(value)
+
+
+def _positive(value: Any, where: str) -> float:
+    number = _number(value, where, 1e6)
+    if not number > 0.0:
+        raise GraspRefineError(f"{where} must be above 0, got {number:g}")
+    return number
+
+
+def _length(value: Any, where: str, least: float | None = None) -> float:
+    number = _number(value, where)
+    if number <= 0.0 if least is None else number < least:
+        raise GraspRefineError(
+            f"{where} must be {'above 0' if least is None else f'at least {least:g}'}, got {number:g}"
+        )
+    return number
+
+
+def _numbers(value: Any, count: int, where: str, what: str, most: float = MAX_MAGNITUDE_M) -> list[float]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
+        raise GraspRefineError(f"{where} must be {count} numbers, {what}, got {quote_value(value)}")
+    return [_number(one, where, most) for one in value]
+
+
+def _lengths(value: Any, count: int, where: str) -> tuple[float, ...]:
+    numbers = _numbers(value, count, where, "lengths in metres")
+    return tuple(_length(one, where) for one in numbers)

@@ -1,0 +1,148 @@
+"""What is near the links of a hand: all pairs by brute force, along a motion, in any frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine.hands.chain import integrate
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.surroundings import Surroundings, choose_bodies
+from sliding_gripper import around_object, sliding_gripper
+
+REACH = 0.01
+
+
+def clutter(count: int, spread: float, seed: int = 0) -> Environment:
+    """Random bodies of one to three pieces around the object, in a turned world."""
+    rng = np.random.default_rng(seed)
+    T_world_object = exp_se3(rng.normal(size=6))
+    bodies = []
+    for k in range(count):
+        T = exp_se3(rng.normal(size=6))
+        away = rng.normal(size=3)
+        T[:3, 3] = spread * away / np.linalg.norm(away) * rng.uniform(0.8, 1.2)
+        pieces = [box([0.02, 0.03, 0.04]), capsule(0.008, [0, 0, 0.02], [0, 0.02, 0.03]), sphere(0.02, [0.03, 0, 0])]
+        body = build_body(f"body {k}", pieces[: 1 + k % 3], candidates=16)
+        bodies.append(EnvironmentBody(body.name, body, T_world_object @ T, margin=0.002 * (k % 2)))
+    return Environment(tuple(bodies), T_world_object)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    hand = sliding_gripper(tmp_path_factory.mktemp("hand"), "box", candidates=256)
+    return around_object(hand, 6, 0)
+
+
+def surroundings(scene: Scene, environment: Environment) -> tuple[Surroundings, np.ndarray]:
+    """All bodies of an environment, and the poses of the links."""
+    prepared = HandObject.of(scene)
+    every = np.arange(len(environment.bodies))
+    T = prepared.chain(scene.T_world_root, scene.q).T_world_link
+    return Surroundings(prepared.bodies, prepared.bounding_spheres, environment, every), T
+
+
+def brute_force(of: Surroundings, T: np.ndarray) -> np.ndarray:
+    """Signed distances (M, C) of all pairs."""
+    T_b = np.broadcast_to(of.environment.T_object_body[of.body], (len(T), len(of.body), 4, 4))
+    return query(Pairs(of.pairs.a, of.pairs.b), T[:, of.link], T_b).distance
+
+
+def test_all_pairs_that_are_near_are_found_while_hands_move(scene: Scene) -> None:
+    of, T = surroundings(scene, clutter(12, 0.09))
+    rng, previous, queried = np.random.default_rng(4), None, []
+    T_root, q = scene.T_world_root, scene.q
+    for _ in range(6):
+        T = HandObject.of(scene).chain(T_root, q).T_world_link
+        expected = brute_force(of, T)
+        previous = of.near(T, REACH, previous, most=len(of.link))
+        assert (previous.bound <= expected + 1e-9).all()
+        near = expected - of.margin < REACH
+        found = np.zeros_like(near)
+        row, place = np.nonzero(previous.column >= 0)
+        found[row, previous.column[row, place]] = True
+        assert near.any() and (found == near).all()
+        distance = previous.witness.distance[row, place]
+        assert distance == pytest.approx(expected[row, previous.column[row, place]], abs=1e-9)
+        queried.append(previous.num_queries.sum())
+        T_root = integrate(T_root, rng.normal(size=(len(T), 6)) * 2e-3)
+        q = np.clip(q + rng.normal(size=q.shape) * 2e-3, scene.hand.lower, scene.hand.upper)
+    assert max(queried) < near.size / 2
+
+
+def test_the_nearest_pairs_count_where_there_are_too_many(scene: Scene) -> None:
+    of, T = surroundings(scene, clutter(30, 0.05))
+    expected = np.sort(brute_force(of, T) - of.margin, axis=1)[:, :5]
+    found = of.near(T, REACH, most=5)
+    slack = np.sort(found.witness.distance - of.margin[found.column], axis=1)
+    assert slack == pytest.approx(expected, abs=1e-9)
+
+
+def test_distances_do_not_change_when_the_whole_world_moves_or_sides_swap(scene: Scene) -> None:
+    environment = clutter(8, 0.08)
+    G = exp_se3(np.array([3.0, -2.0, 1.0, 0.5, -1.0, 2.0]))
+    moved = [replace(body, T_world_body=G @ body.T_world_body) for body in environment.bodies]
+    (of, T), (there, _) = (
+        surroundings(scene, one) for one in (environment, Environment(tuple(moved), G @ environment.T_world_object))
+    )
+    first, second = of.near(T, REACH), there.near(T, REACH)
+    assert (first.column == second.column).all()
+    valid = first.witness.valid
+    assert first.witness.distance[valid] == pytest.approx(second.witness.distance[valid], abs=1e-9)
+    T_b = np.broadcast_to(environment.T_object_body[of.body], (len(T), len(of.body), 4, 4))
+    swapped = query(Pairs(of.pairs.b, of.pairs.a), T_b, T[:, of.link]).distance
+    row, place = np.nonzero(first.column >= 0)
+    found = first.witness.distance[row, place]
+    assert found == pytest.approx(swapped[row, first.column[row, place]], abs=1e-9)
+
+
+def test_grasps_that_are_not_finite_have_nothing_near_and_leave_others_alone(scene: Scene) -> None:
+    of, T = surroundings(scene, clutter(12, 0.08))
+    broken = T.copy()
+    broken[1] = np.nan
+    expected, found = of.near(T, REACH), of.near(broken, REACH)
+    assert (found.column[1] == -1).all() and not found.failed.any()
+    rest = [0, 2, 3, 4, 5]
+    assert (found.column[rest] == expected.column[rest]).all()
+
+
+def test_bodies_count_whose_boxes_the_grown_box_of_the_links_meets(scene: Scene) -> None:
+    near, far = clutter(5, 0.1), clutter(5, 2.0, seed=1)
+    _, T = surroundings(scene, near)
+    spheres = HandObject.of(scene).bounding_spheres
+    assert choose_bodies(near, spheres, T, 0.25).tolist() == [0, 1, 2, 3, 4]
+    assert choose_bodies(far, spheres, T, 0.25).tolist() == []
+    assert choose_bodies(far, spheres, T, 3.0).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_bodies_that_are_far_change_nothing_to_the_last_bit(scene: Scene) -> None:
+    results = [
+        refine(replace(scene, environment=one).select(slice(2)), Config(starts=1)) for one in (None, clutter(20, 3.0))
+    ]
+    for name in ("T_world_root", "q", "loss", "status", "queries", "iterations"):
+        assert (getattr(results[0], name) == getattr(results[1], name)).all(), name
+
+
+def test_refinement_clears_bodies_that_it_can_clear(scene: Scene) -> None:
+    T = np.eye(4)
+    T[:3, 3] = [0.0, 0.0, -0.10]
+    body = EnvironmentBody("floor", build_body("floor", [box([0.3, 0.3, 0.04])], candidates=16), T, margin=0.003)
+    environment = Environment((body,), np.eye(4))
+    depth = []
+    for one in (replace(scene, environment=environment), scene):
+        found = refine(one, Config(starts=1, weights=Weights(wrench=0.0)))
+        of, T_link = surroundings(replace(scene, T_world_root=found.T_world_root, q=found.q), environment)
+        depth.append((0.003 - brute_force(of, T_link)).max(axis=1))
+    assert (depth[1] > 5e-3).sum() >= 3
+    assert (depth[0] < 2e-4).all(), depth[0]
