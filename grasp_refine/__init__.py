@@ -114,6 +114,9 @@ if TYPE_CHECKING:
     from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
+    from grasp_refine.scene.environment import Environment as Environment
+    from grasp_refine.scene.scene_file import list_scenes as list_scenes
+    from grasp_refine.scene.scene_file import load_scene as load_scene
     from grasp_refine.validation.margins.factors import Factors as Factors
     from grasp_refine.validation.protocols.protocol import Protocol as Protocol
 
@@ -133,6 +136,8 @@ _HOMES = {
     "pipeline.spec": ("ProblemSpec",),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
+    "scene.environment": ("Environment",),
+    "scene.scene_file": ("list_scenes", "load_scene"),
     "validation.margins.factors": ("Factors",),
     "validation.protocols.protocol": ("Protocol",),
 }

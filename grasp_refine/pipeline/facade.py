@@ -26,6 +26,7 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines import EngineName
@@ -39,7 +40,9 @@ VIEWERS = "grasp_refine.viewers"
 """Group of entry points of viewers: functions that show a `Problem` and return the viewer."""
 
 
-def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None = None) -> Problem:
+def problem_of(
+    hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None = None, scene: Environment | None = None
+) -> Problem:
     """Return grasps of a hand on an object as a problem, in memory.
 
     Args:
@@ -47,6 +50,7 @@ def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None
         obj: The object, in metres; scales of the grasps are those of its mesh.
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
+        scene: Bodies around the object, as of `load_scene`; None: there are none.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of several objects, or of other joints.
@@ -70,9 +74,9 @@ def problem_of(hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None
     plane = None if table is None else Plane(offset=table)
     rows = np.arange(len(grasps))
     targets = aim(hand, grasps.targets, rows)
-    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane)
-    group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), scene, grasps, rows, rows, rows)
-    doubts = convention_notes([scene])
+    made = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane, environment=scene)
+    group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), made, grasps, rows, rows, rows)
+    doubts = convention_notes([made])
     all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *doubts))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
@@ -84,6 +88,7 @@ def refine(
     config: Config | None = None,
     *,
     table: float | None = None,
+    scene: Environment | None = None,
     listener: Listener | None = None,
 ) -> RefinedGrasps:
     """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
@@ -94,13 +99,14 @@ def refine(
         grasps: Grasps on it.
         config: Settings; the defaults when None.
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
+        scene: Bodies around the object that no link may go into, as of `load_scene`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
-    problem = _problem(hand, object, grasps, table)
+    problem = _problem(hand, object, grasps, table, scene)
     return refine_problem(problem, config, listener=listener)
 
 
@@ -133,6 +139,7 @@ def evaluate(
     protocol: str | Path | Protocol | None = None,
     *,
     table: float | None = None,
+    scene: Environment | None = None,
 ) -> Evaluation:
     """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
 
@@ -143,20 +150,24 @@ def evaluate(
         protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None: nothing is
             simulated.
         table: Height (metres) of a table in the object's frame, z up.
+        scene: Bodies around the object, as of `load_scene`.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
-    problem = _problem(hand, object, grasps, table)
+    problem = _problem(hand, object, grasps, table, scene)
     chosen = None if protocol is None else _protocol(protocol)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
     for group in problem.groups:
-        scene, world, motion = group.scene, None, None
+        of_group, world, motion = group.scene, None, None
         if chosen is not None and model is not None:
-            world, motion = build_world(model, scene.object, chosen, scene.table), group.motion()
+            world, motion = (
+                build_world(model, of_group.object, chosen, of_group.table, of_group.environment),
+                group.motion(),
+            )
         labels: dict[str, Any] = {"name": group.object, "scale": group.scale, "rows": group.rows, "index": group.index}
-        parts.append(validate(scene, **labels, world=world, motion=motion))
+        parts.append(validate(of_group, **labels, world=world, motion=motion))
     return Evaluation(problem, chosen, Validated.join(parts).select(problem.order))
 
 
@@ -189,7 +200,7 @@ def margins(
         GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
     """
     check_kind("factors", factors, Factors | None)
-    problem, chosen = _problem(hand, object, grasps, None), _protocol(protocol)
+    problem, chosen = _problem(hand, object, grasps, None, None), _protocol(protocol)
     return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 
@@ -262,14 +273,20 @@ class Evaluation:
         return html_of(self.table())
 
 
-def _problem(hand: Hand | Problem, obj: Object | None, grasps: GraspSet | None, table: float | None) -> Problem:
+def _problem(
+    hand: Hand | Problem,
+    obj: Object | None,
+    grasps: GraspSet | None,
+    table: float | None,
+    scene: Environment | None,
+) -> Problem:
     if isinstance(hand, Problem):
-        if obj is not None or grasps is not None or table is not None:
-            raise GraspRefineError("a problem has its object, grasps and table: give it alone")
+        if any(given is not None for given in (obj, grasps, table, scene)):
+            raise GraspRefineError("a problem has its object, grasps, table and scene: give it alone")
         return hand
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(hand, obj, grasps, table=table)
+    return problem_of(hand, obj, grasps, table=table, scene=scene)
 
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:

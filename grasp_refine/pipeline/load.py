@@ -29,12 +29,14 @@ from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, n
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
-from grasp_refine.pipeline.recorded_objects import check_objects
+from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_scene
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
-from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
 from grasp_refine.results.result_files import fingerprint, recorded_urdf
 from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene_file import load_scene, scene_object
 
 
 def _ignore(message: str) -> None:
@@ -80,6 +82,14 @@ class Loader:
     cache: InputCache = field(default_factory=NoCache)
     """Cache of files, hands and objects for the next problem."""
 
+    def __post_init__(self) -> None:
+        """Take the object of the scene where none is specified.
+
+        Raises:
+            GraspRefineError: there is no such scene, or it has another object than the specification.
+        """
+        object.__setattr__(self, "spec", _in_scene(self.spec))
+
     @stage("loading")
     def draft(self) -> Draft:
         """Read and check everything that the specification names; no object is decomposed yet.
@@ -100,8 +110,13 @@ class Loader:
 
     def draft_read(self, read: Reading, path: Path) -> Draft:
         """Return the draft of grasps that were read from `path` already."""
-        spec = self.spec
+        spec, of_files = self.spec, recorded_scene(read.files)
         spec.check()
+        if spec.scene is None and of_files is not None:
+            return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
+        environment = self.environment()
+        if of_files is not None and spec.scene != NO_SCENE:
+            check_scene(of_files, environment, other=spec.other_object)
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
@@ -131,7 +146,15 @@ class Loader:
             found = []
             for group, obj, points in zip(groups, objects, aims, strict=True):
                 some = grasps.select(group.rows)
-                scene = Scene(hand, obj, transform_from_pose(some.hand_pose), q[group.rows], *points, table=table)
+                scene = Scene(
+                    hand,
+                    obj,
+                    transform_from_pose(some.hand_pose),
+                    q[group.rows],
+                    *points,
+                    table=table,
+                    environment=environment,
+                )
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
@@ -139,7 +162,7 @@ class Loader:
             return Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
 
         names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
-        return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish)
+        return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish, environment=environment)
 
     def draft_sampled(self, count: int, draw: int = 0) -> Draft:
         """Return the draft of `count` new grasps of the hand on the object, which are sampled once it is decomposed.
@@ -160,11 +183,13 @@ class Loader:
         uncut = self.read_object(source, scale)
         seed = (self.seed, draw) if draw else self.seed
 
+        environment = self.environment()
+
         def finish(objects: Sequence[Object]) -> Problem:
-            return sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait)
+            return sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment)
 
         group = sample_group(uncut, spec.metres(scale))
-        return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}")
+        return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}", environment)
 
     @stage("loading")
     def cut(self, draft: Draft, rough: Collection[int] = ()) -> Problem:
@@ -225,6 +250,17 @@ class Loader:
             return found if source.asset is None else replace(found, name=source.asset.name)
 
         return self.cache.get("uncut", (source.source, scale, spec.unit, spec.holes), read)
+
+    def environment(self) -> Environment | None:
+        """Return the bodies around the object of the specified scene; None: there is none.
+
+        Raises:
+            GraspRefineError: the scene cannot be read or used.
+        """
+        source = self.spec.scene
+        if source in (None, NO_SCENE):
+            return None
+        return self.cache.get("scene", source, lambda: load_scene(source, on_message=self.on_message))
 
     def _cut(self, objects: Sequence[UncutObject]) -> Sequence[Object]:
         settings = Decomposition(threshold=self.spec.threshold)
@@ -335,6 +371,21 @@ class Loader:
         return named_object(
             name, None if spec.objects is None else on_disk(spec.objects, self.on_message), path, self.on_message
         )
+
+
+def _in_scene(spec: ProblemSpec) -> ProblemSpec:
+    """Return a specification with the object of its scene, where it has none itself."""
+    if spec.scene in (None, NO_SCENE) or spec.objects is not None:
+        return spec
+    obj, scale = scene_object(spec.scene)
+    if obj is None or obj == spec.object:
+        return spec
+    if spec.object is not None:
+        raise GraspRefineError(
+            f"scene {spec.scene} is of object '{obj}', not '{spec.object}': leave out --object, or give a scene whose "
+            "[object] has no name"
+        )
+    return replace(spec, object=obj, scale=spec.scale * scale)
 
 
 def on_disk(path: Path, on_message: Callable[[str], None]) -> Path:

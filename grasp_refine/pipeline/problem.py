@@ -13,6 +13,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 
@@ -98,6 +99,8 @@ class Draft:
     """Function that returns the problem, given the decomposed objects of the groups."""
     sampled: str = ""
     """Request of sampled grasps, as `Problem.sampled`."""
+    environment: Environment | None = None
+    """Bodies around the objects, as `Scene.environment`."""
 
 
 @dataclass(frozen=True, eq=False)

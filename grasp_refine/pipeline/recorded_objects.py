@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.results.result_files import read_provenance
+from grasp_refine.scene.environment import Environment
 
 if TYPE_CHECKING:
     import trimesh
@@ -39,6 +41,63 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
         }
         for group in groups
     ]
+
+
+@dataclass(frozen=True)
+class RecordedScene:
+    """Scene in which grasps of a file were refined."""
+
+    file: Path
+    """File of the grasps."""
+    name: str
+    """Name of the scene."""
+    source: str
+    """File of the scene, or name of one that comes with the program; empty: it was made in memory."""
+    digest: str
+    """Its `Environment.digest`."""
+
+
+def scene_entry(environment: Environment) -> dict[str, str]:
+    """Return the entry for provenance of the bodies around the object."""
+    return {"name": environment.name, "source": environment.source, "sha256": environment.digest}
+
+
+def recorded_scene(files: Iterable[Path]) -> RecordedScene | None:
+    """Return the scene in which the grasps of result files were refined; None: in none.
+
+    Raises:
+        GraspFileError: they were refined in different scenes.
+    """
+    found: RecordedScene | None = None
+    for file in files:
+        entry = read_provenance(file).get("scene")
+        if not (isinstance(entry, dict) and all(isinstance(entry.get(k), str) for k in ("name", "source", "sha256"))):
+            continue
+        one = RecordedScene(file, entry["name"], entry["source"], entry["sha256"])
+        if found is not None and found.digest != one.digest:
+            raise GraspFileError(
+                f"{found.file} was refined in scene '{found.name}', {file} in '{one.name}': give them one by one"
+            )
+        found = found or one
+    return found
+
+
+def check_scene(recorded: RecordedScene, present: Environment | None, *, other: bool) -> None:
+    """Refuse grasps that were refined in another scene than the present one, unless another one is accepted.
+
+    Raises:
+        GraspFileError: names both scenes.
+    """
+    if other or (present is not None and present.digest == recorded.digest):
+        return
+    now = "no scene" if present is None else f"scene '{present.name}'"
+    same = present is not None and present.name == recorded.name
+    raise GraspFileError(
+        f"{recorded.file}: its grasps were refined in scene '{recorded.name}', this is {now}"
+        f"{', with other bodies or poses' if same else ''}: give that one with --scene"
+        f"{f' {recorded.source}' if recorded.source and not same else ''}, --scene none for the object alone, or "
+        "--other-object if this one is meant"
+    )
 
 
 def surface_digest(mesh: trimesh.Trimesh) -> str:

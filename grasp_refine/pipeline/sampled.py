@@ -17,6 +17,7 @@ from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.source import check_object
 from grasp_refine.pipeline.problem import Group, Problem, UncutGroup
 from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
 
 
@@ -56,14 +57,15 @@ def sampled_problem(
     count: int,
     seed: int | tuple[int, int],
     on_wait: Callable[[str], None],
+    environment: Environment | None = None,
 ) -> Problem:
-    """Return `count` new grasps of a hand on an object, whose mesh is scaled by `scale`."""
+    """Return `count` new grasps of a hand on an object, whose mesh is scaled by `scale`, among bodies around it."""
     from grasp_refine.sampling.sample import sample_grasps
 
     table = spec.plane
     began = time.perf_counter()
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
-    grasps = sample_grasps(hand, obj, count, seed=seed, table=table)
+    grasps = sample_grasps(hand, obj, count, seed=seed, table=table, environment=environment)
     notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
     notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")
     if len(grasps) < count:
@@ -71,6 +73,6 @@ def sampled_problem(
     grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
     rows = choose_rows(grasps.object, object_name=None, index=spec.index or None)
     grasps = grasps.select(rows)
-    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table)
+    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table, environment=environment)
     group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
     return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")

@@ -18,6 +18,9 @@ from grasp_refine.scene.plane import Plane
 AUTO, NEAREST = "auto", "nearest"
 """Values of `targets`: targets of the grasp file, if any; or the points where links are nearest to the object."""
 
+NO_SCENE = "none"
+"""Value of `scene` for no scene."""
+
 SAMPLE = "sample:"
 """Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
 
@@ -56,13 +59,17 @@ class SourceSpec:
     """Numbers of the grasps of each object; 0 is its first one in the file."""
     table: float | None = None
     """Height (metres) of a table in the object's frame, z up, that no link may go through."""
+    scene: str | None = None
+    """Scene in which the object is grasped: a name that `refine-grasp scenes` lists, or a TOML file; none: the object
+    alone, also for results that were refined in a scene."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
     other_object: bool = False
-    """Whether to accept results that were refined on another object, or on the same one in another size."""
+    """Whether to accept results that were refined on another object, or on the same one in another size, or in another
+    scene."""
 
     def check(self) -> None:
         """Refuse an invalid scale, table or hull limit.
@@ -74,6 +81,8 @@ class SourceSpec:
             raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
         if self.table is not None and not np.isfinite(self.table):
             raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+        if self.table is not None and self.scene not in (None, NO_SCENE):
+            raise GraspRefineError("--table and --scene exclude each other: a scene has its own tables")
         check_hull_limit(self.hull_limit)
 
     @property

@@ -160,7 +160,7 @@ def compare(
         margin + np.tile(np.where(aimed, 0.0, clearance), (2, 1)),
         np.concatenate([refinement.touching, refinement.touching]),
     )
-    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment)
     moved = MeasuredRefinement(refinement, movement(before.T_world_root, before.q, T_after, q_after, scene.hand.slides))
     measures = {}
     for each in RECORDED:
@@ -198,8 +198,20 @@ def compare(
         contact_distance=at_contacts(witness.distance),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
-        weakness=np.array(weaknesses(grasps.quality, scene.links, scene.hand.joint_names)[count:], dtype=np.str_),
+        weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
     )
+
+
+def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
+    """Return the texts of `weaknesses`, or for links in bodies of the scene, where that is worst, on these."""
+    hand, links = grasps.hand, grasps.links
+    inside: dict[int, str] = {}
+    if grasps.environment is not None and (found := grasps.scene_depths) is not None:
+        deepest = np.fmax(np.nan_to_num(found.depth), np.nan_to_num(grasps.geometry.penetration))
+        for i in np.flatnonzero((found.depth > 0) & (found.depth >= deepest)).tolist():
+            body = grasps.environment.bodies[found.body[i]].name
+            inside[i] = f"{links[found.link[i]]} is {1e3 * found.depth[i]:.1f} mm in {body}"
+    return weaknesses(grasps.quality, links, hand.joint_names, inside)
 
 
 def worst_over_links(values: np.ndarray) -> np.ndarray:

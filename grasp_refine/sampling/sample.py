@@ -24,9 +24,11 @@ from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
 from grasp_refine.scene.contact_selection import link_groups
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
+from grasp_refine.scene.surroundings import Surroundings
 
 MAX_GRASPS = 10_000
 """Most grasps that can be sampled."""
@@ -50,6 +52,9 @@ CUTOFF_M = 0.03
 MAX_STEPS, MIN_STEP_RAD, MAX_STEP_RAD = 40, 5e-3, 0.2
 """Most steps in which fingers close; smallest step after which another follows, and largest step, in radians."""
 
+TRIES_AMONG_BODIES = 8
+"""Factor of the most hands that are placed where bodies around the object may be in their way."""
+
 SPEED_RANGE = (0.4, 1.0)
 """Range of the closing speeds of joints, so that fingers curl in many ways."""
 
@@ -67,6 +72,7 @@ def sample_grasps(
     *,
     seed: int | tuple[int, ...] = 0,
     table: Plane | None = None,
+    environment: Environment | None = None,
     prepared: HandObject | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GraspSet:
@@ -87,6 +93,8 @@ def sample_grasps(
         count: Number of grasps, 1 to `MAX_GRASPS`.
         seed: The same seed gives the same grasps.
         table: A plane that no link goes through, and no hand approaches from below.
+        environment: Bodies around the object; hands that are nearer to any than its margin, open or closed, are drawn
+            anew, and up to `TRIES_AMONG_BODIES` times as many are tried.
         prepared: Data of this hand and object; None: built here.
         progress: Called after each batch with the number of grasps found and that of hands tried.
 
@@ -99,24 +107,28 @@ def sample_grasps(
     check_kind("count", count, int)
     check_kind("seed", seed, int | tuple[int, ...])
     check_kind("table", table, Plane | None)
+    check_kind("environment", environment, Environment | None)
     check_kind("prepared", prepared, HandObject | None)
     if np.min(seed, initial=0) < 0:
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MAX_GRASPS:
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
-    closing = _Closing(prepared or HandObject(hand, obj), closure, table)
+    prepared = prepared or HandObject(hand, obj)
+    closing = _Closing(prepared, closure, table, None if environment is None else _around(prepared, environment))
     draw = _drawing(closing, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
-    while total < CANDIDATES_PER_GRASP * count and tried < max(MIN_TRIES, TRIES_PER_GRASP * count):
+    most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)
+    while total < CANDIDATES_PER_GRASP * count and tried < most:
         found.append(_score(closing, draw()))
         total, tried = total + len(found[-1].q), tried + BATCH_SIZE
         if progress is not None:
             progress(total, tried)
     if not total:
         low, high = closing.prepared.box
+        among = "" if environment is None else f" in scene '{environment.name}'"
         raise GraspRefineError(
-            f"no grasp of hand '{hand.name}' on object '{obj.name}' was found in {tried} tries: the object is "
+            f"no grasp of hand '{hand.name}' on object '{obj.name}'{among} was found in {tried} tries: the object is "
             f"{' x '.join(f'{side:.2g}' for side in high - low)} m large, the hand opens {closure.opening:.2g} m wide"
         )
     best = _choose_distinct(join(*found), closure, count)
@@ -149,6 +161,12 @@ def _drawing(closing: _Closing, jaws: JawFrame | None, rng: np.random.Generator)
     return draw
 
 
+def _around(prepared: HandObject, environment: Environment) -> Surroundings:
+    """All bodies around the object, with the links of the hand."""
+    every = np.arange(len(environment.bodies))
+    return Surroundings(prepared.bodies, prepared.bounding_spheres, environment, every)
+
+
 @dataclass(frozen=True, eq=False)
 class _Scored(Placed):
     """Hands that grasp."""
@@ -170,6 +188,7 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
     touching = proximity.witness.distance <= CONTACT_DISTANCE_M
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
+    good = good[closing.is_free(proximity.frames.T_world_link[good])]
     given = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
     points = contacts(prepared.hand, prepared.object, links, *given)
     forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3])
@@ -217,12 +236,14 @@ class _Closing:
     prepared: HandObject
     closure: ClosureFrame
     table: Plane | None
+    around: Surroundings | None = None
 
     def draw_jaws(self, jaws: JawFrame, pairs: Int[np.ndarray, "P 2"], rng: np.random.Generator) -> Placed:
         """Jaws that closed on antipodal pairs, of those that were clear while open."""
         hands, axis, width = place_jaws(jaws, self.prepared.object, pairs, BATCH_SIZE, CLEARANCE_M, self.table, rng)
         proximity = self.proximity(hands, CLEARANCE_M)
         clear = np.flatnonzero(proximity.gap.min(axis=1) >= CLEARANCE_M)
+        clear = clear[self.is_free(proximity.frames.T_world_link[clear])]
         group = np.array(link_groups(self.prepared.hand, links_of(self.prepared.hand)))
         first, second = (group == name for name in jaws.groups)
         return close_jaws(
@@ -254,7 +275,19 @@ class _Closing:
             hands.T[busy, :3, 3] -= back[:, None] * way
             gone[busy] += back
             busy = busy[(back > 0) & (gone[busy] < farthest)]
-        return take(hands, (gone < farthest) & (above > CLEARANCE_M))
+        hands = take(hands, (gone < farthest) & (above > CLEARANCE_M))
+        return (
+            hands
+            if self.around is None
+            else take(hands, self.is_free(self.prepared.chain(hands.T, hands.q).T_world_link))
+        )
+
+    def is_free(self, T_link: Float[np.ndarray, "M L 4 4"]) -> Bool[np.ndarray, " M"]:
+        """Mask (M,) of hands that keep the margins of all bodies around the object."""
+        if self.around is None or not len(T_link):
+            return np.ones(len(T_link), dtype=bool)
+        found = self.around.near(T_link, 0.0, most=1)
+        return (found.column < 0).all(axis=1) & ~found.failed
 
     def close(self, hands: Placed, rng: np.random.Generator) -> Placed:
         """The hands with their fingers close, all of them at once."""

@@ -70,6 +70,12 @@ class Environment:
     """Pose of the object in the world, whose z axis points up."""
     name: str = "scene"
     """Name in messages and results."""
+    object: str | None = None
+    """Object that is grasped, as `load_object` takes it; None: not told."""
+    scale: float = 1.0
+    """Factor that takes the mesh of the object to metres."""
+    source: str = ""
+    """Scene file, or name of a scene that comes with the program; empty: made in memory."""
 
     def __repr__(self) -> str:
         movable = sum(body.movable for body in self.bodies)

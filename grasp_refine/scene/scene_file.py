@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError, quote_value
-from grasp_refine.core.names import exists, is_valid
+from grasp_refine.core.names import exists, expand_user, is_valid
 from grasp_refine.core.se3 import matrix_from_quaternion, transform
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.body import Body, build_body
@@ -49,59 +50,32 @@ MAX_MAGNITUDE_M = 100.0
 UNIT_TOLERANCE = 1e-3
 """Largest error of the length of a quaternion, which is then made a unit one."""
 
+SCENES = "scenes"
+"""Folder of the scenes that come with the program, among the manifests."""
+
 MAX_BODIES = 10_000
 """Most bodies of a scene."""
 
 
-@dataclass(frozen=True, eq=False)
-class SceneFile:
-    """Contents of a scene file: the environment, and which object is grasped in it."""
-
-    path: Path
-    """The file."""
-    environment: Environment
-    """Bodies around the object, and its pose."""
-    object: str | None
-    """Object that is grasped, as `--object` takes it; None: the file says only where it is."""
-    scale: float
-    """Factor that takes the mesh of the object to metres."""
-
-
 def load_scene(
     path: str | Path, *, on_message: Callable[[str], None] | None = None, cache: Path | None | str = "user"
-) -> SceneFile:
-    """Return the contents of a scene file; concave meshes are cut into convex pieces as objects are.
+) -> Environment:
+    """Return the bodies of a scene around its object; concave meshes are cut into convex pieces as objects are.
 
     Args:
-        path: A TOML file.
+        path: A TOML file, or the name of a scene that comes with the program (`list_scenes`).
         on_message: Called when a decomposition starts and ends.
         cache: Folder of earlier decompositions; "user" is the user's cache folder, None: no cache.
 
     Raises:
         GraspRefineError: it cannot be read, or a key or value in it is wrong; names file, key, value and choices.
     """
-    path = Path(path)
-    try:
-        raw = read_toml(path)
-    except FileNotFoundError:
-        raise GraspRefineError(f"{path}: no such scene file") from None
-    except UNREADABLE as error:
-        raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
-    where = f"{path}: "
-    _check_keys(raw, TOP_KEYS, where)
+    path, given = scene_path(path), path
+    source = str(path.absolute()) if path == Path(given) or "~" in str(given) else str(given)
+    raw, where = _read(path), f"{path}: "
     name = _text(raw.get("name", path.stem), f"{where}name")
     margin = _length(raw.get("margin", DEFAULT_MARGIN_M), f"{where}margin", least=0.0)
-    grasped = raw.get("object")
-    if not isinstance(grasped, Mapping):
-        what = "is missing" if grasped is None else f"must be a table, got {quote_value(grasped)}"
-        raise GraspRefineError(f'{where}[object] {what}; as in [object] name = "mug", position = [0, 0, 0.7]')
-    at = f"{where}[object] "
-    _check_keys(grasped, OBJECT_KEYS, at)
-    sources = [key for key in ("name", "mesh", "pieces") if key in grasped]
-    if len(sources) > 1:
-        raise GraspRefineError(f"{at}has {' and '.join(sources)}: give one of them")
-    obj = None if not sources else _source(grasped[sources[0]], path.parent, f"{at}{sources[0]}")
-    scale = _factor(grasped, at)
+    obj, scale = _grasped_object(raw, path)
     drafts = [_Draft.furniture(kind, one, w, margin) for kind in FURNITURE for one, w in _tables(raw, kind, where)]
     drafts += [_Draft.body(one, path.parent, w, margin) for one, w in _tables(raw, "body", where)]
     if len(drafts) > MAX_BODIES:
@@ -112,10 +86,67 @@ def load_scene(
     taken: set[str] = set()
     bodies = tuple(draft.finish(found, taken, where) for draft in drafts)
     try:
-        environment = Environment(bodies, _pose(grasped, at), name)
+        return Environment(bodies, _pose(raw["object"], f"{where}[object] "), name, obj, scale, source)
     except GraspRefineError as error:
         raise GraspRefineError(f"{where}{error}") from None
-    return SceneFile(path, environment, obj, scale)
+
+
+def scene_object(source: str | Path) -> tuple[str | None, float]:
+    """Return the object that is grasped in a scene and the factor of its mesh, without loading any body.
+
+    Raises:
+        GraspRefineError: as `load_scene`.
+    """
+    path = scene_path(source)
+    return _grasped_object(_read(path), path)
+
+
+def _grasped_object(raw: Mapping[str, Any], path: Path) -> tuple[str | None, float]:
+    """Return the object, None where there is only its pose, and the factor of its mesh."""
+    at, grasped = f"{path}: [object] ", raw.get("object")
+    if not isinstance(grasped, Mapping):
+        what = "is missing" if grasped is None else f"must be a table, got {quote_value(grasped)}"
+        raise GraspRefineError(f'{at}{what}; as in [object] name = "mug", position = [0, 0, 0.7]')
+    _check_keys(grasped, OBJECT_KEYS, at)
+    sources = [key for key in ("name", "mesh", "pieces") if key in grasped]
+    if len(sources) > 1:
+        raise GraspRefineError(f"{at}has {' and '.join(sources)}: give one of them")
+    obj = None if not sources else _source(grasped[sources[0]], path.parent, f"{at}{sources[0]}")
+    return obj, _factor(grasped, at)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the tables of a scene file."""
+    try:
+        raw = read_toml(path)
+    except FileNotFoundError:
+        raise GraspRefineError(f"{path}: no such scene file") from None
+    except UNREADABLE as error:
+        raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
+    _check_keys(raw, TOP_KEYS, f"{path}: ")
+    return raw
+
+
+def list_scenes() -> dict[str, Path]:
+    """Return the scenes that come with the program: name -> file."""
+    return {path.stem: path for path in sorted((resource_dir("assets_manifest") / SCENES).glob("*.toml"))}
+
+
+def scene_path(source: str | Path) -> Path:
+    """Return the file of a scene, or of one that comes with the program.
+
+    Raises:
+        GraspRefineError: there is none; names those that there are.
+    """
+    path = expand_user(Path(source))
+    if isinstance(source, Path) or path.suffix or len(path.parts) != 1:
+        return path
+    known = list_scenes()
+    if str(source) not in known:
+        close = get_close_matches(str(source), known, n=1)
+        meant = f", did you mean {close[0]}?" if close else ";"
+        raise GraspRefineError(f"no scene '{source}'{meant} there are {', '.join(known)}, or a FILE.toml")
+    return known[str(source)]
 
 
 @dataclass(frozen=True, eq=False)

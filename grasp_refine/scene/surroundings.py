@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.collision.culling import motion
+from grasp_refine.collision.culling import bounding_sphere, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, transform_points
@@ -24,6 +24,9 @@ from grasp_refine.scene.environment import Environment
 LEAVES_START_M = 0.25
 """Distance in metres by which hands may leave the box around their starts and the object; bodies that are farther are
 no part of a refinement. Measures leave none out."""
+
+GRASPS_AT_ONCE = 64
+"""Grasps that are measured together, which bounds the memory."""
 
 MAX_NEAR = 96
 """Most pairs of a link and a body that count for one grasp, the nearest ones."""
@@ -65,6 +68,8 @@ class Surroundings:
     """All bodies."""
     chosen: Int[np.ndarray, " B"]
     """Indices of the bodies that count."""
+    keeps_margins: bool = True
+    """Whether links keep the margins of the bodies; False: no gap."""
 
     @cached_property
     def link(self) -> Int[np.ndarray, " C"]:
@@ -79,7 +84,8 @@ class Surroundings:
     @cached_property
     def margin(self) -> Float[np.ndarray, " C"]:
         """Gap of each pair in metres."""
-        return self.environment.margins[self.chosen][self.body]
+        margins = self.environment.margins[self.chosen]
+        return (margins if self.keeps_margins else np.zeros_like(margins))[self.body]
 
     @cached_property
     def pairs(self) -> Pairs:
@@ -171,6 +177,46 @@ class Surroundings:
         piece = np.arange(int(each.sum())) - np.repeat(begin - first[body], each)
         outside = _outside(np.repeat(center, each, axis=0), boxes[piece])
         return np.minimum.reduceat(outside, begin) - self.spheres[self.link[column], 3]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDepths:
+    """Deepest penetration of any link of each of N grasps into a body around the object."""
+
+    depth: Float[np.ndarray, " N"]
+    """Depth (N,) in metres; 0 where no link is in any body, NaN where a pose is not finite or a query failed."""
+    link: Int[np.ndarray, " N"]
+    """Index of that link."""
+    body: Int[np.ndarray, " N"]
+    """Index of that body."""
+
+
+def scene_depths(
+    environment: Environment, links: tuple[Body, ...], T_link: Float[np.ndarray, "N L 4 4"]
+) -> SceneDepths:
+    """Return the deepest penetration of the links of N grasps into any body, margins aside, by plain queries.
+
+    Args:
+        environment: The bodies.
+        links: Bodies of the links.
+        T_link: Their poses in the object's frame.
+    """
+    N = len(T_link)
+    depth, link, body = np.zeros(N), np.zeros(N, dtype=np.int64), np.zeros(N, dtype=np.int64)
+    spheres = np.array([bounding_sphere(one) for one in links])
+    for start in range(0, N, GRASPS_AT_ONCE):
+        rows = slice(start, start + GRASPS_AT_ONCE)
+        chosen = choose_bodies(environment, spheres, T_link[rows], 0.0)
+        if not len(chosen):
+            continue
+        of = Surroundings(links, spheres, environment, chosen, keeps_margins=False)
+        found = of.near(T_link[rows], 0.0, most=1)
+        deep = np.where(found.column[:, 0] >= 0, np.maximum(-found.witness.distance[:, 0], 0.0), 0.0)
+        depth[rows] = np.where(found.failed, np.nan, deep)
+        column = np.maximum(found.column[:, 0], 0)
+        link[rows], body[rows] = of.link[column], chosen[of.body[column]]
+    finite = np.isfinite(T_link).all(axis=(1, 2, 3))
+    return SceneDepths(np.where(finite, depth, np.nan), link, body)
 
 
 def choose_bodies(

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.forces.quality import Quality, quality
+from grasp_refine.forces.quality import DEEP, Quality, quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.surroundings import SceneDepths, scene_depths
 from grasp_refine.validation.geometry import Geometry, Movement
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ class MeasuredGrasps:
     """Joint values (N, n)."""
     geometry: Geometry
     """Distances, witness points and poses of the links."""
+    environment: Environment | None = None
+    """Bodies around the object; None: there are none."""
 
     @property
     def known(self) -> Bool[np.ndarray, " N"]:
@@ -55,7 +59,18 @@ class MeasuredGrasps:
         T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
         q = np.where(known[:, None], self.q, 0.0)
         chain = Chain(self.hand, self.links)
-        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
+        found = quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
+        if self.scene_depths is None:
+            return found
+        return replace(found, deep=np.fmax(found.deep, self.scene_depths.depth / DEEP))
+
+    @cached_property
+    def scene_depths(self) -> SceneDepths | None:
+        """Penetration of the bodies around the object; None: there are none."""
+        if self.environment is None:
+            return None
+        bodies = tuple(self.hand.links_by_name[name].solid for name in self.links)
+        return scene_depths(self.environment, bodies, self.geometry.T_world_link)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +91,12 @@ class MeasuredRefinement:
 def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the deepest penetration of links in each other (N,), metres; see `self_penetration`."""
     return self_penetration(grasps.hand, touching_pairs(grasps.hand), grasps.q)
+
+
+def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the deepest penetration of links in bodies around the object (N,), metres; NaN without a scene."""
+    found = grasps.scene_depths
+    return np.full(len(grasps.q), np.nan) if found is None else found.depth
 
 
 def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -18,6 +18,7 @@ from grasp_refine.validation.formulas import (
     contact_distance,
     contact_number,
     quality_value,
+    scene_penetration,
     self_penetration_depth,
     wrench_residual,
 )
@@ -173,6 +174,13 @@ MEASURES = (
         unit=METRE,
         formula=self_penetration_depth,
         head=(" self", "mm"),
+    ),
+    Measure(
+        key="scene_penetration",
+        title="scene penetration",
+        hint="the deepest penetration of any link into a body of the scene; none where no scene is given",
+        unit=METRE,
+        formula=scene_penetration,
     ),
     Measure(
         key="contact_distance",

@@ -13,6 +13,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import spread
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.formulas import MeasuredGrasps
 from grasp_refine.validation.geometry import measure
@@ -58,7 +59,9 @@ class Metrics:
         return join(*parts)
 
 
-def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) -> Metrics:
+def metrics(
+    hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray, environment: Environment | None = None
+) -> Metrics:
     """Measure penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the origin.
 
     Args:
@@ -66,6 +69,7 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
         obj: The object.
         T_world_root: Poses (N, 4, 4) of the base link in the object's frame; otherwise as in `Scene`.
         q: Joint values (N, n).
+        environment: Bodies around the object.
 
     Returns:
         Measures, NaN for invalid poses (`Scene.posed`).
@@ -73,11 +77,11 @@ def metrics(hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray) ->
     Raises:
         GraspRefineError: an argument of another type or shape.
     """
-    scene = Scene(hand, obj, T_world_root, q)
+    scene = Scene(hand, obj, T_world_root, q, environment=environment)
     scene = scene.masked(scene.posed)
     T_world_root, q = scene.T_world_root, scene.q
     links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points appears several times
     no_target = np.full((len(q), len(links), 3), np.nan)
     geometry = measure(hand, obj, links, T_world_root, q, no_target, no_target)
-    grasps = MeasuredGrasps(hand, obj, links, T_world_root, q, geometry)
+    grasps = MeasuredGrasps(hand, obj, links, T_world_root, q, geometry, environment)
     return Metrics({one.name: np.where(grasps.known, one.formula(grasps), np.nan) for one in VALIDATED})

@@ -182,7 +182,7 @@ def validate(
         "scale": np.full(count, scale),
         "row": rows,
         "index": index,
-        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q),
+        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q, scene.environment),
     }
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))

@@ -21,7 +21,7 @@ from grasp_refine.results.result_files import fingerprint
 LAYOUT_VERSION = 1
 """Version of the layout of result files; a new number makes all results outdated."""
 
-CONTENT_INPUTS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index")
+CONTENT_INPUTS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index", "scene")
 """Inputs that are hashed by their contents, not by their names."""
 
 IGNORED_INPUTS = ("other_object",)

@@ -26,7 +26,7 @@ from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
 
-INPUT_PATHS = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets")
+INPUT_PATHS = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets", "scene")
 """ProblemSpec that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")
@@ -168,7 +168,7 @@ class Planner:
             for number, start in enumerate(range(0, len(rows), self.size)):
                 index = order[start : start + self.size]
                 some = tuple(np.unique(scales[index]).tolist())
-                yield self._shard(of_object(rows=rows[index], index=index, scales=some), hand, number, digests)
+                yield self._shard(of_object(rows=rows[index], index=index, scales=some), loader, hand, number, digests)
 
     def _sampled(self, job: Job, loader: Loader, digests: Digests) -> Iterator[Shard]:
         """Yield the shards of a job with sampled grasps, each from a separate draw."""
@@ -194,9 +194,10 @@ class Planner:
                 index=nothing,
                 sampled=(size, number),
             )
-            yield self._shard(task, hand, number, digests)
+            yield self._shard(task, loader, hand, number, digests)
 
-    def _shard(self, task: Task, hand: str, number: int, digests: Digests) -> Shard:
+    def _shard(self, task: Task, loader: Loader, hand: str, number: int, digests: Digests) -> Shard:
+        environment = loader.environment()
         stamp = digests.stamp(
             task.inputs,
             **self.depends,
@@ -206,6 +207,7 @@ class Planner:
             object=[task.object, task.object_digest],
             rows=task.rows,
             sampled=task.sampled,
+            **({} if environment is None else {"scene": environment.digest}),
         )
         stem = _shorten(f"{object_folder(hand)}_{object_folder(task.object)}")
         first, *rest = (_shorten(object_folder(part)) for part in task.job.split("/") if part)

@@ -30,6 +30,7 @@ class Sources(SourceSpec):
     unit: Annotated[DisallowNone[Unit | None], arg(help_behavior_hint="(default: m, asked about if unlikely)")] = None
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
     index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
+    scene: Annotated[DisallowNone[str | None], arg(metavar="NAME|FILE", help_behavior_hint="(default: none)")] = None
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     other_object: Annotated[bool, arg(help_behavior_hint="")] = False
 

@@ -175,6 +175,7 @@ class Run:
                 objects=[(group.key, surface_digest(group.uncut.mesh)) for group in groups],
                 pieces=[pieces_digest(group.uncut.pieces) for group in groups],
                 rows=[group.rows for group in groups],
+                **({} if draft.environment is None else {"scene": draft.environment.digest}),
             )
 
         names = dict.fromkeys(group.object for group in draft.groups)

@@ -173,7 +173,9 @@ def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
         control.check()
         control.describe(f"sampling grasps: {found} found, of {tried} hands")
 
-    grasps = sample_grasps(hand, obj, NUM_SAMPLED_GRASPS, table=scene.table, progress=progress)
+    grasps = sample_grasps(
+        hand, obj, NUM_SAMPLED_GRASPS, table=scene.table, environment=scene.environment, progress=progress
+    )
     grasps = replace(grasps, object=np.full(len(grasps), obj.name), scale=np.ones(len(grasps)))
     return _problem(upload, scene, hand, grasps, {(obj.name, 1.0): obj}, hand.notes, sampled=True)
 
@@ -271,7 +273,15 @@ def _problem(
         of_object = np.flatnonzero(grasps.object == name)
         rows = of_object[grasps.scale[of_object] == scale]
         some, targets = grasps.select(rows), aim(hand, grasps.targets, rows)
-        new = Scene(hand, obj, transform_from_pose(some.hand_pose), q[rows], *targets, table=scene.table)
+        new = Scene(
+            hand,
+            obj,
+            transform_from_pose(some.hand_pose),
+            q[rows],
+            *targets,
+            table=scene.table,
+            environment=scene.environment,
+        )
         groups.append(Group(name, scale, new, some, rows, np.searchsorted(of_object, rows), rows))
     all_notes = tuple(dict.fromkeys([*upload.notes, *notes, *joint_notes]))
     return Problem(hand, (upload.source,), tuple(groups), all_notes, f"upload:{upload.name}" if sampled else "")
