@@ -105,25 +105,37 @@ def save_results(
     Raises:
         GraspFileError: the file cannot be written.
     """
-    touching = np.flatnonzero(outcome.touching.any(axis=0))
     grasps = refined_set(hand, links, outcome)
     save_npz(
         path,
         {
             **grasps.arrays(),
-            "initial_pose": outcome.initial_pose,
-            "initial_q": outcome.initial_q,
-            "contact_link": np.array([links[k] for k in touching], dtype=str),
-            "contact_point_link": outcome.contact_link[:, touching],
-            "contact_point_object": outcome.contact_object[:, touching],
-            "contact_normal": outcome.contact_normal[:, touching],
-            "contact_distance": outcome.contact_distance[:, touching],
-            "status": labels(Status, outcome.status),
-            **outcome.entries(),
+            **result_entries(links, outcome),
             **(_simulated("before", simulated[0]) | _simulated("after", simulated[1]) if simulated is not None else {}),
             "provenance": np.array(dumps({**provenance, "index": outcome.index, "row": outcome.row})),
         },
     )
+
+
+def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.ndarray]:
+    """Return the entries of a result file beside the grasps: poses before, contacts, status and measures.
+
+    Args:
+        links: Links of the hand with collision geometry, as in `Scene.links`.
+        outcome: The grasps.
+    """
+    touching = np.flatnonzero(outcome.touching.any(axis=0))
+    return {
+        "initial_pose": outcome.initial_pose,
+        "initial_q": outcome.initial_q,
+        "contact_link": np.array([links[k] for k in touching], dtype=str),
+        "contact_point_link": outcome.contact_link[:, touching],
+        "contact_point_object": outcome.contact_object[:, touching],
+        "contact_normal": outcome.contact_normal[:, touching],
+        "contact_distance": outcome.contact_distance[:, touching],
+        "status": labels(Status, outcome.status),
+        **outcome.entries(),
+    }
 
 
 def _simulated(when: str, trials: Trials) -> dict[str, np.ndarray]:

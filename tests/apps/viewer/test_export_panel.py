@@ -15,10 +15,14 @@ import trimesh
 from PIL import Image
 
 from grasp_refine.core.se3 import exp_se3, pose_from_transform
+from grasp_refine.core.short_repr import labels
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group, Problem
+from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
@@ -169,6 +173,15 @@ def test_many_are_saved_together_as_they_stand(shown: Shown):
     np.testing.assert_allclose(again.q[1], works[1].pose.q)
     np.testing.assert_allclose(again.q[2], works[2].pose.q)
     np.testing.assert_allclose(again.squeeze.q[2], works[2].outcome.stage_q[0, -1])
+    outcome = works[2].outcome
+    reopened = Collection.of(load_problem(ProblemSpec(grasps=path, object="sphere:0.03", hand=str(hand.toml))))
+    for key, value in outcome.entries().items():
+        if key in reopened.columns:
+            np.testing.assert_allclose(reopened.columns[key].values[2], value[0])
+    assert {"quality_before", "quality_after", "contact_error_after"} <= reopened.columns.keys()
+    assert reopened.columns["status"].values.tolist() == ["", "", labels(Status, outcome.status)[0]]
+    np.testing.assert_array_equal(reopened.counted[2].touching, outcome.touching[0])
+    np.testing.assert_allclose(reopened.initial(2)[1], hand.rest)
     until(lambda: shown.controller.state.unsaved == ())
 
 

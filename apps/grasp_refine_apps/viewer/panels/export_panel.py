@@ -24,6 +24,8 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.names import file_stem, shortened
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
+from grasp_refine_apps.viewer.present import present
+from grasp_refine_apps.viewer.saved_results import with_results
 from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set, grasp_sets
 from grasp_refine_apps.viewer.state import JobKind, State
 from grasp_refine_apps.viewer.store import BUSY_MESSAGE
@@ -194,6 +196,7 @@ class ExportPanel:
             grasps = grasp_sets(collection, works, lambda share: control.report(share, what), control.check)
             control.check()
             saved = grasp_file(now.collection.hand, grasps, to)
+            saved = with_results(saved, to, present(replace(now, collection=collection)), works)
             control.check()
             self._send(client, saved)
             self._controller.mark_saved({number: one.standing for number, one in works.items()})
