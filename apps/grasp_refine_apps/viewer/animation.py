@@ -18,6 +18,7 @@ from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, 
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import contacts_of
 from grasp_refine_apps.viewer.glyphs import arrow_lines, push_arrow, segments
+from grasp_refine_apps.viewer.ground import light
 from grasp_refine_apps.viewer.page import without_greeting
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
@@ -175,9 +176,7 @@ def _recorded_html(server: viser.ViserServer, film: Film, seconds: float) -> str
 def _light(server: viser.ViserServer, film: Film) -> None:
     """Set light and camera."""
     scene, camera, view = server.scene, server.initial_camera, film.camera
-    scene.configure_environment_map(None)
-    scene.configure_default_lights(True, cast_shadow=False)
-    scene.add_light_ambient("/light", intensity=1.0)
+    light(scene, view)
     scene.world_axes.visible = False
     camera.fov, camera.up, camera.near = FIELD_OF_VIEW_RAD, UP, 0.005
     camera.position, camera.look_at = view.position, view.look_at

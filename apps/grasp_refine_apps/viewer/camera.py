@@ -10,7 +10,9 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.contacts import Contacts
+from grasp_refine_apps.viewer.shapes import forearm
 
 ELEVATIONS_DEG = (20.0, 35.0, 50.0)
 """Candidate elevations of the camera above the horizon in degrees, the preferred one first."""
@@ -93,18 +95,21 @@ def first_camera_of(
 ) -> FirstCamera:
     """Return `first_camera` of a grasp, the object at `T_world_object` (4, 4) in the scene; None: at its origin."""
     T = np.eye(4) if T_world_object is None else T_world_object
-    bodies, T_link = contacts.prepared.bodies, contacts.frames.T_world_link[0]
-    hand = [transform_points(pose, _points(body)) for pose, body in zip(T_link, bodies, strict=True)]
-    return first_camera(
-        transform_points(T, np.concatenate(hand)),
-        transform_points(T, _points(contacts.prepared.object.body)),
-        transform_points(T, contacts.point_object),
-        aspect=aspect,
-    )
+    hand = hand_points(contacts.prepared, contacts.frames.T_world_link[0])
+    obj = surface_points(contacts.prepared.object.body)
+    return first_camera(*(transform_points(T, points) for points in (hand, obj, contacts.point_object)), aspect=aspect)
 
 
-def _points(body: Body) -> Float[np.ndarray, "N 3"]:
-    """Points all over the surface of a body."""
+def hand_points(prepared: HandObject, T_link: Float[np.ndarray, "L 4 4"]) -> Float[np.ndarray, "N 3"]:
+    """Return points (N, 3) all over a hand without its forearm, its links at poses (L, 4, 4)."""
+    behind = forearm(prepared.hand)
+    parts = zip(prepared.chain.links, prepared.bodies, T_link, strict=True)
+    shown = [transform_points(T, surface_points(body)) for link, body, T in parts if link not in behind]
+    return np.concatenate(shown or [np.zeros((0, 3))])
+
+
+def surface_points(body: Body) -> Float[np.ndarray, "N 3"]:
+    """Return points (N, 3) all over the surface of a body, in its frame."""
     return body.candidates.points[: max(16, round(body.area / POINT_SPACING_M**2))]
 
 

@@ -12,10 +12,12 @@ from grasp_refine.core.se3 import tangents, transform, transform_points
 from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
+from grasp_refine_apps.viewer.camera import hand_points, surface_points
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
+from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.scene_nodes import Arrows, HandMeshes, Lines, Meshes, PointMarkers, place
@@ -101,6 +103,8 @@ class GraspNodes:
         ]
         if display.table and state.scene.table is not None:
             self._add_table(state.scene.table, 6 * size)
+        self._ground: Ground | None = None
+        self._shadow_of: tuple[bytes, ...] | None = None
         self.interaction = Interaction(scene, controller, self.hand, self.object, self.targets, length)
 
     def draw(self, state: State) -> None:
@@ -117,6 +121,7 @@ class GraspNodes:
         elif shown.finite:
             self._draw_contacts(state)
         self._draw_push(state)
+        self._draw_ground(state)
         for node, T in zip(self.axes, (shown.T_object_root, state.T_shown_object), strict=True):
             node.visible = self._display.frames
             place(node, T)
@@ -127,7 +132,8 @@ class GraspNodes:
         """Points (N, 3) on hand and object, object frame, enough to give their extent."""
         T = self._poses(pose.T_object_root, pose.q)
         points = [shape.vertices for shape in self.object_shapes]
-        points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in self.shapes]
+        shown = [shape for shape in self.shapes if not shape.faded]
+        points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in shown]
         every = max(sum(map(len, points)) // 4000, 1)
         return np.concatenate(points)[::every].astype(float)
 
@@ -170,6 +176,20 @@ class GraspNodes:
         if motion is not None and motion.pushed[state.motion_frame]:
             arrows = push_arrow(self.prepared, state.T_shown_object, motion.force, 0.4 * self._length)[None]
         self.push.draw(arrows)
+
+    def _draw_ground(self, state: State) -> None:
+        """Draw the ground, which stays where it was first, and the shadow of hand and object."""
+        shown, T = state.shown, state.T_world_object
+        seen = shown.T_object_root.tobytes(), shown.q.tobytes(), T.tobytes(), state.T_shown_object.tobytes()
+        if not (shown.finite and self._display.ground) or seen == self._shadow_of:
+            return
+        self._shadow_of = seen
+        obj = transform_points(state.T_shown_object, surface_points(self.prepared.object.body))
+        hand = hand_points(self.prepared, self.prepared.chain(shown.T_object_root[None], shown.q[None]).T_world_link[0])
+        points = transform_points(T, np.concatenate([hand, obj]))
+        if self._ground is None:
+            self._ground = Ground(self._scene, float(points[:, 2].min()), float(np.ptp(points, axis=0).max()))
+        self._ground.draw(points)
 
     def _draw_forces(self, forces: Forces | None) -> None:
         """Draw contact forces as arrows into the object, friction cones, and outlines of patches; None: nothing."""
@@ -226,4 +246,6 @@ class GraspNodes:
         """Remove all nodes."""
         self.root.remove()
         self.input_frame.remove()
+        if self._ground is not None:
+            self._ground.remove()
         self.interaction.remove()

@@ -122,9 +122,6 @@ def open_server(host: str, port: int) -> Page:
     # A page may dock the panel before it knows the width of its theme.
     server.gui.main_panel.set_width(PANEL_WIDTH_PX)
     server.scene.set_up_direction("+z")
-    server.scene.configure_environment_map(None)
-    server.scene.configure_default_lights(True, cast_shadow=False)
-    server.scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(205, 208, 218), intensity=2.4)
     return Page(server, access)
 
 

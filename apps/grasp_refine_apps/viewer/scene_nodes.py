@@ -15,6 +15,9 @@ from grasp_refine_apps.viewer.colors import Color
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, Shape
 
+FADED_OPACITY = 0.3
+"""Opacity of forearms."""
+
 Clicked = Callable[[np.ndarray, np.ndarray], None]
 """Callback with origin (3,) and direction (3,) of the ray through a click, world frame."""
 
@@ -53,7 +56,7 @@ class Meshes:
                 shape.vertices,
                 shape.faces,
                 color=color or shape.color,
-                opacity=opacity,
+                opacity=FADED_OPACITY if shape.faded and opacity is None else opacity,
                 wireframe=wireframe,
                 side=side,
                 cast_shadow=shadow,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -59,6 +59,8 @@ class Shape:
     """Red, green and blue, 0 to 255."""
     link: str = ""
     """Name of the link; empty for objects."""
+    faded: bool = False
+    """Whether it is drawn faded: a forearm, or an arm, which takes no part in a grasp."""
 
 
 def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) -> tuple[Shape, ...]:
@@ -80,7 +82,29 @@ def visual_shapes(hand: Hand, say: Callable[[str], None] = lambda line: None) ->
             shapes.append(_link_shape(hand, link.name, [visual.mesh for visual in own], color))
         elif link.body is not None:
             shapes.append(_link_shape(hand, link.name, [piece.mesh() for piece in link.body.pieces]))
-    return tuple(shapes)
+    behind = forearm(hand)
+    return tuple(replace(shape, faded=shape.link in behind) for shape in shapes)
+
+
+def forearm(hand: Hand) -> frozenset[str]:
+    """Return the links behind the palm, such as a forearm: all links that touch hang on them, through a further one."""
+    above = {joint.child: joint.parent for joint in hand.joints}
+
+    def chain(link: str) -> list[str]:
+        """Links from the base to this one."""
+        found = [link]
+        while found[-1] in above:
+            found.append(above[found[-1]])
+        return found[::-1]
+
+    chains = [chain(link) for link in dict.fromkeys(contact.link for contact in hand.contacts)]
+    if len(chains) < 2:
+        return frozenset()
+    shared = [links[0] for links in zip(*chains, strict=False) if len(set(links)) == 1]
+    moving = {joint.child for joint in hand.joints if joint.kind != "fixed"}
+    # What is fixed to the palm is part of it.
+    last = max((at for at, link in enumerate(shared) if link in moving), default=0)
+    return frozenset(shared[:last])
 
 
 def collision_shapes(hand: Hand) -> tuple[Shape, ...]:

@@ -71,6 +71,8 @@ class DisplayOptions:
     """Axes of the base link and of the object: x red, y green, z blue."""
     table: bool = True
     """The table, where there is one."""
+    ground: bool = True
+    """The ground, with the shadow of hand and object; a cell is 5 cm wide."""
 
 
 _OF_WORK = frozenset(field.name for field in fields(Work))

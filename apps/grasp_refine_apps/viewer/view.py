@@ -14,6 +14,7 @@ from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, 
 from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
+from grasp_refine_apps.viewer.ground import light
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
@@ -33,6 +34,7 @@ class View:
         self._made: tuple[Hand, Object, DisplayOptions] | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
+        light(server.scene)
 
     @property
     def contacts(self) -> Contacts | None:
@@ -63,6 +65,7 @@ class View:
         if not shown.finite:
             return
         self._camera = first_camera_of(self._controller.contacts(state), state.T_world_object, aspect=ASPECT_RATIO)
+        light(self.server.scene, self._camera)
         across = np.cross(self._camera.look_at - self._camera.position, UP)
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)

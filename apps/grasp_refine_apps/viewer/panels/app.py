@@ -7,6 +7,8 @@ from threading import Timer
 from types import TracebackType
 from typing import Any
 
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.colors import distance_legend
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
@@ -142,7 +144,7 @@ def _heading(state: State, contacts_of: ContactMeter) -> str:
     """Name and measures of the shown grasp as HTML."""
     collection = state.collection
     name = f"{collection.hand.name} on {collection.label(state.number)}"
-    lines = [f"<b>{html.escape(name)}</b>"]
+    lines = [f"<b>{html.escape(name)}</b>{badge(collection.hand)}"]
     if state.motion is not None:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
     elif state.shown.finite:
@@ -150,6 +152,21 @@ def _heading(state: State, contacts_of: ContactMeter) -> str:
         lines.append(distances_text(found.contact_error, found.penetration))
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
     return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
+
+
+def badge(hand: Hand) -> str:
+    """Return HTML that tells of a hand whose shapes are our own, and what to give for the maker's; empty: it is not."""
+    if not hand.urdf.is_relative_to(resource_dir("robots")):
+        return ""
+    name = hand.urdf.stem
+    style = "margin-left:.6em;padding:0 .5em;border:1px solid currentColor;border-radius:.8em;font-size:.8em"
+    advice = (
+        f"Rounded boxes and cylinders of the published dimensions, which are also what collides. For the maker's "
+        f"shapes start it with --hand hands/{name}, which 'refine-grasp assets fetch {name}' fetches, or with --urdf."
+    )
+    return (
+        f'<span style="{style}" title="{html.escape(advice)}" aria-label="{html.escape(advice)}">simplified hand</span>'
+    )
 
 
 def _scale() -> str:
