@@ -44,8 +44,8 @@ class Refinement:
     status: np.ndarray
     """A `Status` for each grasp (N,)."""
     loss: np.ndarray
-    """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known. Gaps at corners of patches
-    count after only where they closed."""
+    """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known. Gaps at corners of
+    patches count after only where they closed."""
     iterations: np.ndarray
     """Iterations of each grasp (N,), those of all attempts."""
     queries: np.ndarray

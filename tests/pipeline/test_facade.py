@@ -31,7 +31,7 @@ def gripper(tmp_path_factory: pytest.TempPathFactory) -> gr.Hand:
 @pytest.fixture(scope="module")
 def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
     box = gr.load_object("box:0.05,0.06,0.07")
-    grasps = replace(gr.sample_grasps(gripper, box, 3), labels={"confidence": [0.5, np.nan, 1.0]})
+    grasps = replace(gr.sample_grasps(gripper, box, 3), labels={"confidence": np.array([0.5, np.nan, 1.0])})
     return gr.refine(gripper, box, grasps)
 
 

@@ -93,7 +93,8 @@ def test_grasps_that_are_not_finite_are_left_out(file: Path, capfd: pytest.Captu
 
 
 def test_labels_choose_the_grasps(file: Path, capfd: pytest.CaptureFixture[str]):
-    grasps = replace(load_grasps(file).select([0, 1, 0]), labels={"energy": [2.0, np.nan, 0.5], "success": [1, 0, 0]})
+    labels = {"energy": np.array([2.0, np.nan, 0.5]), "success": np.array([1.0, 0.0, 0.0])}
+    grasps = replace(load_grasps(file).select([0, 1, 0]), labels=labels)
     save_npz(Path("labelled.npz"), grasps.arrays())
     for condition, rows in (("energy<1", [2]), ("success = 0", [1, 2]), ("energy>=-1e3", [0, 2])):
         assert main(["convert", "labelled.npz", "some.npz", "--to", "ours", "--where", condition, "--overwrite"]) == 0
