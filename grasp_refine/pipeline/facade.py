@@ -33,6 +33,7 @@ from grasp_refine.validation.engines import EngineName
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
@@ -112,7 +113,7 @@ def refine(
 
 def simulate(
     refined: RefinedGrasps,
-    protocol: str | Path | Protocol = "dexgraspbench",
+    protocol: str | Path | Protocol | None = None,
     *,
     engine: EngineName = "mujoco",
     listener: Listener | None = None,
@@ -121,7 +122,8 @@ def simulate(
 
     Args:
         refined: Result of `refine`.
-        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own.
+        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None:
+            dexgraspbench, or, in a scene, scene.
         engine: "mujoco", or "drake", which needs the extra `drake`.
         listener: Callbacks of the progress.
 
@@ -129,7 +131,9 @@ def simulate(
         GraspRefineError: there is no such protocol or engine, or MuJoCo cannot compile the hand or the world.
     """
     check_kind("refined", refined, RefinedGrasps)
-    return simulate_refined(refined, _protocol(protocol), listener=listener, engine=engine)
+    in_scene = refined.problem.groups[0].scene.environment is not None
+    chosen = default_protocol(in_scene=in_scene) if protocol is None else _protocol(protocol)
+    return simulate_refined(refined, chosen, listener=listener, engine=engine)
 
 
 def evaluate(

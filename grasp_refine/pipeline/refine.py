@@ -157,8 +157,8 @@ def _simulate(
     worlds: list[World] = []
     motions: list[Motion] = []
     for group, part in zip(problem.groups, parts, strict=True):
-        obj, table = group.scene.object, group.scene.table
-        world = cache.get("world", (hand, obj, protocol, table), partial(build_world, model, obj, protocol, table))
+        given = group.scene.object, protocol, group.scene.table, group.scene.environment
+        world = cache.get("world", (hand, *given), partial(build_world, model, *given))
         simulations = engine_of(engine, world)
         tell = listener.simulating(group)
         refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)

@@ -114,6 +114,11 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
             "contacts_grasp": _names(trials, trials.contacts_grasp[i]),
             "contacts_squeeze": _names(trials, trials.contacts_squeeze[i]),
         },
+        **(
+            {}
+            if trials.pushed_m is None
+            else {"pushed_m": dict(zip(trials.neighbours, trials.pushed_m[i].tolist(), strict=True))}
+        ),
     }
 
 

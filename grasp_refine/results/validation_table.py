@@ -150,11 +150,13 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
     failed = np.flatnonzero(trials.reason[i] != Reason.HELD)
     count = len(trials.directions)
     if reason == Reason.HELD:
+        pushed = trials.pushed(i)
         flags = [
             word
             for word, flagged in (
                 ("barely", validated.barely(protocol)[i]),
                 (_by_squeeze(validated), validated.by_squeeze[i]),
+                (pushed, pushed),
             )
             if flagged
         ]

@@ -21,9 +21,13 @@ def engine_of(name: str, world: World) -> Engine:
     """Return an engine for simulations of a world.
 
     Raises:
-        GraspRefineError: there is no such engine, or its package is not installed.
+        GraspRefineError: there is no such engine, its package is not installed, or it does not simulate scenes.
     """
     plants = check_engine(name)
+    if plants is not None and world.scene:
+        raise GraspRefineError(
+            f"engine {name} does not simulate scenes, as '{world.scene}': use mujoco, or --scene none"
+        )
     return Rows if plants is None else plants(world).simulations
 
 

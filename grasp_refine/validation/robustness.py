@@ -197,4 +197,6 @@ def _normal(world: World) -> Float[np.ndarray, " 3"] | None:
     """Return the unit normal (3,) of the table; None without one."""
     if not world.protocol.tabletop:
         return None
+    if world.scene:
+        return world.up
     return matrix_from_quaternion(world.model.geom(TABLE).quat)[:, 2]

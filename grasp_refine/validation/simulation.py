@@ -16,7 +16,7 @@ from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transfo
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.simulations import UP, Engine, Simulations
+from grasp_refine.validation.simulations import Engine, Simulations
 from grasp_refine.validation.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World
@@ -207,10 +207,11 @@ def push(
     required = protocol.required(len(names))
     time, displacement, angle, peak, steepest = (np.full(len(grasp), np.nan) for _ in range(5))
     contacts = np.zeros((len(grasp), len(world.links)), dtype=bool)
+    pushed = np.full((len(grasp), len(world.neighbours)), np.nan)
     for check in range(1, protocol.checks + 1):
         wanted = start.copy()
         if protocol.tabletop:
-            wanted[:, :3, 3] += _lift(rows, protocol, check) * UP
+            wanted[:, :3, 3] += _lift(rows, protocol, check) * world.up
         else:
             rows.step(protocol.steps_per_check)
         moved, turned = distances(wanted, rows.object_poses())
@@ -226,6 +227,7 @@ def push(
         displacement[decided], angle[decided] = moved[decided], turned[decided]
         peak[undecided] = np.fmax(peak, moved)[undecided]
         steepest[undecided] = np.fmax(steepest, turned)[undecided]
+        pushed[decided] = rows.pushed()[decided]
         contacts[decided] = rows.touching(np.flatnonzero(decided & ~rows.unstable)).links[decided]
         undecided = undecided & ~decided
         if first_failure:
@@ -253,6 +255,8 @@ def push(
         penetration_m=closed.penetration_m,
         success=(reason.reshape(shape) == Reason.HELD).sum(axis=1) >= required,
         limits=(protocol.farthest, protocol.steepest),
+        neighbours=world.neighbours,
+        pushed_m=pushed.reshape(*shape, -1).max(axis=1) if world.neighbours else None,
     )
 
 

@@ -11,9 +11,6 @@ from jaxtyping import Bool, Float
 
 from grasp_refine.core.short_repr import brief
 
-UP = np.array([0.0, 0.0, 1.0])
-"""Direction in which an object is lifted."""
-
 
 @dataclass(frozen=True, eq=False)
 class Touch:
@@ -73,6 +70,10 @@ class Simulations(ABC):
     @abstractmethod
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
         """Return the poses of the objects."""
+
+    def pushed(self) -> Float[np.ndarray, "N V"]:
+        """Return the displacements of the movable bodies around the objects, metres."""
+        return np.zeros((len(self.running), 0))
 
     @abstractmethod
     def state(self) -> Float[np.ndarray, "N s"]:

@@ -15,7 +15,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.mujoco_messages import unlogged
 from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
-from grasp_refine.validation.simulations import UP, Simulations, Touch
+from grasp_refine.validation.simulations import Simulations, Touch
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
 
 DIVERGED = [
@@ -159,7 +159,7 @@ class Rows(Simulations):
 
     def raise_to(self, height: float) -> None:
         """Set where the root bodies are to go: `height` metres above where `resume` found them to go."""
-        self.batch.mocap_pos[:] = self._held_at + height * UP
+        self.batch.mocap_pos[:] = self._held_at + height * self.world.up
 
     def push(self, wrench: np.ndarray) -> None:
         """Set force and torque (N, 6) at the objects' centres of mass, world axes."""
@@ -209,6 +209,12 @@ class Rows(Simulations):
             depth[row] = np.max(-contact.dist[on_object], initial=0.0)
             depth_table[row] = np.max(-contact.dist[on_table], initial=0.0)
         return Touch(links, depth, depth_table)
+
+    def pushed(self) -> Float[np.ndarray, "N V"]:
+        """Return the displacements of the movable bodies around the objects, metres."""
+        at = self.world.neighbours_at[:, None] + np.arange(3)
+        moved = self.batch.qpos[:, at] - self.world.model.qpos0[at]
+        return np.sqrt((moved * moved).sum(axis=-1))
 
     def object_poses(self) -> Float[np.ndarray, "N 4 4"]:
         """Return the poses of the object (N, 4, 4)."""

@@ -43,7 +43,8 @@ class Reason(IntEnum):
             Reason.TURNED: f"the object had turned by {degrees(protocol.steepest):g} degrees or more",
             Reason.THROWN: "closing the hand had moved the object by "
             f"{', or turned it by '.join(protocol.bounds())}, before the push",
-            Reason.IN_TABLE: f"the hand is deeper than {protocol.deepest * 1e3:g} mm in the table at the pregrasp",
+            Reason.IN_TABLE: f"the hand is deeper than {protocol.deepest * 1e3:g} mm in the table, or in a body of "
+            "the scene, at the pregrasp",
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",
             Reason.UNSTABLE: "the simulation diverged",
@@ -52,6 +53,9 @@ class Reason(IntEnum):
             Reason.OFF_CENTRE: "the object stayed, but in too many of the trials with the object elsewhere it did not",
         }[self]
 
+
+PUSHED_M = 0.005
+"""Displacement in metres from which on a neighbour of the object counts as pushed."""
 
 NUMBERS = ("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")
 """Fields of `Trials` with one number for each direction."""
@@ -95,6 +99,11 @@ class Trials:
     """Share (N,) of the protocol's offsets of the object with which the grasp held; None without offsets."""
     limits: tuple[float, float] = (Protocol.farthest, Protocol.steepest)
     """Displacement and rotation of a lost object by the protocol, metres and radians."""
+    neighbours: tuple[str, ...] = ()
+    """Names of the V bodies around the object that can be pushed."""
+    pushed_m: Float[np.ndarray, "N V"] | None = None
+    """Displacement (N, V) of these at the failure or at the end, metres; NaN where nothing was simulated. None: there
+    are none."""
 
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
@@ -131,6 +140,13 @@ class Trials:
         """Return the largest displacement or rotation (N,) over the directions in which the object was held."""
         return np.where(self.reason == Reason.HELD, getattr(self, name), 0.0).max(axis=1)
 
+    def pushed(self, i: int) -> str:
+        """Return text on the neighbour that grasp `i` pushed farthest; empty if none by `PUSHED_M`."""
+        if self.pushed_m is None or not (self.pushed_m[i] >= PUSHED_M).any():
+            return ""
+        most = int(np.nan_to_num(self.pushed_m[i]).argmax())
+        return f"pushed {self.neighbours[most]} {1e3 * self.pushed_m[i, most]:.0f} mm"
+
     def select(self, rows: np.ndarray) -> Trials:
         """Return the grasps `rows`, in that order."""
         return take(self, rows)
@@ -153,4 +169,4 @@ class Trials:
             if field.name.startswith("contacts"):
                 values = [spread(part, value) for part, value in zip(parts, values, strict=True)]
             columns[field.name] = np.concatenate(values)
-        return cls(parts[0].directions, links, **columns, limits=parts[0].limits)
+        return cls(parts[0].directions, links, **columns, limits=parts[0].limits, neighbours=parts[0].neighbours)

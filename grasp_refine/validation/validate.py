@@ -255,6 +255,8 @@ def _further(
 
 
 def _normal(scene: Scene) -> np.ndarray:
+    if scene.environment is not None:
+        return scene.environment.up
     return np.asarray(Plane.normal if scene.table is None else scene.table.normal)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,17 +13,25 @@ from jaxtyping import Float, Int
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.servos import moments
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.protocol import Protocol
 
+UP = np.array([0.0, 0.0, 1.0])
+"""Direction in which an object is lifted off a table."""
+
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
 """Names of bodies and free joints; the hand's is also the prefix of its names."""
+
+SCENE = "scene/"
+"""Prefix of the names of bodies around the object."""
 
 OBJECT_GEOM, OTHER_GEOM = -1, -2
 """Values of `World.link_of_geom` for geoms without a link."""
@@ -68,13 +77,27 @@ class World:
     """Names of the L links with collision geometry."""
     link_of_geom: Int[np.ndarray, " g"]
     """Index of the link of each geom (g,), or `OBJECT_GEOM`, or `OTHER_GEOM`, such as the table's."""
+    up: Float[np.ndarray, " 3"] = field(default_factory=UP.copy)
+    """Unit vector (3,) against gravity, along which an object is lifted."""
+    scene: str = ""
+    """Name of the scene around the object; empty: there is none."""
+    neighbours: tuple[str, ...] = ()
+    """Names of the V bodies around the object that can be pushed."""
+    neighbours_at: Int[np.ndarray, " V"] = field(default_factory=lambda: np.zeros(0, dtype=int))
+    """Indices (V,) in qpos of their poses (7,)."""
 
     def __repr__(self) -> str:
         return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
 
 
 @stage("simulating")
-def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane | None = None) -> World:
+def build_world(
+    hand: HandModel,
+    obj: Object,
+    protocol: Protocol,
+    table: Plane | None = None,
+    environment: Environment | None = None,
+) -> World:
     """Return the world in which grasps of a hand on an object are simulated.
 
     Args:
@@ -82,6 +105,7 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
         obj: The object, with all its convex pieces.
         protocol: Protocol of the simulation.
         table: Support of the object, where it is lifted; by default a plane under its lowest point.
+        environment: Bodies around the object, where it is lifted, in place of a table; movable ones can be pushed.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile it, with its message; or no geometry of the hand can touch the
@@ -91,14 +115,20 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
     check_kind("obj", obj, Object)
     check_kind("protocol", protocol, Protocol)
     check_kind("table", table, Plane | None)
+    check_kind("environment", environment, Environment | None)
+    # Pushes are those of an object in empty space.
+    around = environment if protocol.tabletop else None
     spec = mujoco.MjSpec()
     spec.modelname = f"{obj.name} in a hand"
     spec.compiler.degree = False
     spec.copy_during_attach = True
-    _set_options(spec, protocol)
+    up = UP if around is None else around.up
+    _set_options(spec, protocol, up)
     mass = _add_object(spec, obj, protocol)
     _add_hand(spec, hand, gravity=protocol.tabletop)
-    if protocol.tabletop:
+    if around is not None:
+        _add_environment(spec, around, protocol)
+    elif protocol.tabletop:
         _add_table(spec, table if table is not None else resting_plane(obj))
     for geom in spec.geoms:
         geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING_FRICTION]
@@ -107,7 +137,7 @@ def build_world(hand: HandModel, obj: Object, protocol: Protocol, table: Plane |
             model = spec.compile()
     except ValueError as error:
         raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_error_with_advice(error)}") from None
-    return _located(spec, model, hand, obj.name, protocol, mass)
+    return replace(_located(spec, model, hand, obj.name, protocol, mass), up=up, **_neighbours(model, around))
 
 
 def _error_with_advice(error: ValueError) -> str:
@@ -123,14 +153,14 @@ def resting_plane(obj: Object) -> Plane:
     return Plane(offset=float(min(piece.bounds[0, 2] for piece in obj.body.pieces)))
 
 
-def _set_options(spec: mujoco.MjSpec, protocol: Protocol) -> None:
+def _set_options(spec: mujoco.MjSpec, protocol: Protocol, up: np.ndarray) -> None:
     option, disable = spec.option, mujoco.mjtDisableBit
     option.timestep = protocol.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = protocol.contact.mujoco_cone
     option.noslip_iterations = protocol.contact.noslip_iterations
     option.impratio = protocol.contact.impratio
-    option.gravity = [0.0, 0.0, -protocol.acceleration if protocol.tabletop else 0.0]
+    option.gravity = -protocol.acceleration * up if protocol.tabletop else np.zeros(3)
     # A simulation that diverges must not be reset to its start, where it would look like one that holds.
     option.disableflags |= disable.mjDSBL_AUTORESET
     if not protocol.multiccd:
@@ -189,6 +219,32 @@ def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:
     geom.pos = plane.offset * normal
     geom.alt.type, geom.alt.zaxis = mujoco.mjtOrientation.mjORIENTATION_ZAXIS, normal
     geom.contype = geom.conaffinity = ALL_COLLISION_BITS
+
+
+def _add_environment(spec: mujoco.MjSpec, environment: Environment, protocol: Protocol) -> None:
+    """Add the bodies around the object: fixed ones to the world, movable ones with free joints and their masses."""
+    for one, T in zip(environment.bodies, environment.T_object_body, strict=True):
+        position, turn = np.split(pose_from_transform(T), [3])
+        body = spec.worldbody.add_body(name=SCENE + one.name, pos=position, quat=turn)
+        volumes = np.array([Inertia.of([piece], density=1.0).mass for piece in one.body.pieces])
+        mass = 0.0
+        if one.movable:
+            body.add_freejoint(name=SCENE + one.name)
+            size = one.body.diagonal / 2.0
+            mass = one.mass if one.mass is not None else protocol.object_mass(float(volumes.sum()), size)
+        for number, (piece, share) in enumerate(zip(one.body.pieces, volumes / volumes.sum(), strict=True)):
+            geom = add_piece(spec, body, piece, f"{SCENE}{one.name}/{number}")
+            geom.mass = mass * share
+            geom.contype = geom.conaffinity = ALL_COLLISION_BITS
+
+
+def _neighbours(model: mujoco.MjModel, environment: Environment | None) -> dict[str, Any]:
+    """Return the fields of `World` on the bodies around the object."""
+    if environment is None:
+        return {}
+    names = tuple(one.name for one in environment.bodies if one.movable)
+    at = [int(model.joint(SCENE + name).qposadr[0]) for name in names]
+    return {"scene": environment.name, "neighbours": names, "neighbours_at": np.array(at, dtype=int)}
 
 
 def _located(

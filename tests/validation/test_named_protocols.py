@@ -30,7 +30,12 @@ from validation.test_rules import gripper_with_palm
 PUSHED = {"dexgraspbench": (0.6, 1.0), "strict": (0.3, 1.0), "graspqp": (1.0, 3.0)}
 """Protocol -> sliding friction, and force of a push in newtons."""
 
-LIFTED = {"tabletop": (0.6, 9.81, 0.1), "hugs": (0.8, 10.0, 0.1), "get-a-grip": (0.9, 9.8, 0.2)}
+LIFTED = {
+    "tabletop": (0.6, 9.81, 0.1),
+    "scene": (0.6, 9.81, 0.1),
+    "hugs": (0.8, 10.0, 0.1),
+    "get-a-grip": (0.9, 9.8, 0.2),
+}
 """Protocol -> sliding friction, gravity in m/s^2, and height of the lift in metres."""
 
 ACROSS = ("+y", "-y", "+z", "-z")

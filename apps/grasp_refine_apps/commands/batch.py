@@ -21,7 +21,7 @@ from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
-from grasp_refine.pipeline.spec import NEAREST, SAMPLE
+from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
@@ -201,7 +201,7 @@ class Batch:
             )
         part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        return config, self.validation.chosen_protocol(), part
+        return config, self.validation.chosen_protocol(in_scene=self.inputs.scene not in (None, NO_SCENE)), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """Plan the shards of all jobs; jobs that cannot be done are reported.

@@ -19,7 +19,7 @@ from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
-from grasp_refine.pipeline.spec import NEAREST
+from grasp_refine.pipeline.spec import NEAREST, NO_SCENE
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.terms.weights import Weights
@@ -77,9 +77,11 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        protocol = self.validation.chosen_protocol()
+        protocol = self.validation.chosen_protocol(in_scene=self.inputs.scene not in (None, NO_SCENE))
         if self.inputs.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
+        if self.inputs.scene in (None, NO_SCENE) and config.weights.environment != Weights.environment:
+            raise GraspRefineError("--weights.environment needs a --scene")
         described = {
             "inputs": settings(self.inputs),
             "refine": settings(config),

@@ -14,14 +14,14 @@ from grasp_refine.validation.engines import EngineChoice
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS
+from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS, default_protocol
 from grasp_refine.validation.validate import Checks
 
 ProtocolOption = Annotated[
     str,
     arg(
         metavar="NAME|FILE.toml",
-        help="Protocol, or a TOML file of your own. "
+        help=f"Protocol, or a TOML file of your own; with --scene, {DEFAULT} becomes scene. "
         + "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
         + ".",
     ),
@@ -58,8 +58,8 @@ class Simulation:
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 
-    def chosen_protocol(self) -> Protocol:
-        """Return the protocol that the options define.
+    def chosen_protocol(self, *, in_scene: bool = False) -> Protocol:
+        """Return the protocol that the options define; in a scene the default one lifts the object out of it.
 
         Raises:
             GraspRefineError: an invalid duration, or friction or mass of 0.
@@ -67,9 +67,14 @@ class Simulation:
         for name, value in (("friction", self.friction), ("mass", self.mass)):
             if value == 0:
                 raise GraspRefineError(f"--{name} must be above 0")
-        protocol = load_protocol(self.protocol).with_friction(self.friction).with_mass(self.mass)
+        protocol = _named(self.protocol, in_scene).with_friction(self.friction).with_mass(self.mass)
         protocol = protocol.with_multiccd(self.multiccd)
         return protocol if self.seconds is None else replace(protocol, checks=_checks(protocol, self.seconds))
+
+
+def _named(name: str, in_scene: bool) -> Protocol:
+    """Return the protocol of a name or file; in a scene, the default one is that which lifts the object out of it."""
+    return default_protocol(in_scene=in_scene) if name == DEFAULT else load_protocol(name)
 
 
 def _checks(protocol: Protocol, seconds: float) -> int:
@@ -123,8 +128,8 @@ class ValidationOptions:
     friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Coefficient of sliding friction."""
 
-    def chosen_protocol(self) -> Protocol | None:
-        """Return the protocol of the simulation; None: grasps are not simulated.
+    def chosen_protocol(self, *, in_scene: bool = False) -> Protocol | None:
+        """Return the protocol of the simulation, in a scene by default `scene`; None: grasps are not simulated.
 
         Raises:
             GraspRefineError: an option that is invalid, or has no effect.
@@ -133,4 +138,4 @@ class ValidationOptions:
             raise GraspRefineError("--protocol and --friction are for --validate, which simulates the grasps")
         if self.friction is not None and not 0 < self.friction < inf:
             raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
-        return load_protocol(self.protocol).with_friction(self.friction) if self.validate else None
+        return _named(self.protocol, in_scene).with_friction(self.friction) if self.validate else None

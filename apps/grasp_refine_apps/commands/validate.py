@@ -98,6 +98,8 @@ class Validate:
             if self.output.compare is not None:
                 _check_comparable(*drafts)
             self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
+            if protocol is not None and any(draft.environment is not None for draft in drafts):
+                protocol = self.simulation.chosen_protocol(in_scene=True)
             problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.note(note)
@@ -214,7 +216,7 @@ class Validate:
             world = motion = None
             if protocol is not None and model is not None:
                 compiling -= time.process_time()
-                world = build_world(model, scene.object, protocol, scene.table)
+                world = build_world(model, scene.object, protocol, scene.table, scene.environment)
                 compiling += time.process_time()
                 motion = group.motion(self.simulation.closing)
             found = validate(

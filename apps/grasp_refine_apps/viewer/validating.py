@@ -13,6 +13,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
@@ -65,11 +66,13 @@ def world_cache() -> MakeWorld:
     make_hand = lru_cache(MAX_HANDS)(model_of)
 
     @lru_cache(MAX_WORLDS)
-    def make_world(hand: Hand, obj: Object, protocol: Protocol, table: Plane | None) -> World:
-        return build_world(make_hand(hand), obj, protocol, table)
+    def make_world(
+        hand: Hand, obj: Object, protocol: Protocol, table: Plane | None, around: Environment | None
+    ) -> World:
+        return build_world(make_hand(hand), obj, protocol, table, around)
 
     return lambda scene, protocol: make_world(
-        scene.hand, scene.object, protocol, scene.table if protocol.tabletop else None
+        scene.hand, scene.object, protocol, *((scene.table, scene.environment) if protocol.tabletop else (None, None))
     )
 
 

@@ -19,9 +19,9 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.validation.drake.build import build_plant
 from grasp_refine.validation.drake.plant import Parameters, Plant, rigid
-from grasp_refine.validation.simulations import UP, Simulations, Touch
+from grasp_refine.validation.simulations import Simulations, Touch
 from grasp_refine.validation.stepping import Conditions, StepCallback
-from grasp_refine.validation.world import OBJECT_GEOM, World
+from grasp_refine.validation.world import OBJECT_GEOM, UP, World
 
 POSE_NUMBERS = 16
 """Numbers of a transform."""

@@ -10,13 +10,19 @@ from grasp_refine.validation.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.validation.protocols.graspqp import GRASPQP
 from grasp_refine.validation.protocols.hugs import HUGS
 from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, HUGS, GRASPQP, GET_A_GRIP)}
+    {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP)}
 )
 """Name -> protocol."""
 
 DEFAULT = DEXGRASPBENCH.name
 """Name of the protocol where none is given."""
+
+
+def default_protocol(*, in_scene: bool) -> Protocol:
+    """Return the protocol where none is given: in a scene, the object is lifted out of it."""
+    return SCENE if in_scene else PROTOCOLS[DEFAULT]

@@ -1,0 +1,10 @@
+"""Protocol that lifts the object out of its scene: off a table, a bin or a shelf, among other bodies.
+
+The numbers are those of `tabletop`. Flat faces touch in several points, without which bodies on a table would tilt.
+"""
+
+from dataclasses import replace
+
+from grasp_refine.validation.protocols.tabletop import TABLETOP
+
+SCENE = replace(TABLETOP, name="scene", multiccd=True)
