@@ -1,4 +1,4 @@
-"""Simulation in a scene: the object is lifted against gravity out of it, neighbours are pushed, walls are in the way."""
+"""Simulation in a scene: the object is lifted out of it, neighbours are pushed, walls are in the way."""
 
 from __future__ import annotations
 
@@ -40,10 +40,8 @@ def scene(*more: EnvironmentBody) -> Environment:
     upright[:3, :3] = np.eye(3)
     table = EnvironmentBody("table", build_body("table", [box([1.0, 1.0, 0.04])], candidates=16), np.eye(4))
     at = upright @ place([0.0, 0.0, -RADIUS - 0.02])
-    return Environment(
-        (replace(table, T_world_body=at), *(replace(one, T_world_body=upright @ one.T_world_body) for one in more)),
-        TURN,
-    )
+    others = [replace(one, T_world_body=upright @ one.T_world_body) for one in more]
+    return Environment((replace(table, T_world_body=at), *others), TURN)
 
 
 def cube(x: float, y: float, *, movable: bool) -> EnvironmentBody:
@@ -89,9 +87,9 @@ def test_a_ball_rests_on_its_table() -> None:
 
 @pytest.mark.parametrize("movable", [True, False])
 def test_neighbours_are_pushed_and_walls_are_in_the_way(movable: bool) -> None:
-    """A cube where a plate is at the pregrasp, by 4 mm; farther in, it is in the way."""
+    """A cube where a plate is at the pregrasp, by 8 mm; farther in, it is in the way."""
     opening = (2 * RADIUS + 0.01) / 2.0
-    near = cube(opening + 0.01 + NEIGHBOUR - 0.004, 0.0, movable=movable)
+    near = cube(opening + 0.01 + NEIGHBOUR - 0.008, 0.0, movable=movable)
     found = simulate(world_of(scene(near)), upside())
     if movable:
         assert found.success.all() and found.neighbours == ("cube",)
