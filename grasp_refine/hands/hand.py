@@ -18,6 +18,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
@@ -119,6 +120,15 @@ class Hand:
     """Whether the contact links are the program's choice, because no hand.toml names any."""
     base_why: str = ""
     """Reason for the choice of the base link, for people."""
+    mount: str | None = None
+    """Link of an arm that hands are mounted on where none is given."""
+    T_base_flange: Float[np.ndarray, "4 4"] | None = None
+    """Pose (4, 4) of the flange of an arm that carries it in the frame of `base_link`; None: that frame, or a hand that
+    begins at another link than hand.toml says."""
+    arm: Arm | None = None
+    """Arm that carries the palm from a base that stands still; None: the base is the palm, and moves freely."""
+    parts: tuple[Hand, ...] = ()
+    """The arm and the hand of which it was made, with the names of the whole; none where one file has all."""
 
     def __repr__(self) -> str:
         parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")
@@ -133,6 +143,16 @@ class Hand:
     def joints_by_name(self) -> dict[str, Joint]:
         """Joints by name."""
         return {joint.name: joint for joint in self.joints}
+
+    @property
+    def palm(self) -> str:
+        """The link whose pose is the palm's: the base link, or what the arm carries."""
+        return self.base_link if self.arm is None else self.arm.palm
+
+    @property
+    def arm_joints(self) -> Bool[np.ndarray, " n"]:
+        """True (n,) for independent joints of the arm; none without an arm."""
+        return np.zeros(len(self.joint_names), dtype=bool) if self.arm is None else self.arm.joints
 
     @cached_property
     def slides(self) -> Bool[np.ndarray, " n"]:
@@ -308,6 +328,8 @@ def load_hand(
         patches=toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
+        mount=toml.mount,
+        T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
-from grasp_refine.core.errors import HandError, quote_value
+from grasp_refine.core.errors import GraspRefineError, HandError, quote_value
 from grasp_refine.core.names import is_file, is_valid
+from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 
 T = TypeVar("T")
@@ -18,12 +20,15 @@ T = TypeVar("T")
 HAND_TOML = "hand.toml"
 """Name of the file beside a URDF or MJCF that adds what that does not hold."""
 
+ARM_TOML = "arm.toml"
+"""Name of that file where the robot is an arm, on which a hand is mounted; it has the same keys."""
+
 TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text", bool: "boolean, true or false"}
 """TOML's names of the required types."""
 
 KEYS = (
     *("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "patches"),
-    *("rest_pose", "contact", "coupled", "actuator"),
+    *("rest_pose", "contact", "coupled", "actuator", "mount", "flange"),
 )
 """Keys of a hand.toml."""
 
@@ -88,6 +93,10 @@ class HandToml:
     """Joints that share an actuator."""
     actuator: dict[str, dict[str, float]] = field(default_factory=dict)
     """Keys of `ACTUATOR` -> joint name, or "default" -> value."""
+    mount: str | None = None
+    """Link of an arm that hands are mounted on where none is given."""
+    T_base_flange: Float[np.ndarray, "4 4"] | None = None
+    """Pose (4, 4) of the flange of an arm that carries the hand in the frame of `base_link`; None: that frame."""
 
     @property
     def joints_with_settings(self) -> set[str]:
@@ -131,6 +140,8 @@ def read_hand_toml(path: Path) -> HandToml:
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
         coupled=tuple(_coupled(entry, where) for entry, where in _tables(raw, "coupled", path)),
         actuator=_actuator(actuator, f"{path}: [actuator]"),
+        mount=None if "mount" not in raw else _typed(raw["mount"], str, f"{path}: mount"),
+        T_base_flange=None if "flange" not in raw else _pose(raw["flange"], f"{path}: flange"),
     )
 
 
@@ -225,6 +236,15 @@ def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= MAX_MAGNITUDE:
         raise HandError(f"{where} must be a number, at most {MAX_MAGNITUDE:g}, got {quote_value(value)}")
     return float(value)
+
+
+def _pose(value: Any, where: str) -> Float[np.ndarray, "4 4"]:
+    try:
+        return transform_from_rpy([_number(number, where) for number in _typed(value, list, where)])
+    except HandError:
+        raise
+    except GraspRefineError as error:
+        raise HandError(f"{where}: {error}") from None
 
 
 def _vector(value: Any, where: str) -> tuple[float, float, float]:

@@ -13,12 +13,17 @@ from grasp_refine.assets.names import find_asset
 from grasp_refine.assets.robot_descriptions import PREFIX, described
 from grasp_refine.core.errors import AssetError, GraspFileError, HandError
 from grasp_refine.core.names import exists, expand_user, is_file
-from grasp_refine.hands.hand_toml import HAND_TOML, HandToml, only_file, read_hand_toml
+from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML, HandToml, only_file, read_hand_toml
 
 
 def list_hands() -> tuple[str, ...]:
     """Names of the hands that come with the program, each a folder of robots/ with a hand.toml."""
     return tuple(sorted(file.parent.name for file in resource_dir("robots").glob(f"*/{HAND_TOML}")))
+
+
+def list_arms() -> tuple[str, ...]:
+    """Names of the arms that come with the program, each a folder of robots/ with an arm.toml."""
+    return tuple(sorted(file.parent.name for file in resource_dir("robots").glob(f"*/{ARM_TOML}")))
 
 
 def needs_urdf(name: str) -> bool:
@@ -79,7 +84,7 @@ def hand_files(
 
 def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], None]) -> tuple[str, HandToml]:
     """Name and hand.toml as from `hand_files`, but without a URDF where a hand of ours has none."""
-    if isinstance(source, str) and source in list_hands():
+    if isinstance(source, str) and source in (*list_hands(), *list_arms()):
         source = resource_dir("robots") / source
     path = expand_user(Path(source))
     if isinstance(source, str) and source.startswith(PREFIX) and not exists(path):
@@ -101,7 +106,7 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
             raise AssetError(f"no hand '{source}'; {choices}")
         raise HandError(f"{path}: no such file or folder; {choices}")
     folder = path if path.is_dir() else path.parent
-    beside = folder / HAND_TOML
+    beside = next((folder / name for name in (HAND_TOML, ARM_TOML) if is_file(folder / name)), folder / HAND_TOML)
     if beside.is_file():
         toml = read_hand_toml(beside)
         named = path.is_dir() or path.samefile(beside)

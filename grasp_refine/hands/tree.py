@@ -83,6 +83,8 @@ class Joint:
     """Coupling to another joint; None if it moves independently, or is fixed."""
     effort: float | None
     """Greatest torque (Nm) or force (N); None where the file names none above 0."""
+    velocity: float | None = None
+    """Greatest speed in rad/s or m/s; None where the file names none above 0."""
 
     __repr__ = brief
 
@@ -137,6 +139,8 @@ class JointEntry:
     """Upper limit in rad or m."""
     effort: float | None = None
     """Greatest torque (Nm) or force (N)."""
+    velocity: float | None = None
+    """Greatest speed in rad/s or m/s."""
     mimic: Mimic | None = None
     """Coupling to another joint."""
 
@@ -262,9 +266,9 @@ def _joint(raw: JointEntry, path: Path) -> Joint:
             raise HandError(f"{where} has the axis {raw.axis.tolist()}, which is no direction")
         axis, mimic = raw.axis / length, raw.mimic
     lower, upper = _limits(raw, where)
-    # Some exporters write effort 0 where they do not know it.
-    effort = raw.effort if raw.effort is not None and raw.effort > 0 else None
-    return Joint(raw.name, kind, raw.parent, raw.child, raw.T_parent_child, axis, lower, upper, mimic, effort)
+    # Some exporters write effort 0, or velocity 0, where they do not know it.
+    effort, velocity = (value if value is not None and value > 0 else None for value in (raw.effort, raw.velocity))
+    return Joint(raw.name, kind, raw.parent, raw.child, raw.T_parent_child, axis, lower, upper, mimic, effort, velocity)
 
 
 def _limits(raw: JointEntry, where: str) -> tuple[float, float]:

@@ -60,6 +60,7 @@ def _joint(raw: yourdfpy.Joint) -> JointEntry:
         lower=None if limit is None else limit.lower,
         upper=None if limit is None else limit.upper,
         effort=None if limit is None else limit.effort,
+        velocity=None if limit is None else limit.velocity,
         mimic=None if mimic is None else Mimic(mimic.joint, mimic.multiplier, mimic.offset),
     )
 

@@ -1,0 +1,193 @@
+"""Hands on arms: one kinematic tree of two robots, or of one whose file has both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import inverse, is_rigid
+from grasp_refine.hands.arm import Arm
+from grasp_refine.hands.base_link import guess_base
+from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.hand import Actuator, Hand, Link
+from grasp_refine.hands.tree import Joint
+
+MOUNT_JOINT = "mount"
+"""Name of the fixed joint between the arm and the hand; with a number where that is taken."""
+
+
+def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.ndarray, "4 4"] | None = None) -> Hand:
+    """Return a hand on an arm: one `Hand` whose base is that of the arm, and stands still.
+
+    Joints are those of the arm, then those of the hand; contacts, patches and files are those of the hand. Names of
+    links and joints that both have get the name of the arm as a prefix in the arm, as in ur5e_base_link.
+
+    Args:
+        arm: The arm, read by `load_hand`.
+        hand: The hand.
+        link: Link of the arm that the hand is fixed to; by default that of the arm's arm.toml, else its last link.
+        T_link_hand: Pose (4, 4) of the hand's base link in that link; by default that of its hand.toml (`flange`), else
+            the identity.
+
+    Raises:
+        HandError: the arm has no such link or no joint that moves it, the hand is on an arm already, or the pose is not
+            rigid.
+    """
+    check_kind("arm", arm, Hand)
+    check_kind("hand", hand, Hand)
+    check_kind("link", link, str | None)
+    if hand.arm is not None or arm.arm is not None:
+        raise HandError(f"{(hand if hand.arm is not None else arm).name} is a hand on an arm already")
+    default = np.eye(4) if hand.T_base_flange is None else inverse(hand.T_base_flange)
+    T = default if T_link_hand is None else as_numbers("T_link_hand", T_link_hand)
+    if T.shape != (4, 4) or not is_rigid(T):
+        raise HandError(f"T_link_hand must be a rigid transform (4, 4), got {np.array2string(T, precision=3)}")
+    link = link or arm.mount or _last_link(arm)
+    if link not in arm.links_by_name:
+        listing = ", ".join(arm.links_by_name)
+        raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}")
+    carrying = [joint.name for joint in arm.joints_to([link]) if joint.movable]
+    if not carrying:
+        raise HandError(f"no joint of arm {arm.name} moves link '{link}': a hand there would not be on an arm")
+    renamed = _renamed(arm, hand)
+    link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)[link]
+    taken = {*renamed.joints_by_name, *hand.joints_by_name}
+    name = next(name for name in (MOUNT_JOINT, *(f"{MOUNT_JOINT}_{k}" for k in range(2, 99))) if name not in taken)
+    fixed = Joint(name, "fixed", link, hand.base_link, T, np.zeros(3), 0.0, 0.0, None, None)
+    links = (*renamed.links, *hand.links)
+    solids = tuple(part.name for part in links if part.body is not None)
+    return replace(
+        hand,
+        name=f"{hand.name}_on_{arm.name}",
+        base_link=renamed.base_link,
+        links=tuple(replace(part, solids=solids) for part in links),
+        joints=(*renamed.joints, fixed, *hand.joints),
+        joint_names=(*renamed.joint_names, *hand.joint_names),
+        lower=np.concatenate([arm.lower, hand.lower]),
+        upper=np.concatenate([arm.upper, hand.upper]),
+        rest=np.concatenate([arm.rest, hand.rest]),
+        notes=tuple(dict.fromkeys((*_arm_notes(arm), *hand.notes))),
+        actuator=_both(arm.actuator, hand.actuator),
+        coupled=(*renamed.coupled, *hand.coupled),
+        excluded=_excluded(renamed, hand),
+        yielding=renamed.yielding | hand.yielding,
+        base_why=f"it is the base of the arm, {arm.name}",
+        mount=None,
+        T_base_flange=None,
+        arm=Arm(
+            palm=hand.base_link,
+            joints=np.arange(len(arm.joint_names) + len(hand.joint_names)) < len(arm.joint_names),
+            links=frozenset(renamed.links_by_name),
+        ),
+        parts=(renamed, hand),
+    )
+
+
+def standing(hand: Hand, palm: str | None = None) -> Hand:
+    """Return the hand of a file that has an arm too, with the joints above the palm as the arm's: its base stands.
+
+    Args:
+        hand: The whole, loaded with the base of the arm as its `base_link`.
+        palm: Link that is the palm; by default the one at which the hand would begin by itself.
+
+    Raises:
+        HandError: there is no such link, or no joint moves it.
+    """
+    check_kind("hand", hand, Hand)
+    check_kind("palm", palm, str | None)
+    palm = palm or guess_base(read_tree(hand.urdf)).link
+    above = {joint.name for joint in hand.joints_to([palm]) if joint.movable}
+    if not above:
+        raise HandError(
+            f"hand {hand.name} has no arm: no joint between its base '{hand.base_link}' and its palm '{palm}'; give an "
+            "arm with --arm, or the base of the arm in the hand's file with --base-link"
+        )
+    names = np.array([name in above for name in hand.joint_names])
+    followers = [name for name in above if name not in hand.joint_names]
+    if followers:
+        raise HandError(f"hand {hand.name}: joint '{followers[0]}' of its arm follows another, which no arm's may")
+    below = {palm}
+    for joint in hand.joints:  # parents before children
+        below |= {joint.child} if joint.parent in below else set()
+    touching = tuple(contact for contact in hand.contacts if contact.link in below)
+    links = frozenset(link.name for link in hand.links) - below
+    return replace(hand, contacts=touching, arm=Arm(palm, names, links))
+
+
+def palm_joints(hand: Hand) -> tuple[str, ...]:
+    """Return the names of the joints that a hand has without its arm, in the order of its `joint_names`."""
+    return tuple(np.array(hand.joint_names)[~hand.arm_joints].tolist())
+
+
+def _last_link(arm: Hand) -> str:
+    """Return the only link of an arm that nothing hangs from.
+
+    Raises:
+        HandError: there are several.
+    """
+    ends = {link.name for link in arm.links} - {joint.parent for joint in arm.joints}
+    if len(ends) > 1:
+        raise HandError(f"arm {arm.name} ends at several links: give the one to mount on, of {', '.join(sorted(ends))}")
+    return ends.pop()
+
+
+def _arm_notes(arm: Hand) -> list[str]:
+    """Return the notes on an arm, without those on contacts, which it has none of."""
+    return [f"arm {arm.name}: {note}" for note in arm.notes if not note.startswith("contact link")]
+
+
+def _other_names(names: Sequence[str] | dict[str, Link], taken: dict[str, Link], prefix: str) -> dict[str, str]:
+    return {name: f"{prefix}_{name}" if name in taken else name for name in names}
+
+
+def _renamed(arm: Hand, hand: Hand) -> Hand:
+    """Return the arm with names that the hand does not have.
+
+    Raises:
+        HandError: a name has a prefix already, and is the hand's.
+    """
+    link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)
+    theirs = hand.joints_by_name
+    joint = {name: f"{arm.name}_{name}" if name in theirs else name for name in arm.joints_by_name}
+    for names, ours in ((link, hand.links_by_name), (joint, theirs)):
+        twice = [name for name in names.values() if name in ours or list(names.values()).count(name) > 1]
+        if twice:
+            raise HandError(f"arm {arm.name} and hand {hand.name} both have '{twice[0]}': rename it in one of them")
+    joints = tuple(
+        replace(
+            one,
+            name=joint[one.name],
+            parent=link[one.parent],
+            child=link[one.child],
+            mimic=None if one.mimic is None else replace(one.mimic, joint=joint[one.mimic.joint]),
+        )
+        for one in arm.joints
+    )
+    excluded = None if arm.excluded is None else tuple((link[a], link[b]) for a, b in arm.excluded)
+    return replace(
+        arm,
+        base_link=link[arm.base_link],
+        links=tuple(replace(one, name=link[one.name]) for one in arm.links),
+        joints=joints,
+        joint_names=tuple(joint[name] for name in arm.joint_names),
+        coupled=tuple(replace(group, joints=tuple(joint[name] for name in group.joints)) for group in arm.coupled),
+        excluded=excluded,
+        yielding=frozenset(link[name] for name in arm.yielding),
+        contacts=(),
+    )
+
+
+def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
+    """Return the pairs that never collide by either file; None where neither file tells."""
+    if arm.excluded is None and hand.excluded is None:
+        return None
+    return (*(arm.excluded or ()), *(hand.excluded or ()))
+
+
+def _both(arm: Actuator, hand: Actuator) -> Actuator:
+    return Actuator(**{f.name: np.concatenate([getattr(arm, f.name), getattr(hand, f.name)]) for f in fields(Actuator)})
