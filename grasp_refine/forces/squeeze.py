@@ -32,7 +32,7 @@ SQUEEZE_RIDGE = 4.0 * RIDGE
 def squeezed(
     scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N
 ) -> Float[np.ndarray, "N n"]:
-    """Set points (N, n) of the joints that squeeze the grasps, q + J^T f / kp; the root stays.
+    """Set points (N, n) of the joints that squeeze the grasps, q + J^T f / kp; the root, or the arm, stays.
 
     The forces f on the object are those that balance best, with pressures that sum to `total`. A position actuator
     whose link is stopped by the object presses with kp times its position error, up to its limit, and the torques J^T f
@@ -62,6 +62,7 @@ def squeezed(
     for rows, some in points.groups():
         f = force[rows, None, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), f, np.nan_to_num(some.point_on_link), some.link)[:, 0]
+    torque = np.where(hand.arm_joints, 0.0, torque)
     return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
 
 

@@ -24,7 +24,7 @@ from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.gap_closing import close_gaps
-from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
+from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -208,16 +208,19 @@ class _Search:
 
     def perturb(self, member: np.ndarray, number: np.ndarray) -> Point:
         """Return starts near the grasps: turned about the mean of their contact links, shifted, joints perturbed."""
-        noise = sample_noise(self.scene, member, number, self.config.seed)
+        noise, variables = self.free.sample_noise(member, number), self.free.variables
         given = self.given(member)
         T = self.prepared.chain(given.T, given.q).T_world_link
         touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
         R = exp_so3(START_ROTATION_RAD * noise[:, 3:6])
-        T = given.T.copy()
-        T[:, :3, :3] = R @ given.T[:, :3, :3]
-        T[:, :3, 3] = middle + matvec(R, given.T[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
-        return Point(T, given.q + START_JOINTS_RAD * self.scene.hand.per_radian * noise[:, 6:])
+        palm = variables.palm(given)
+        T = palm.copy()
+        T[:, :3, :3] = R @ palm[:, :3, :3]
+        T[:, :3, 3] = middle + matvec(R, palm[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
+        hand, start = self.scene.hand, variables.placed(given, T)
+        joints = START_JOINTS_RAD * hand.per_radian * noise[:, 6:]
+        return Point(start.T, start.q + np.where(hand.arm_joints, 0.0, joints))
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows of grasps that are not good yet and have CPU time left."""

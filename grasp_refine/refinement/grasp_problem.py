@@ -16,7 +16,6 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, matvec, transform_points
 from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.wrench import center_of_mass
-from grasp_refine.hands.chain import integrate
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
@@ -26,18 +25,14 @@ from grasp_refine.refinement.terms.environment import Clearance
 from grasp_refine.refinement.terms.self_penetration import SelfPenetration
 from grasp_refine.refinement.terms.table import Table
 from grasp_refine.refinement.terms.term import Setup, State
+from grasp_refine.refinement.variables import variables
 from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
-ROTATION_M_PER_RAD, JOINTS_M_PER_RAD = 0.05, 0.04
-"""Movement of the root in metres that counts as much as one radian of the root, and of a joint."""
-
-MAX_STEP = (0.05, 1.0, 0.5)
-"""Largest step: of the root, and of prismatic joints, in metres; of the root in radians; of joints in radians."""
-
 RESTART_NOISE = (0.01, 0.2, 0.1)
-"""Standard deviations of the noise on restarts, in the same order."""
+"""Standard deviations of the noise on restarts: palm and prismatic joints in metres; the palm in radians; joints in
+radians."""
 
 NOISE_CELL_M = 1e-6
 """Distance between hands, seen from the object, that get different noise although their joint values are the same."""
@@ -64,15 +59,10 @@ class GraspProblem:
         self.patched = bool(columns.any() and (columns & prepared.faces.flat).any())
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
-        hand = scene.hand
-        joints = np.where(hand.slides, 1.0, JOINTS_M_PER_RAD**2)
-        self.scales = np.concatenate([np.ones(3), np.full(3, ROTATION_M_PER_RAD**2), joints])
-        self.step, self.noise = (
-            np.concatenate([np.full(3, metres), np.full(3, root), np.where(hand.slides, metres, joint)])
-            for metres, root, joint in (MAX_STEP, RESTART_NOISE)
-        )
-        # Bounds of each unknown would depend on the axes of the world: `integrate` shortens steps of the root.
-        self.step[:6] = np.inf
+        self.variables = variables(scene, config.max_move)
+        metres, turn, joint = RESTART_NOISE
+        joints = np.where(scene.hand.slides, metres, joint)
+        self.noise = np.concatenate([np.full(3, metres), np.full(3, turn), joints])
 
     def in_points(self) -> GraspProblem:
         """Return the problem without gaps at the corners where flat faces meet."""
@@ -113,37 +103,31 @@ class GraspProblem:
         return stack(rows, len(member), self.chain, known.frames)
 
     def metric(self, member: np.ndarray) -> np.ndarray:
-        """Return 1 for translations, `ROTATION_M_PER_RAD`^2 and `JOINTS_M_PER_RAD`^2 for rotations."""
-        return np.broadcast_to(self.scales, (len(member), len(self.scales)))
+        """Return the squared movements in metres that count as much as a unit of each unknown, see `Variables`."""
+        return self.variables.metric(member)
 
     def step_bounds(self, member: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of a step: joints to their limits, and no farther than `MAX_STEP`."""
-        hand = self.scene.hand
-        lower, upper = np.tile(-self.step, (len(member), 1)), np.tile(self.step, (len(member), 1))
-        lower[:, 6:] = np.maximum(lower[:, 6:], hand.lower - point.q)
-        upper[:, 6:] = np.minimum(upper[:, 6:], hand.upper - point.q)
-        return lower, upper
+        return self.variables.step_bounds(member, point)
 
     def integrate(self, member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        """Return the grasps after steps, projected onto joint limits and movement bounds.
-
-        A step that moves the root farther than `MAX_STEP` is shortened as a whole.
-        """
-        length = np.linalg.norm(dx[:, :6].reshape(-1, 2, 3), axis=-1) / MAX_STEP[:2]
-        dx = dx / np.maximum(length.max(axis=1, keepdims=True), 1.0)
-        return self.project(member, Point(integrate(point.T, dx[:, :6]), point.q + dx[:, 6:]))
+        """Return the grasps after steps, shortened to `MAX_STEP`, within joint limits and movement bounds."""
+        return self.variables.integrate(member, point, dx)
 
     def project(self, member: np.ndarray, point: Point) -> Point:
         """Return the nearest grasps within the joint limits and the movement bounds from the initial grasps."""
-        scene = self.scene
-        first = scene.T_world_root[member], scene.q[member]
-        T, q = self.config.max_move.project(point.T, point.q, *first, scene.hand.per_radian)
-        return Point(T, np.minimum(np.maximum(q, scene.hand.lower), scene.hand.upper))
+        return self.variables.project(member, point)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Return the best grasp or, every other time, the present one with noise, after inverse kinematics."""
-        noise = self.noise * sample_noise(self.scene, member, start, self.config.seed)
-        return self.solve_position_ik(member, self.integrate(member, choose(start % 2 == 1, best, now), noise))
+        noise = self.noise * self.sample_noise(member, start)
+        chosen = choose(start % 2 == 1, best, now)
+        return self.solve_position_ik(member, self.variables.displace(member, chosen, noise))
+
+    def sample_noise(self, member: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """Return standard normal numbers (M, 6 + n), the `number`-th (M,) sample of each grasp, palms first."""
+        T_palm = self.variables.palm(Point(self.scene.T_world_root[member], self.scene.q[member]))
+        return sample_noise(self.scene, T_palm, member, number, self.config.seed)
 
     def solve_position_ik(self, member: np.ndarray, point: Point) -> Point:
         """Solve inverse kinematics that brings target points on links to those on the object, without any query."""
@@ -212,13 +196,13 @@ class GraspProblem:
         return query_near(pairs, bound, T[:, first], T[:, second], np.full(bound.shape, NEAR_DISTANCE_M), before)
 
 
-def sample_noise(scene: Scene, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
+def sample_noise(scene: Scene, T: np.ndarray, member: np.ndarray, number: np.ndarray, seed: int) -> np.ndarray:
     """Return standard normal numbers (M, 6 + n), the `number`-th (M,) sample of each grasp.
 
-    They depend on the initial grasp, not on its place among others, and rotate with the scene.
+    They depend on the initial grasp, whose palm is at T (M, 4, 4), not on its place among others, and rotate with the
+    scene.
     """
     noise = np.empty((len(member), 6 + scene.q.shape[1]))
-    T = scene.T_world_root[member]
     center = transform_points(inverse(T), center_of_mass(scene.object))
     cell = np.round(center / NOISE_CELL_M).astype(np.int64)
     for row, (m, k) in enumerate(zip(member.tolist(), number.tolist(), strict=True)):

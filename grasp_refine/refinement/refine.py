@@ -89,8 +89,8 @@ def refine(
         The best iterate of each grasp by true loss. Not converging is a status, never an exception.
 
     Raises:
-        GraspRefineError: an argument of another type, a link that should touch does not exist, or `prepared` is of
-            another hand or object.
+        GraspRefineError: an argument of another type, a link that should touch does not exist, `prepared` is of another
+            hand or object, or a first-order solver is to move an arm.
     """
     check_kind("scene", scene, Scene)
     check_kind("config", config, Config | None)
@@ -99,6 +99,8 @@ def refine(
     check_kind("prepared", prepared, HandObject | None)
     wall, cpu = time.perf_counter(), time.process_time()
     config = config or Config()
+    if scene.hand.arm is not None and config.solver.needs_autograd:
+        raise GraspRefineError("descent and adam move hands without an arm: use levenberg-marquardt for one on an arm")
     prepared = prepared or HandObject.of(scene)
     if prepared.hand is not scene.hand or prepared.object is not scene.object:
         raise GraspRefineError(
@@ -107,6 +109,7 @@ def refine(
         )
     sound, given = scene.valid, scene
     status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
+    status[scene.out_of_reach] = Status.OUT_OF_REACH
     starts = sound.astype(np.int64)
     scene = scene.masked(sound)
     if config.holds and scene.target_link is None and not config.nearest:

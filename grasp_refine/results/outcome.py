@@ -11,6 +11,7 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_points
 from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
@@ -161,7 +162,11 @@ def compare(
         np.concatenate([refinement.touching, refinement.touching]),
     )
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment)
-    moved = MeasuredRefinement(refinement, movement(before.T_world_root, before.q, T_after, q_after, scene.hand.slides))
+    hand, own = scene.hand, ~scene.hand.arm_joints
+    T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
+    moved = MeasuredRefinement(
+        refinement, movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own])
+    )
     measures = {}
     for each in RECORDED:
         values = each.formula(grasps if each.of_grasps else moved)

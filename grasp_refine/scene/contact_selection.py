@@ -90,7 +90,8 @@ class ContactSelection:
         if self.links:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
-        firm = tips | ~np.isin(links, list(hand.yielding))
+        unfit = hand.yielding if hand.arm is None else hand.yielding | hand.arm.links
+        firm = tips | ~np.isin(links, list(unfit))
         touching = (distance <= np.where(tips, self.reach, self.other_link_distance)) & firm
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):

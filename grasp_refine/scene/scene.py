@@ -95,6 +95,13 @@ class Scene:
         return np.isfinite(self.T_world_root).all(axis=(1, 2)) & np.isfinite(self.q).all(axis=1)
 
     @property
+    def out_of_reach(self) -> Bool[np.ndarray, " N"]:
+        """Mask (N,) of grasps that the arm does not reach: only joint values of the arm are not finite."""
+        arm = self.hand.arm_joints
+        rest = np.isfinite(self.T_world_root).all(axis=(1, 2)) & np.isfinite(self.q[:, ~arm]).all(axis=1)
+        return rest & ~np.isfinite(self.q[:, arm]).all(axis=1)
+
+    @property
     def posed(self) -> Bool[np.ndarray, " N"]:
         """Mask (N,) of grasps with a valid pose: poses are rigid, and poses and joint values within `MAX_MAGNITUDE`."""
         near = self.finite & (np.abs(self.T_world_root) <= MAX_MAGNITUDE).all(axis=(1, 2))

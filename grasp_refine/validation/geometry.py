@@ -100,7 +100,7 @@ def measure(
 def movement(
     T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray, slides: np.ndarray
 ) -> Movement:
-    """Return the movements of root poses (N, 4, 4) and joint values (N, n); NaN where they are not finite.
+    """Return the movements of palm poses (N, 4, 4) and joint values (N, n); NaN where they are not finite.
 
     `slides` (n,) is `Hand.slides`.
     """

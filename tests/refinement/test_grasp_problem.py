@@ -13,9 +13,9 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine.refinement import grasp_problem
+from grasp_refine.refinement import variables
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.grasp_problem import MAX_STEP, RESTART_NOISE, GraspProblem
+from grasp_refine.refinement.grasp_problem import RESTART_NOISE, GraspProblem
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.iterate import Point, minimise
@@ -24,6 +24,7 @@ from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M
 from grasp_refine.refinement.terms import contact, direction, motion, wrench
 from grasp_refine.refinement.terms.term import State
 from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.refinement.variables import MAX_STEP
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.plane import Plane
@@ -331,7 +332,7 @@ def test_steps_that_move_the_root_too_far_are_shortened_as_a_whole(gripper: Hand
 
 
 def test_bounds_are_what_the_limits_leave_of_the_largest_step(gripper: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grasp_problem, "MAX_STEP", (0.02, 1.0, 0.5))
+    monkeypatch.setattr(variables, "MAX_STEP", (0.02, 1.0, 0.5))
     scene = around_object(gripper, 4, 17)
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))

@@ -14,6 +14,7 @@ class Status(IntEnum):
     NOT_FINITE = 5
     UNREACHABLE = 6
     INVALID = 7
+    OUT_OF_REACH = 8
 
     @property
     def label(self) -> str:
@@ -38,7 +39,9 @@ _ADVICE = {
     "--threshold",
     Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a target normal "
     "is not of length 1: check the input",
+    Status.OUT_OF_REACH: "the arm cannot bring the palm there without going through itself: move the base (--base) or "
+    "the object, or take another grasp",
 }
 
-UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID)
+UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID, Status.OUT_OF_REACH)
 """Statuses of grasps that were not refined at all."""

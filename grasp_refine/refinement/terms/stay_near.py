@@ -7,25 +7,45 @@ from collections.abc import Iterator
 import numpy as np
 
 from grasp_refine.core.se3 import Array, array_namespace, hat, log_so3
+from grasp_refine.hands.inverse_kinematics import ArmKinematics
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.solvers.rows import JointRows
 from grasp_refine.refinement.terms.scales import Scales
-from grasp_refine.refinement.terms.term import State, Term
+from grasp_refine.refinement.terms.term import Setup, State, Term
 
 
 class StayNear(Term):
-    """Movements of root and joints from the initial grasp, in units of `Scales`."""
+    """Movements of palm and joints from the initial grasp, in units of `Scales`; those of an arm's joints are free."""
+
+    def __init__(self, setup: Setup) -> None:
+        """Find the palms of the initial grasps, where an arm carries them."""
+        super().__init__(setup)
+        scene = setup.scene
+        self.T_palm = palm_poses(scene.hand, scene.T_world_root, scene.q)
+        self.arm = None if scene.hand.arm is None else ArmKinematics(scene.hand)
+        self.own = ~scene.hand.arm_joints
 
     def residuals(self, state: State) -> tuple[Array, ...]:
-        """Return the movements (M, 6 + n)."""
-        scene, member = self.setup.scene, state.member
-        T_first, q_first = state.like(scene.T_world_root[member]), state.like(scene.q[member])
+        """Return the movements (M, 6 + k) of palm and joints without the arm."""
+        scene, member, scales = self.setup.scene, state.member, self.setup.scales
+        T_first, q_first = state.like(self.T_palm[member]), state.like(scene.q[member])
         per_radian = state.like(scene.hand.per_radian)
-        return (movement(state.T, state.q, T_first, q_first, self.setup.scales, per_radian),)
+        if self.arm is None:
+            return (movement(state.T, state.q, T_first, q_first, scales, per_radian),)
+        T, own = self.arm.palm(state.T, state.q), self.own
+        return (movement(T, state.q[:, own], T_first, q_first[:, own], scales, per_radian[own]),)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[JointRows]:
         """Return rows of all movements."""
         (away,) = self.residuals(state)
-        yield JointRows(away, movement_jacobian(away, self.setup.scales, self.setup.scene.hand.per_radian))
+        jacobian = movement_jacobian(away, self.setup.scales, self.setup.scene.hand.per_radian[self.own])
+        if self.arm is not None:
+            _, J = self.arm.jacobian(state.T, state.q)
+            moves = np.zeros((len(away), jacobian.shape[2], 6 + state.q.shape[1]))
+            moves[:, :6, 6 + self.arm.joints] = J
+            moves[:, np.arange(6, jacobian.shape[2]), 6 + np.flatnonzero(self.own)] = 1.0
+            jacobian = jacobian @ moves
+        yield JointRows(away, jacobian)
 
 
 def movement(T: Array, q: Array, T_first: Array, q_first: Array, scales: Scales, per_radian: Array) -> Array:

@@ -1,0 +1,113 @@
+"""Grasps of a hand as grasps of the same hand on an arm, by inverse kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.core.errors import GraspFileError, HandError
+from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.inverse_kinematics import STARTS, ArmKinematics
+
+InTheWay = Callable[[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]], Bool[np.ndarray, " M"]]
+"""Returns a mask (M,) of base poses and joint values, object frame, at which the arm runs into something."""
+
+
+def on_arm(
+    grasps: GraspSet,
+    hand: Hand,
+    T_object_base: Float[np.ndarray, "4 4"],
+    *,
+    in_the_way: InTheWay | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
+) -> tuple[GraspSet, tuple[str, ...]]:
+    """Return grasps of a hand as those of the hand on an arm, and notes.
+
+    The base of the arm is where it is told to be, and its joints bring the palm to the pose of each grasp: of the ways
+    that inverse kinematics finds, without self-collision, the one that is farthest from singular. Joint values of the
+    arm are NaN where there is none. Pregrasps and squeezes are left out, as they may move the palm; grasps that begin
+    at the base of the arm already are returned as they are.
+
+    Args:
+        grasps: Grasps whose poses are those of the palm, `hand.palm`, or of the arm's base.
+        hand: The hand on its arm.
+        T_object_base: Pose (4, 4) of the base of the arm in the object's frame.
+        in_the_way: Arms that run into something are passed over; None: nothing is in the way.
+        starts: Number of starts of the inverse kinematics for each grasp.
+        seed: Seed of the starts.
+
+    Raises:
+        GraspFileError: the grasps begin at another link, or are of another hand.
+        HandError: the hand is on no arm.
+    """
+    if hand.arm is None:
+        raise HandError(f"hand {hand.name} is on no arm: mount(arm, hand) puts it on one")
+    if grasps.base_link == hand.base_link:
+        return grasps, ()
+    if grasps.base_link != hand.palm:
+        raise GraspFileError(
+            f"the grasps give poses of link '{grasps.base_link}'; on an arm they must be those of its palm, "
+            f"'{hand.palm}', or of its base, '{hand.base_link}'"
+        )
+    values, notes = match_joints(_without_arm(grasps, hand), _without_arm_joints(hand))
+    count = len(grasps)
+    T_base = np.broadcast_to(T_object_base, (count, 4, 4))
+    kinematics = ArmKinematics(hand)
+    found = kinematics.solve(T_base, values, transform_from_pose(grasps.hand_pose), starts=starts, seed=seed)
+    usable = found.free.copy()
+    if in_the_way is not None and usable.any():
+        row, way = np.nonzero(usable)
+        usable[row, way] = ~in_the_way(T_base[row], found.q[row, way])
+    first = usable.argmax(axis=1)
+    q = found.q[np.arange(count), first]
+    q[np.ix_(~usable.any(axis=1), hand.arm_joints)] = np.nan
+    if grasps.other_stages:
+        notes = (*notes, f"{' and '.join(grasps.other_stages)} of the grasps are left out: ours are those of the arm")
+    moved = replace(
+        grasps,
+        hand=hand.name,
+        base_link=hand.base_link,
+        joint_names=hand.joint_names,
+        hand_pose=pose_from_transform(T_base),
+        q=q,
+        pregrasp=None,
+        squeeze=None,
+    )
+    return moved, notes
+
+
+def _without_arm(grasps: GraspSet, hand: Hand) -> GraspSet:
+    """Return the grasps without columns of the arm's joints, which their pose replaces."""
+    names = {name for name, arm in zip(hand.joint_names, hand.arm_joints, strict=True) if arm}
+    kept = [column for column, name in enumerate(grasps.joint_names) if name not in names]
+    return replace(
+        grasps,
+        joint_names=tuple(grasps.joint_names[column] for column in kept),
+        q=grasps.q[:, kept],
+        pregrasp=None,
+        squeeze=None,
+    )
+
+
+def _without_arm_joints(hand: Hand) -> Hand:
+    """Return the part of a hand that grasps, with which joints are matched by name."""
+    own, arm = ~hand.arm_joints, hand.arm
+    assert arm is not None
+    return replace(
+        hand,
+        base_link=arm.palm,
+        links=tuple(link for link in hand.links if link.name not in arm.links),
+        joints=tuple(joint for joint in hand.joints if joint.parent not in arm.links),
+        joint_names=tuple(np.array(hand.joint_names)[own].tolist()),
+        lower=hand.lower[own],
+        upper=hand.upper[own],
+        rest=hand.rest[own],
+        arm=None,
+        parts=(),
+    )

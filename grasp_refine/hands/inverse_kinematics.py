@@ -1,0 +1,261 @@
+"""Inverse kinematics of an arm: joint values that bring the palm to a pose, from several starts.
+
+Damped least squares with the damping of Sugihara (Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
+method, IEEE T-RO 2011): it is the error itself plus a little, so that steps are short far from a solution, or where
+there is none, and those of Newton close to one. A joint at a limit that would leave it is held there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
+from grasp_refine.core.errors import HandError
+from grasp_refine.core.se3 import log_so3
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+
+ROTATION_M_PER_RAD = 0.1
+"""Distance in metres that counts as much as one radian, in errors and in the measure of singularity."""
+
+REACHED_M, REACHED_RAD = 1e-7, 1e-6
+"""Errors in metres and radians at which a pose is reached."""
+
+ITERATIONS, POLISHING = 60, 8
+"""Most iterations from a start, and most of those that make an end of those near a solution."""
+
+MAX_STEP_RAD = 0.4
+"""Largest step of a joint, in radians, or in `Hand.per_radian` of a slide."""
+
+BIAS = 1e-7
+"""Damping that is left at a solution, m^2."""
+
+SAME_RAD = 1e-3
+"""Difference in radians below which two solutions are the same."""
+
+STARTS = 24
+"""Number of starts for each pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSolutions:
+    """Up to K different ways in which the arm brings the palm to each of N poses, the best ones first."""
+
+    q: Float[np.ndarray, "N K n"]
+    """Joint values (N, K, n) of the arm and the hand; NaN where there are fewer solutions."""
+    dexterity: Float[np.ndarray, "N K"]
+    """Smallest singular value (N, K) of the arm, see `dexterity`; NaN as above."""
+    free: Bool[np.ndarray, "N K"]
+    """True (N, K) where no link of arm or hand is in another."""
+
+    __repr__ = brief
+
+    @property
+    def reached(self) -> Bool[np.ndarray, " N"]:
+        """True (N,) where there is a solution without self-collision."""
+        return np.asarray(self.free.any(axis=1))
+
+    @property
+    def best(self) -> Float[np.ndarray, "N n"]:
+        """Best joint values (N, n); those of the arm are NaN where there is no solution."""
+        return self.q[:, 0]
+
+
+class ArmKinematics:
+    """Pose and Jacobian of the palm of a hand on an arm, and their inverse."""
+
+    def __init__(self, hand: Hand) -> None:
+        """Prepare the chain from the base to the palm.
+
+        Raises:
+            HandError: the hand is on no arm.
+        """
+        check_kind("hand", hand, Hand)
+        if hand.arm is None:
+            raise HandError(f"hand {hand.name} is on no arm: mount(arm, hand) puts it on one")
+        self.hand, self.arm = hand, hand.arm
+        self.joints = np.flatnonzero(hand.arm.joints)
+        self.lower, self.upper = hand.lower[self.joints], hand.upper[self.joints]
+        self.chain = Chain(hand, [hand.arm.palm])
+
+    def palm(self, T_world_base: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N 4 4"]:
+        """Return the poses (N, 4, 4) of the palm."""
+        return self.chain(T_world_base, q).T_world_link[:, 0]
+
+    def jacobian(
+        self, T_world_base: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+    ) -> tuple[Float[np.ndarray, "N 4 4"], Float[np.ndarray, "N 6 a"]]:
+        """Return the poses (N, 4, 4) of the palm, and velocities (N, 6, a) of its origin, and turns, per arm joint."""
+        frames = self.chain(T_world_base, q)
+        T = frames.T_world_link[:, 0]
+        forces, none = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3, 3))
+        linear = np.concatenate([forces, np.cross(T[:, None, :3, 3], forces)], axis=-1)
+        covector = np.concatenate([linear, np.concatenate([none, forces], axis=-1)], axis=1)
+        J = self.chain.to_joint_space(frames, covector, np.zeros(6, dtype=np.int64))
+        return T, J[:, :, 6 + self.joints]
+
+    def dexterity(self, T_world_base: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]) -> np.ndarray:
+        """Return the smallest singular values (N,) of the palm's Jacobian, in metres per radian; 0: singular.
+
+        Turns of the palm count as `ROTATION_M_PER_RAD` per radian. An arm of fewer than six joints has as many values.
+        NaN where poses or joint values are not finite.
+        """
+        known = np.isfinite(q).all(axis=1) & np.isfinite(T_world_base).all(axis=(1, 2))
+        found = np.full(len(q), np.nan)
+        if known.any():
+            _, J = self.jacobian(T_world_base[known], q[known])
+            found[known] = np.linalg.svd(_weighted(J), compute_uv=False)[:, -1]
+        return found
+
+    def follow(
+        self,
+        T_world_base: Float[np.ndarray, "N 4 4"],
+        q: Float[np.ndarray, "N n"],
+        T_world_palm: Float[np.ndarray, "N 4 4"],
+        iterations: int = ITERATIONS,
+    ) -> tuple[Float[np.ndarray, "N n"], Bool[np.ndarray, " N"]]:
+        """Return joint values (N, n) near `q` that bring the palm to poses, and a mask (N,) of poses that are reached.
+
+        Where a pose is out of reach, the values bring the palm as near as the iterations do. Only the arm moves.
+        """
+        q = q.copy()
+        q[:, self.joints] = np.clip(q[:, self.joints], self.lower, self.upper)
+        reached = np.zeros(len(q), dtype=bool)
+        active = np.arange(len(q))
+        for iteration in range(iterations + 1):
+            T, J = self.jacobian(T_world_base[active], q[active])
+            error = _error(T, T_world_palm[active])
+            done = (np.linalg.norm(error[:, :3], axis=1) < REACHED_M) & (
+                np.linalg.norm(error[:, 3:], axis=1) < REACHED_RAD
+            )
+            reached[active] = done
+            if iteration == iterations:
+                break
+            active, error, J = active[~done], error[~done], J[~done]
+            if not len(active):
+                break
+            values = q[active][:, self.joints] + self._step(q[active][:, self.joints], error, J)
+            q[active[:, None], self.joints] = np.clip(values, self.lower, self.upper)
+        return q, reached
+
+    def solve(
+        self,
+        T_world_base: Float[np.ndarray, "*N 4 4"],
+        q_hand: Float[np.ndarray, "N h"],
+        T_world_palm: Float[np.ndarray, "N 4 4"],
+        *,
+        starts: int = STARTS,
+        seed: int = 0,
+    ) -> ArmSolutions:
+        """Return the different ways to bring the palm to poses, from several starts.
+
+        Those without self-collision come first, then those that are farther from singular. The first start is the rest
+        pose, the others are drawn within the limits, the same for all poses.
+
+        Args:
+            T_world_base: Poses (N, 4, 4) of the base, or one (4, 4) for all.
+            q_hand: Joint values (N, h) of the hand, in the order that it has without its arm.
+            T_world_palm: Poses (N, 4, 4) to reach; where they, or the joint values, are not finite, nothing is found.
+            starts: Number of starts.
+            seed: Seed of the starts.
+
+        Raises:
+            GraspRefineError: arrays of other shapes.
+        """
+        hand, count, a = self.hand, len(q_hand), len(self.joints)
+        check_kind("starts", starts, int)
+        q_hand, T_world_palm = as_numbers("q_hand", q_hand), as_numbers("T_world_palm", T_world_palm)
+        check_shape("q_hand", q_hand, "N", len(hand.joint_names) - a, why="joints of the hand without its arm")
+        check_shape("T_world_palm", T_world_palm, count, 4, 4)
+        T_world_base = np.broadcast_to(T_world_base, (count, 4, 4))
+        q = np.full((count, starts, len(hand.joint_names)), np.nan)
+        q[:, :, ~self.arm.joints] = q_hand[:, None]
+        q[:, :, self.joints] = self._starts(starts, seed)
+        known = np.isfinite(T_world_palm).all(axis=(1, 2)) & np.isfinite(q_hand).all(axis=1)
+        known &= np.isfinite(T_world_base).all(axis=(1, 2))
+        found = np.zeros((count, starts), dtype=bool)
+        if known.any():
+            rows = np.repeat(np.flatnonzero(known), starts)
+            values, reached = self.follow(T_world_base[rows], q[known].reshape(len(rows), -1), T_world_palm[rows])
+            values[:, self.joints] = self._near_rest(values[:, self.joints])
+            q[known], found[known] = values.reshape(-1, starts, q.shape[2]), reached.reshape(-1, starts)
+        found &= ~self._repeated(q[:, :, self.joints], found)
+        return self._ranked(T_world_base, q, found)
+
+    def _ranked(self, T_world_base: np.ndarray, q: np.ndarray, found: np.ndarray) -> ArmSolutions:
+        """Return solutions (N, K, n), of which some are `found`, as ordered and measured ones."""
+        count, starts = found.shape
+        at = np.flatnonzero(found.reshape(-1))
+        flat, grasp = q.reshape(count * starts, -1), at // max(starts, 1)
+        dexterity, free = np.full(count * starts, np.nan), np.zeros(count * starts, dtype=bool)
+        dexterity[at] = self.dexterity(T_world_base[grasp], flat[at])
+        free[at] = self_penetration(self.hand, self._pairs, flat[at]) == 0.0
+        dexterity, free = dexterity.reshape(count, starts), free.reshape(count, starts)
+        score = np.where(found, np.where(free, 0.0, 1e3) - np.nan_to_num(dexterity), np.inf)
+        order = np.argsort(score, axis=1, kind="stable")[:, : max(int(found.sum(axis=1).max(initial=1)), 1)]
+        q = np.take_along_axis(q, order[..., None], axis=1)
+        q[..., self.joints] = np.where(np.take_along_axis(found, order, axis=1)[..., None], q[..., self.joints], np.nan)
+        return ArmSolutions(q, np.take_along_axis(dexterity, order, axis=1), np.take_along_axis(free, order, axis=1))
+
+    @cached_property
+    def _pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of links that can touch, of which the arm moves one against the other."""
+        arm = self.arm.links
+        return tuple(pair for pair in touching_pairs(self.hand) if arm & set(pair))
+
+    def _starts(self, count: int, seed: int) -> np.ndarray:
+        """Return joint values (count, a) of the arm: the rest pose, and draws within half a turn of it."""
+        per_radian = self.hand.per_radian[self.joints]
+        rest = self.hand.rest[self.joints]
+        lower = np.maximum(self.lower, rest - np.pi * per_radian)
+        upper = np.minimum(self.upper, rest + np.pi * per_radian)
+        slides = self.hand.slides[self.joints]
+        lower, upper = np.where(slides, self.lower, lower), np.where(slides, self.upper, upper)
+        drawn = np.random.default_rng(seed).uniform(lower, upper, (max(count - 1, 0), len(rest)))
+        return np.concatenate([rest[None], drawn])[:count]
+
+    def _near_rest(self, values: np.ndarray) -> np.ndarray:
+        """Return joint values (M, a) with whole turns left out, so that they are near the rest pose and allowed."""
+        slides, rest = self.hand.slides[self.joints], self.hand.rest[self.joints]
+        turns = 2.0 * np.pi * np.round((values - rest) / (2.0 * np.pi))
+        near = values - np.where(slides, 0.0, turns)
+        return np.where((near >= self.lower) & (near <= self.upper), near, values)
+
+    def _repeated(self, values: np.ndarray, found: np.ndarray) -> np.ndarray:
+        """Return a mask (N, K) of solutions that are the same as an earlier one, but for whole turns."""
+        away = values[:, :, None] - values[:, None]
+        turns = 2.0 * np.pi * np.round(away / (2.0 * np.pi))
+        away = away - np.where(self.hand.slides[self.joints], 0.0, turns)
+        same = (np.abs(away) < SAME_RAD * self.hand.per_radian[self.joints]).all(axis=-1) & found[:, None]
+        return np.tril(same, -1).any(axis=2)
+
+    def _step(self, values: np.ndarray, error: np.ndarray, J: np.ndarray) -> np.ndarray:
+        """Return steps (M, a) of the arm towards errors (M, 6)."""
+        J, error = _weighted(J), error * _WEIGHTS
+        g = (J.mT @ error[..., None])[..., 0]
+        held = ((values <= self.lower) & (g < 0.0)) | ((values >= self.upper) & (g > 0.0))
+        J = np.where(held[:, None], 0.0, J)
+        damping = 0.5 * (error * error).sum(axis=1) + BIAS
+        damped = J.mT @ J + damping[:, None, None] * np.eye(J.shape[2])
+        step = np.linalg.solve(damped, np.where(held, 0.0, g)[..., None])[..., 0]
+        most = MAX_STEP_RAD * self.hand.per_radian[self.joints]
+        return step / np.maximum((np.abs(step) / most).max(axis=1, keepdims=True), 1.0)
+
+
+_WEIGHTS = np.repeat([1.0, ROTATION_M_PER_RAD], 3)
+
+
+def _weighted(J: np.ndarray) -> np.ndarray:
+    return J * _WEIGHTS[:, None]
+
+
+def _error(T: np.ndarray, T_wanted: np.ndarray) -> np.ndarray:
+    """Return the translation and rotation (M, 6) from poses to wanted ones, world axes."""
+    turn = log_so3(T_wanted[:, :3, :3] @ T[:, :3, :3].mT)
+    return np.concatenate([T_wanted[:, :3, 3] - T[:, :3, 3], turn], axis=1)

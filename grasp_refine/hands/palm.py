@@ -1,0 +1,24 @@
+"""Poses of the palm: those of the base link, or of what an arm carries."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+
+
+def palm_poses(
+    hand: Hand, T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+) -> Float[np.ndarray, "N 4 4"]:
+    """Return the poses (N, 4, 4) of the palm of a hand; NaN where joint values of an arm are not finite."""
+    if hand.arm is None:
+        return T_world_root
+    with np.errstate(invalid="ignore"):
+        return Chain(hand, [hand.arm.palm])(T_world_root, q).T_world_link[:, 0]
+
+
+def is_of_arm(hand: Hand, joint: str) -> bool:
+    """Return whether a joint is one of the arm: whether it hangs from a link that is not at or below the palm."""
+    return hand.arm is not None and hand.joints_by_name[joint].parent in hand.arm.links
