@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from grasp_refine.hands.hand import Hand as Hand
     from grasp_refine.hands.hand import list_hands as list_hands
     from grasp_refine.hands.hand import load_hand as load_hand
+    from grasp_refine.hands.mount import mount as mount
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
     from grasp_refine.pipeline.facade import Evaluation as Evaluation
@@ -126,6 +127,7 @@ _HOMES = {
     "core.errors": ("GraspRefineError",),
     "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
     "hands.hand": ("Hand", "list_hands", "load_hand"),
+    "hands.mount": ("mount",),
     "objects.object": ("Object", "load_object"),
     "pipeline.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
     "pipeline.load": ("load_problem",),

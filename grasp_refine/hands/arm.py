@@ -20,5 +20,7 @@ class Arm:
     """True (n,) for the independent joints between base and palm, the arm's."""
     links: frozenset[str]
     """Links of the arm: those that are not at or below the palm."""
+    standing: frozenset[str]
+    """Those of them that no joint moves, such as the base: what they stand on or in is no obstacle."""
 
     __repr__ = brief

@@ -15,6 +15,7 @@ from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Actuator, Hand, Link
+from grasp_refine.hands.source import ON_ARM
 from grasp_refine.hands.tree import Joint
 
 MOUNT_JOINT = "mount"
@@ -63,7 +64,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     solids = tuple(part.name for part in links if part.body is not None)
     return replace(
         hand,
-        name=f"{hand.name}_on_{arm.name}",
+        name=f"{hand.name}{ON_ARM}{arm.name}",
         base_link=renamed.base_link,
         links=tuple(replace(part, solids=solids) for part in links),
         joints=(*renamed.joints, fixed, *hand.joints),
@@ -83,6 +84,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
             palm=hand.base_link,
             joints=np.arange(len(arm.joint_names) + len(hand.joint_names)) < len(arm.joint_names),
             links=frozenset(renamed.links_by_name),
+            standing=_standing(renamed),
         ),
         parts=(renamed, hand),
     )
@@ -116,12 +118,20 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
         below |= {joint.child} if joint.parent in below else set()
     touching = tuple(contact for contact in hand.contacts if contact.link in below)
     links = frozenset(link.name for link in hand.links) - below
-    return replace(hand, contacts=touching, arm=Arm(palm, names, links))
+    return replace(hand, contacts=touching, arm=Arm(palm, names, links, _standing(hand)))
 
 
 def palm_joints(hand: Hand) -> tuple[str, ...]:
     """Return the names of the joints that a hand has without its arm, in the order of its `joint_names`."""
     return tuple(np.array(hand.joint_names)[~hand.arm_joints].tolist())
+
+
+def _standing(hand: Hand) -> frozenset[str]:
+    """Return the links that are fixed to the base."""
+    fixed = {hand.base_link}
+    for joint in hand.joints:  # parents before children
+        fixed |= {joint.child} if joint.parent in fixed and not joint.movable else set()
+    return frozenset(fixed)
 
 
 def _last_link(arm: Hand) -> str:

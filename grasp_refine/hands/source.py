@@ -15,6 +15,9 @@ from grasp_refine.core.errors import AssetError, GraspFileError, HandError
 from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML, HandToml, only_file, read_hand_toml
 
+ON_ARM = "_on_"
+"""What is between the names of a hand and its arm in the name of both."""
+
 
 def list_hands() -> tuple[str, ...]:
     """Names of the hands that come with the program, each a folder of robots/ with a hand.toml."""
@@ -44,7 +47,9 @@ def check_known(name: str, file: Path) -> None:
     """
     if not is_known(name):
         ours = ", ".join(list_hands())
-        raise GraspFileError(f"{file}: its hand '{name}' is not one of ours ({ours}); give it with --hand")
+        hand, on_arm, arm = name.partition(ON_ARM)
+        how = f"--hand {hand} --arm {arm}" if on_arm else "--hand"
+        raise GraspFileError(f"{file}: its hand '{name}' is not one of ours ({ours}); give it with {how}")
 
 
 def hand_files(
@@ -99,11 +104,11 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
             # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml
         choices = (
-            f"the hands here are {', '.join(list_hands())}; or give a folder, a URDF or MJCF file, a {HAND_TOML}, "
-            f"an asset (refine-grasp assets list hands), or {PREFIX}NAME"
+            f"the hands here are {', '.join(list_hands())}, the arms {', '.join(list_arms())}; or give a folder, a URDF "
+            f"or MJCF file, a {HAND_TOML}, an asset (refine-grasp assets list hands), or {PREFIX}NAME"
         )
         if isinstance(source, str) and path.name == source and not path.suffix:
-            raise AssetError(f"no hand '{source}'; {choices}")
+            raise AssetError(f"no hand or arm '{source}'; {choices}")
         raise HandError(f"{path}: no such file or folder; {choices}")
     folder = path if path.is_dir() else path.parent
     beside = next((folder / name for name in (HAND_TOML, ARM_TOML) if is_file(folder / name)), folder / HAND_TOML)

@@ -8,15 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rich.console import RenderableType
 
-from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.core.se3 import inverse, is_rigid, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.pipeline.arms import arm_in_the_way
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -42,7 +46,13 @@ VIEWERS = "grasp_refine.viewers"
 
 
 def problem_of(
-    hand: Hand, obj: Object, grasps: GraspSet, *, table: float | None = None, scene: Environment | None = None
+    hand: Hand,
+    obj: Object,
+    grasps: GraspSet,
+    *,
+    table: float | None = None,
+    scene: Environment | None = None,
+    base: ArrayLike | None = None,
 ) -> Problem:
     """Return grasps of a hand on an object as a problem, in memory.
 
@@ -52,6 +62,9 @@ def problem_of(
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
         scene: Bodies around the object, as of `load_scene`; None: there are none.
+        base: Pose (4, 4) of the base of a hand's arm in the object's frame, or in the world of the scene; or x, y, z in
+            metres, roll, pitch, yaw in degrees. Needed for grasps that give poses of its palm, which inverse kinematics
+            reaches.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of several objects, or of other joints.
@@ -66,19 +79,25 @@ def problem_of(
             f"the grasps are on several objects or scales: {listing}; choose those on {obj.name} with "
             "grasps.select(...), or give the file to load_problem"
         )
+    plane, notes = None if table is None else Plane(offset=table), ()
+    if hand.arm is not None and grasps.base_link == hand.palm != hand.base_link:
+        if base is None:
+            raise GraspRefineError(f"{hand.name} needs the pose of its base in the object's frame: base=[x, y, z, ...]")
+        way = arm_in_the_way(hand, obj, plane, scene)
+        T_base = base_pose(base) if scene is None else inverse(scene.T_world_object) @ base_pose(base)
+        grasps, notes = on_arm(grasps, hand, T_base, in_the_way=way)
     if grasps.base_link != hand.base_link:
         raise GraspRefineError(
             f"the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "
             f"load_hand(..., base_link='{grasps.base_link}')"
         )
-    q, notes = match_joints(grasps, hand)
-    plane = None if table is None else Plane(offset=table)
+    q, matched = match_joints(grasps, hand)
     rows = np.arange(len(grasps))
     targets = aim(hand, grasps.targets, rows)
     made = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane, environment=scene)
     group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), made, grasps, rows, rows, rows)
     doubts = convention_notes([made])
-    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *doubts))
+    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
 
@@ -90,6 +109,7 @@ def refine(
     *,
     table: float | None = None,
     scene: Environment | None = None,
+    base: ArrayLike | None = None,
     listener: Listener | None = None,
 ) -> RefinedGrasps:
     """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
@@ -101,13 +121,14 @@ def refine(
         config: Settings; the defaults when None.
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
         scene: Bodies around the object that no link may go into, as of `load_scene`.
+        base: Pose of the base of an arm, as of `problem_of`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
-    problem = _problem(hand, object, grasps, table, scene)
+    problem = _problem(hand, object, grasps, table, scene, base)
     return refine_problem(problem, config, listener=listener)
 
 
@@ -144,6 +165,7 @@ def evaluate(
     *,
     table: float | None = None,
     scene: Environment | None = None,
+    base: ArrayLike | None = None,
 ) -> Evaluation:
     """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
 
@@ -155,11 +177,12 @@ def evaluate(
             simulated.
         table: Height (metres) of a table in the object's frame, z up.
         scene: Bodies around the object, as of `load_scene`.
+        base: Pose of the base of an arm, as of `problem_of`.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
-    problem = _problem(hand, object, grasps, table, scene)
+    problem = _problem(hand, object, grasps, table, scene, base)
     chosen = None if protocol is None else _protocol(protocol)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
@@ -204,7 +227,7 @@ def margins(
         GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
     """
     check_kind("factors", factors, Factors | None)
-    problem, chosen = _problem(hand, object, grasps, None, None), _protocol(protocol)
+    problem, chosen = _problem(hand, object, grasps, None, None, None), _protocol(protocol)
     return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 
@@ -277,20 +300,35 @@ class Evaluation:
         return html_of(self.table())
 
 
+def base_pose(base: ArrayLike) -> np.ndarray:
+    """Return the pose (4, 4) of a base that is given as a transform, or as x, y, z (m), roll, pitch, yaw (degrees).
+
+    Raises:
+        GraspRefineError: it is neither.
+    """
+    pose = as_numbers("base", base)
+    if pose.shape == (4, 4) and is_rigid(pose):
+        return pose
+    if pose.shape not in ((3,), (6,)):
+        raise GraspRefineError("base must be a rigid transform (4, 4), or x, y, z (m), roll, pitch, yaw (degrees)")
+    return transform_from_rpy(pose.tolist())
+
+
 def _problem(
     hand: Hand | Problem,
     obj: Object | None,
     grasps: GraspSet | None,
     table: float | None,
     scene: Environment | None,
+    base: ArrayLike | None,
 ) -> Problem:
     if isinstance(hand, Problem):
-        if any(given is not None for given in (obj, grasps, table, scene)):
-            raise GraspRefineError("a problem has its object, grasps, table and scene: give it alone")
+        if any(given is not None for given in (obj, grasps, table, scene, base)):
+            raise GraspRefineError("a problem has its object, grasps, table, scene and base: give it alone")
         return hand
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(hand, obj, grasps, table=table, scene=scene)
+    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base)
 
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:

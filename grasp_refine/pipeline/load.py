@@ -9,10 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_refine.assets.locating import fetched
-from grasp_refine.assets.names import find_asset
 from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
-from grasp_refine.core.names import exists
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.decomposition import Decomposition
@@ -26,17 +23,18 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
+from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
+from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
 from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
 from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_scene
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
 from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
-from grasp_refine.results.result_files import fingerprint, recorded_urdf
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.scene_file import load_scene, scene_object
+from grasp_refine.scene.scene_file import load_scene
 
 
 def _ignore(message: str) -> None:
@@ -88,7 +86,7 @@ class Loader:
         Raises:
             GraspRefineError: there is no such scene, or it has another object than the specification.
         """
-        object.__setattr__(self, "spec", _in_scene(self.spec))
+        object.__setattr__(self, "spec", in_scene(self.spec))
 
     @stage("loading")
     def draft(self) -> Draft:
@@ -112,6 +110,7 @@ class Loader:
         """Return the draft of grasps that were read from `path` already."""
         spec, of_files = self.spec, recorded_scene(read.files)
         spec.check()
+        check_arm(spec)
         if spec.scene is None and of_files is not None:
             return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
         environment = self.environment()
@@ -123,9 +122,10 @@ class Loader:
         sources = {name: self._source(name, path) for name in names}
         grasps = replace(grasps, targets=self._targets(grasps, path))
         hand, grasps, resting = self._hand(grasps, path)
+        whole = self._whole(spec.hand or grasps.hand, hand)
         targets = grasps.targets
         q, notes = match_joints(grasps, hand)
-        notes = (*read.notes, *hand.notes, *resting, *notes, *_other_urdf(path, hand, chosen=bool(spec.hand)))
+        notes = (*read.notes, *hand.notes, *resting, *notes, *other_urdf(path, hand, chosen=bool(spec.hand)))
         groups: list[UncutGroup] = []
         count = 0
         for name, rows in chosen.items():
@@ -159,10 +159,11 @@ class Loader:
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
             all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
-            return Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
+            alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
+            return problem_on_arm(alone, whole, spec, seed=self.seed)
 
         names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
-        return Draft(hand, files, names_of_grasps, targets is not None, tuple(groups), finish, environment=environment)
+        return Draft(whole, files, names_of_grasps, targets is not None, tuple(groups), finish, environment=environment)
 
     def draft_sampled(self, count: int, draw: int = 0) -> Draft:
         """Return the draft of `count` new grasps of the hand on the object, which are sampled once it is decomposed.
@@ -176,8 +177,10 @@ class Loader:
         """
         spec = self.spec
         spec.check()
+        check_arm(spec)
         assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
-        hand = self._simulated(self.load_hand(spec.hand, spec.base_link))
+        hand = self._simulated(self.load_hand(spec.hand, None if spec.stands else spec.base_link))
+        whole = self._whole(spec.hand, hand)
         source = chosen_object(spec.object, self.on_message)
         scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
         uncut = self.read_object(source, scale)
@@ -186,10 +189,11 @@ class Loader:
         environment = self.environment()
 
         def finish(objects: Sequence[Object]) -> Problem:
-            return sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment)
+            alone = sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment)
+            return problem_on_arm(alone, whole, spec, seed=self.seed)
 
         group = sample_group(uncut, spec.metres(scale))
-        return Draft(hand, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}", environment)
+        return Draft(whole, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}", environment)
 
     @stage("loading")
     def cut(self, draft: Draft, rough: Collection[int] = ()) -> Problem:
@@ -229,6 +233,11 @@ class Loader:
             GraspRefineError: an object is not known, or ambiguous.
         """
         return {name: self._source(name, path) for name in self._names(grasps, path)}
+
+    def load_arm(self, source: str) -> Hand:
+        """Return an arm."""
+        load = partial(load_hand, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
+        return self.cache.get("hand", (source, "arm", self.spec.hull_limit), load)
 
     def load_hand(self, source: str, base_link: str | None) -> Hand:
         """Return a hand, from the files of the specification."""
@@ -310,6 +319,11 @@ class Loader:
         if spec.hand is None:
             check_known(source, path)
         load = cache(partial(self.load_hand, source))
+        if spec.arm is not None or spec.stands:
+            # Results begin at the base of the arm.
+            whole = self._whole(source, self._simulated(load(None if spec.stands else spec.base_link)))
+            if grasps.base_link == whole.base_link:
+                return whole, grasps, []
         notes = []
         try:
             hand = load(grasps.base_link)
@@ -329,7 +343,7 @@ class Loader:
                 f"'{renamed.base_link}', in {full.urdf.name}"
             )
             grasps, hand = renamed, load(renamed.base_link)
-        if spec.base_link is not None:
+        if spec.base_link is not None and not spec.stands:
             moved, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
             resting = [name for name in moved.joint_names if name not in grasps.joint_names]
             notes += [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
@@ -341,11 +355,17 @@ class Loader:
             )
         return self._simulated(hand), grasps, notes
 
+    def _whole(self, source: str, hand: Hand) -> Hand:
+        """Return a hand on the arm of the specification; the hand itself where there is none."""
+        spec = self.spec
+        key = (hand, spec.arm, spec.mount, spec.mount_pose, spec.stands)
+        return self.cache.get("whole", key, partial(whole_hand, spec, source, hand, self.load_hand, self.load_arm))
+
     def _simulated(self, hand: Hand) -> Hand:
         """Return the hand as it will be simulated."""
         # An MJCF of the specification takes precedence.
         hand = hand if self.spec.mjcf is None else replace(hand, collision="mjcf")
-        return self.cache.get("simulated", (hand, self.spec.mjcf), partial(_with_actuators, hand))
+        return self.cache.get("simulated", (hand, self.spec.mjcf), partial(with_actuators, hand))
 
     def _names(self, grasps: GraspSet, path: Path) -> list[str]:
         """Return the names of the objects whose grasps are selected, in the order of the file."""
@@ -371,51 +391,3 @@ class Loader:
         return named_object(
             name, None if spec.objects is None else on_disk(spec.objects, self.on_message), path, self.on_message
         )
-
-
-def _in_scene(spec: ProblemSpec) -> ProblemSpec:
-    """Return a specification with the object of its scene, where it has none itself."""
-    if spec.scene in (None, NO_SCENE) or spec.objects is not None:
-        return spec
-    obj, scale = scene_object(spec.scene)
-    if obj is None or obj == spec.object:
-        return spec
-    if spec.object is not None:
-        raise GraspRefineError(
-            f"scene {spec.scene} is of object '{obj}', not '{spec.object}': leave out --object, or give a scene whose "
-            "[object] has no name"
-        )
-    return replace(spec, object=obj, scale=spec.scale * scale)
-
-
-def on_disk(path: Path, on_message: Callable[[str], None]) -> Path:
-    """Return a path, or the folder of the asset of this name if there is no such path."""
-    asset = None if exists(path) or path.suffix else find_asset(str(path), "grasps")
-    return path if asset is None else fetched(asset, on_message)
-
-
-def _other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
-    """Return a note if grasps were refined with another URDF than that of the hand.
-
-    Raises:
-        GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be named as ours.
-    """
-    recorded = recorded_urdf(path)
-    if recorded in (None, fingerprint(hand.urdf)["sha256"]):
-        return []
-    other = f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}"
-    if not chosen:
-        raise GraspFileError(
-            f"{other}: give that one with --hand or --urdf, or --hand {hand.name} if this one is meant"
-        )
-    return [other]
-
-
-def _with_actuators(hand: Hand) -> Hand:
-    """Return the hand with the actuators of its MJCF, if that is simulated."""
-    if hand.collision != "mjcf" or hand.mjcf is None:
-        return hand
-    from grasp_refine.validation.mjcf_model import mjcf_model
-
-    # Squeezes are set points of these actuators.
-    return replace(hand, actuator=mjcf_model(hand, hand.mjcf).actuator)

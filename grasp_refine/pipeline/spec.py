@@ -39,6 +39,17 @@ class SourceSpec:
     base_link: str | None = None
     """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
     palm of a hand on an arm, else the root."""
+    arm: str | None = None
+    """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
+    Where the hand's own file has the arm, --base alone."""
+    mount: str | None = None
+    """Link of the arm that the hand is mounted on. By default that of its arm.toml, else its last link."""
+    mount_pose: str | None = None
+    """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default that of the hand's
+    hand.toml (flange), else the same frame."""
+    base: str | None = None
+    """Pose of the arm's base link in the object's frame, or in the world of --scene: x,y,z,roll,pitch,yaw (metres,
+    degrees)."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
     folder of convex pieces, or an asset such as ycb/011_banana."""
@@ -89,6 +100,11 @@ class SourceSpec:
     def plane(self) -> Plane | None:
         """Plane of the table, if there is one."""
         return None if self.table is None else Plane(offset=self.table)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the hand's own file has the arm, from whose base on it is read."""
+        return self.base is not None and self.arm is None
 
     def metres(self, scale: float) -> float:
         """Return the factor that takes a mesh to metres, where `scale` takes it to its unit."""

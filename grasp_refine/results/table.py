@@ -33,6 +33,7 @@ _COLORS = {
     Status.NOT_FINITE: "red",
     Status.UNREACHABLE: "red",
     Status.INVALID: "red",
+    Status.OUT_OF_REACH: "red",
 }
 
 MAX_NUMBERED_GRASPS = 12

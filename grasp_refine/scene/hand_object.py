@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs
@@ -137,7 +137,9 @@ class HandObject:
         key = scene.environment, chosen.tobytes()
         if len(chosen) and key not in self._surroundings:
             # Grasps of a refinement reach the same bodies, in all its phases.
-            self._surroundings[key] = Surroundings(self.bodies, self._bare_spheres, scene.environment, chosen)
+            self._surroundings[key] = Surroundings(
+                self.bodies, self._bare_spheres, scene.environment, chosen, counts=moving_links(self.hand, scene.links)
+            )
         return self._surroundings.get(key)
 
     @cached_property
@@ -189,6 +191,11 @@ class PaddedHand(HandObject):
     def _padded(self) -> tuple[Body, ...]:
         links = links_of(self.hand)
         return tuple(_inflate(body, by) for body, by in zip(self.bodies, clearances(self.hand, links), strict=True))
+
+
+def moving_links(hand: Hand, links: tuple[str, ...]) -> Bool[np.ndarray, " L"] | None:
+    """Return a mask (L,) of links that are not fixed to the base of an arm; None: all, as a hand without arm moves."""
+    return None if hand.arm is None else ~np.isin(links, list(hand.arm.standing))
 
 
 def clearances(hand: Hand, links: tuple[str, ...]) -> Float[np.ndarray, " L"]:

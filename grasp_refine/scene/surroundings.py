@@ -70,6 +70,8 @@ class Surroundings:
     """Indices of the bodies that count."""
     keeps_margins: bool = True
     """Whether links keep the margins of the bodies; False: no gap."""
+    counts: Bool[np.ndarray, " L"] | None = None
+    """Mask (L,) of the links that count; None: all."""
 
     @cached_property
     def link(self) -> Int[np.ndarray, " C"]:
@@ -132,7 +134,8 @@ class Surroundings:
         unsure = bound < limit
         if rejected is not None:
             unsure &= ~rejected[:, None]
-        unsure &= np.isfinite(T_link).all(axis=(2, 3))[:, self.link]
+        known = np.isfinite(T_link).all(axis=(2, 3))
+        unsure &= (known if self.counts is None else known & self.counts)[:, self.link]
         row, column = np.nonzero(unsure)
         for bounds in (self._box_bounds, self._piece_bounds):
             if len(row):
@@ -192,7 +195,10 @@ class SceneDepths:
 
 
 def scene_depths(
-    environment: Environment, links: tuple[Body, ...], T_link: Float[np.ndarray, "N L 4 4"]
+    environment: Environment,
+    links: tuple[Body, ...],
+    T_link: Float[np.ndarray, "N L 4 4"],
+    counts: Bool[np.ndarray, " L"] | None = None,
 ) -> SceneDepths:
     """Return the deepest penetration of the links of N grasps into any body, margins aside, by plain queries.
 
@@ -200,6 +206,7 @@ def scene_depths(
         environment: The bodies.
         links: Bodies of the links.
         T_link: Their poses in the object's frame.
+        counts: Mask (L,) of the links that count; None: all.
     """
     N = len(T_link)
     depth, link, body = np.zeros(N), np.zeros(N, dtype=np.int64), np.zeros(N, dtype=np.int64)
@@ -209,7 +216,7 @@ def scene_depths(
         chosen = choose_bodies(environment, spheres, T_link[rows], 0.0)
         if not len(chosen):
             continue
-        of = Surroundings(links, spheres, environment, chosen, keeps_margins=False)
+        of = Surroundings(links, spheres, environment, chosen, keeps_margins=False, counts=counts)
         found = of.near(T_link[rows], 0.0, most=1)
         deep = np.where(found.column[:, 0] >= 0, np.maximum(-found.witness.distance[:, 0], 0.0), 0.0)
         depth[rows] = np.where(found.failed, np.nan, deep)

@@ -16,6 +16,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.hand_object import moving_links
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
 from grasp_refine.validation.geometry import Geometry, Movement
 
@@ -70,7 +71,7 @@ class MeasuredGrasps:
         if self.environment is None:
             return None
         bodies = tuple(self.hand.links_by_name[name].solid for name in self.links)
-        return scene_depths(self.environment, bodies, self.geometry.T_world_link)
+        return scene_depths(self.environment, bodies, self.geometry.T_world_link, moving_links(self.hand, self.links))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.short_repr import brief
-from grasp_refine.hands.hand import Actuator
+from grasp_refine.hands.hand import Actuator, Hand
 from grasp_refine.hands.mimics import Curves
 
 if TYPE_CHECKING:
@@ -50,5 +50,7 @@ class HandModel:
     """
     curves: Curves | None = None
     """Parts of the joint values that are not linear; None: none is."""
+    on_arm: Hand | None = None
+    """The hand, where its root is the base of an arm, which stands still; None: the root moves freely."""
 
     __repr__ = brief

@@ -14,6 +14,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.mujoco_messages import unlogged
+from grasp_refine.validation.arm_lift import ArmLift
 from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.simulations import Simulations, Touch
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
@@ -143,7 +144,10 @@ class Rows(Simulations):
     def place(self, root: np.ndarray, joints: np.ndarray, object: np.ndarray) -> None:
         """Place the hands' root bodies (N, 7), joints (N, m) and objects (N, 7), all at rest."""
         world, qpos = self.world, self.batch.qpos
-        qpos[:, world.root_at : world.root_at + 7] = root
+        if world.root_at is None:
+            self.batch.mocap_pos[:, 0], self.batch.mocap_quat[:, 0] = root[:, :3], root[:, 3:]
+        else:
+            qpos[:, world.root_at : world.root_at + 7] = root
         qpos[:, world.joints_at] = joints
         qpos[:, world.object_at : world.object_at + 7] = object
 
@@ -158,8 +162,16 @@ class Rows(Simulations):
         self.batch.mocap_pos[:, 0], self.batch.mocap_quat[:, 0] = root[:, :3], root[:, 3:]
 
     def raise_to(self, height: float) -> None:
-        """Set where the root bodies are to go: `height` metres above where `resume` found them to go."""
-        self.batch.mocap_pos[:] = self._held_at + height * self.world.up
+        """Set where the root bodies are to go: `height` metres above where `resume` found them to go.
+
+        An arm raises its palm instead, by its joints.
+        """
+        rise = height * self.world.up
+        if self.world.root_at is None:
+            T_base = transform_from_pose(np.concatenate([self._held_at[:, 0], self.batch.mocap_quat[:, 0]], axis=1))
+            self.batch.ctrl[:] = ArmLift.of(self.world).set_points(T_base, self._set_points, rise)
+        else:
+            self.batch.mocap_pos[:] = self._held_at + rise
 
     def push(self, wrench: np.ndarray) -> None:
         """Set force and torque (N, 6) at the objects' centres of mass, world axes."""
@@ -172,7 +184,7 @@ class Rows(Simulations):
     def resume(self, state: np.ndarray) -> None:
         """Resume from states (N, s) of simulations under the same conditions."""
         self.batch.state[:] = state
-        self._held_at = self.batch.mocap_pos.copy()
+        self._held_at, self._set_points = self.batch.mocap_pos.copy(), self.batch.ctrl.copy()
 
     def step(self, count: int) -> None:
         """Advance running simulations by `count` steps; those that diverge stop."""

@@ -110,6 +110,7 @@ def urdf_model(hand: Hand) -> HandModel:
         notes=tuple(notes),
         actuator=hand.actuator,
         curves=parts.curves,
+        on_arm=None if hand.arm is None else hand,
     )
 
 

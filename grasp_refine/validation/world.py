@@ -1,4 +1,4 @@
-"""World of a simulation: one hand on a free root, one object, compiled once for any number of grasps."""
+"""World of a simulation: one hand on a free root or an arm, one object, compiled once for any number of grasps."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ class World:
     """Name of the object."""
     protocol: Protocol
     """Protocol of the model."""
-    root_at: int
-    """Index in qpos of the pose (7,) of the hand's root."""
+    root_at: int | None
+    """Index in qpos of the pose (7,) of the hand's root; None: it is the base of an arm, fixed to the holder."""
     object_at: int
     """Index in qpos of the pose (7,) of the object."""
     joints_at: Int[np.ndarray, " m"]
@@ -189,18 +189,22 @@ def _size(obj: Object) -> float:
 
 def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
     prefix = f"{HAND}/"
+    holder = spec.worldbody.add_body(name=HOLDER, mocap=True)
+    stands = hand.on_arm is not None
     with unlogged():
-        spec.attach(hand.spec, prefix=prefix, frame=spec.worldbody.add_frame())
+        spec.attach(hand.spec, prefix=prefix, frame=(holder if stands else spec.worldbody).add_frame())
     root = spec.body(prefix + hand.root)
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-    root.add_freejoint(name=HAND)
+    if not stands:
+        root.add_freejoint(name=HAND)
     for body in spec.bodies:
         if body.name.startswith(prefix):
             # A hand that is held by an arm carries itself.
             body.gravcomp = 1.0 if gravity else 0.0
             for geom in body.geoms:
                 geom.solref, geom.solimp = HAND_SOLREF, HAND_SOLIMP
-    spec.worldbody.add_body(name=HOLDER, mocap=True)
+    if stands:
+        return
     weld = spec.add_equality(
         name=HOLDER,
         type=mujoco.mjtEq.mjEQ_WELD,
@@ -275,7 +279,7 @@ def _located(
         hand=hand,
         object=name,
         protocol=protocol,
-        root_at=int(model.joint(HAND).qposadr[0]),
+        root_at=None if hand.on_arm is not None else int(model.joint(HAND).qposadr[0]),
         object_at=int(model.joint(OBJECT).qposadr[0]),
         joints_at=np.array([joint.qposadr[0] for joint in joints], dtype=int),
         object_body=object_body,

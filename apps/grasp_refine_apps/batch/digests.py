@@ -12,7 +12,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
-from grasp_refine.hands.source import hand_files
+from grasp_refine.hands.source import ON_ARM, hand_files
 from grasp_refine.objects.source import ObjectSource
 from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
@@ -21,7 +21,19 @@ from grasp_refine.results.result_files import fingerprint
 LAYOUT_VERSION = 1
 """Version of the layout of result files; a new number makes all results outdated."""
 
-CONTENT_INPUTS = ("hand", "urdf", "mjcf", "object", "object_name", "objects", "grasps", "targets", "index", "scene")
+CONTENT_INPUTS = (
+    "hand",
+    "arm",
+    "urdf",
+    "mjcf",
+    "object",
+    "object_name",
+    "objects",
+    "grasps",
+    "targets",
+    "index",
+    "scene",
+)
 """Inputs that are hashed by their contents, not by their names."""
 
 IGNORED_INPUTS = ("other_object",)
@@ -49,14 +61,22 @@ class Digests:
         return self._files[path]
 
     def hand(self, source: str, inputs: SourceSpec, say: Callable[[str], None]) -> tuple[str, str]:
-        """Name of a hand, and hash of its files and all meshes that they name.
+        """Name of a hand, or of one on an arm, and hash of the files of both and all meshes that they name.
 
         Raises:
             AssetError, HandError: there is no such hand, or it cannot be read.
         """
-        key = (source, inputs.urdf, inputs.mjcf)
+        hand = self._robot(source, inputs.urdf, inputs.mjcf, say)
+        if inputs.arm is None:
+            return hand
+        arm = self._robot(inputs.arm, None, None, say)
+        return f"{hand[0]}{ON_ARM}{arm[0]}", _sha256([hand[1], arm[1]])
+
+    def _robot(self, source: str, urdf: Path | None, mjcf: Path | None, say: Callable[[str], None]) -> tuple[str, str]:
+        """Name of a hand or an arm, and hash of its files."""
+        key = (source, urdf, mjcf)
         if key not in self._hands:
-            name, toml = hand_files(source, inputs.urdf, inputs.mjcf, say)
+            name, toml = hand_files(source, urdf, mjcf, say)
             assert toml.file is not None
             described = [path for path in (toml.file, toml.path, toml.mjcf) if path is not None]
             files = dict.fromkeys(file for path in described for file in (path, *_meshes(path)))

@@ -27,7 +27,7 @@ LISTS = (".toml", ".csv")
 KEYS = tuple(field.name for field in fields(ProblemSpec) if field.name != "index")
 """Keys of a job in a list, besides its name: the options of `refine-grasp run` of these names."""
 
-NAMES_OR_PATHS = ("hand", "object", "targets", "scene")
+NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
 """ProblemSpec that are names, or paths if they cannot be names."""
 
 

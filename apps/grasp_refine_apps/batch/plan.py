@@ -26,7 +26,7 @@ from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
 
-INPUT_PATHS = ("grasps", "hand", "urdf", "mjcf", "object", "objects", "targets", "scene")
+INPUT_PATHS = ("grasps", "hand", "arm", "urdf", "mjcf", "object", "objects", "targets", "scene")
 """ProblemSpec that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")

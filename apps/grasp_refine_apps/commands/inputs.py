@@ -24,6 +24,12 @@ class Sources(SourceSpec):
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
         None
     )
+    arm: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: none, the hand floats)")] = None
+    mount: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = None
+    mount_pose: Annotated[DisallowNone[str | None], arg(metavar="POSE", help_behavior_hint="(default: see above)")] = (
+        None
+    )
+    base: Annotated[DisallowNone[str | None], arg(metavar="POSE", help_behavior_hint="(default: none)")] = None
     object: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     object_name: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: the only one)")] = None
     objects: Annotated[DisallowNone[Path | None], arg(help_behavior_hint="(default: none)")] = None

@@ -39,8 +39,8 @@ _ADVICE = {
     "--threshold",
     Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a target normal "
     "is not of length 1: check the input",
-    Status.OUT_OF_REACH: "the arm cannot bring the palm there without going through itself: move the base (--base) or "
-    "the object, or take another grasp",
+    Status.OUT_OF_REACH: "no way of the arm brings the palm there without going through itself, the object or the "
+    "table: move the base (--base) or the object, or take another grasp",
 }
 
 UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID, Status.OUT_OF_REACH)

@@ -9,6 +9,7 @@ import numpy as np
 from grasp_refine.core.se3 import Array, array_namespace, cross, transform_points
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.term import Setup, State, Term
+from grasp_refine.scene.hand_object import moving_links
 
 
 class Table(Term):
@@ -21,14 +22,19 @@ class Table(Term):
 
     def residuals(self, state: State) -> tuple[Array, ...]:
         """Return the depths max(0, offset - n . p) (M, L) of the lowest points of the links."""
-        depth = plane_depth(*self._lowest(state))
+        depth = self._only_moving(plane_depth(*self._lowest(state)))
         xp = array_namespace(depth)
         return (xp.maximum(depth, xp.zeros_like(depth)),)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
         """Return rows of the links that are below the table or near it."""
         points, normal, offset = self._lowest(state)
-        yield LinkRows.near(plane_depth(points, normal, offset), plane_covectors(points, normal))
+        yield LinkRows.near(self._only_moving(plane_depth(points, normal, offset)), plane_covectors(points, normal))
+
+    def _only_moving(self, depth: Array) -> Array:
+        """Return depths (M, L) of which those of links that stand on the table with an arm's base are -inf."""
+        moving = moving_links(self.setup.scene.hand, self.setup.scene.links)
+        return depth if moving is None else np.where(moving, depth, -np.inf)
 
     def _lowest(self, state: State) -> tuple[Array, Array, float]:
         """Return the lowest points of the links (M, L, 3), world frame, and the plane."""

@@ -51,8 +51,9 @@ def record(
         if steps == 0:
             # The set points of the first step are not set yet: these keep the hand at the pregrasp.
             batch.ctrl[0] = world.control @ batch.qpos[0, world.joints_at]
-            root = batch.qpos[0, world.root_at : world.root_at + 7]
-            batch.mocap_pos[0, 0], batch.mocap_quat[0, 0] = root[:3], root[3:]
+            if world.root_at is not None:
+                root = batch.qpos[0, world.root_at : world.root_at + 7]
+                batch.mocap_pos[0, 0], batch.mocap_quat[0, 0] = root[:3], root[3:]
         # A simulation that diverged has no valid frames from there on.
         if steps % STEPS_PER_FRAME == 0 and np.isfinite(batch.qpos).all() and np.isfinite(batch.qvel).all():
             closing = protocol.moves * protocol.steps_per_move

@@ -1,0 +1,152 @@
+"""Problems on arms: grasps of a hand become those of the hand on an arm, whose base stands in the object's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.rpy_poses import read_pose
+from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine.grasps.on_arm import InTheWay, on_arm
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.mount import mount, standing
+from grasp_refine.objects.object import Object
+from grasp_refine.pipeline.problem import Group, Problem, aim
+from grasp_refine.pipeline.spec import SourceSpec
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.surroundings import scene_depths
+
+
+def check_arm(spec: SourceSpec) -> None:
+    """Refuse options of an arm that have no meaning alone.
+
+    Raises:
+        GraspRefineError: names them.
+    """
+    for name, value in (("mount", spec.mount), ("mount-pose", spec.mount_pose)):
+        if value is not None and spec.arm is None:
+            raise GraspRefineError(f"--{name} {value}: needs the arm that carries the hand, --arm")
+    for name, value in (("base", spec.base), ("mount-pose", spec.mount_pose)):
+        if value is not None:
+            read_pose(value, f"--{name}")
+
+
+def whole_hand(
+    spec: SourceSpec,
+    source: str,
+    hand: Hand,
+    load_hand: Callable[[str, str | None], Hand],
+    load_arm: Callable[[str], Hand],
+) -> Hand:
+    """Return a hand on the arm of a specification, `--arm`, or on that of its own file; itself where there is none.
+
+    A file with both is read from the base of the arm on: `--base-link`, or the root of the file.
+
+    Args:
+        spec: Names of the arm and of the link that carries the hand.
+        source: The hand, or its file.
+        hand: The hand alone.
+        load_hand: Loads a hand below a base link.
+        load_arm: Loads an arm.
+
+    Raises:
+        GraspRefineError: the arm cannot be loaded, the hand not be mounted, or its file has no arm.
+    """
+    if hand.arm is not None:
+        return hand
+    if spec.stands:
+        base = spec.base_link or read_tree(hand.urdf).root
+        return standing(load_hand(source, base), hand.base_link)
+    if spec.arm is None:
+        return hand
+    pose = None if spec.mount_pose is None else read_pose(spec.mount_pose, "--mount-pose")
+    return mount(load_arm(spec.arm), hand, spec.mount, pose)
+
+
+def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int = 0) -> Problem:
+    """Return the grasps of a hand as those of the hand on an arm, with their arms by inverse kinematics.
+
+    Args:
+        problem: Grasps of the hand alone, or such as begin at the base of the arm already.
+        hand: The hand on its arm; without one, the problem is returned as it is.
+        spec: Tells where the base stands.
+        seed: Seed of the starts of the inverse kinematics.
+
+    Raises:
+        GraspRefineError: the place of the base is needed, and not given.
+    """
+    if hand.arm is None:
+        return problem
+    if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
+        raise GraspRefineError(
+            f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or the "
+            "world of the scene: --base x,y,z,roll,pitch,yaw (metres, degrees), as in --base -0.5,0,0,0,0,0"
+        )
+    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
+    groups, notes, beyond, count = [], [*hand.notes], 0, 0
+    for group in problem.groups:
+        placed, some_notes = group_on_arm(group, hand, T_base, seed=seed)
+        notes += some_notes
+        groups.append(placed)
+        beyond, count = beyond + int(placed.scene.out_of_reach.sum()), count + len(placed.rows)
+    if beyond:
+        notes.append(f"{beyond} of {count_text(count, 'grasp')} out of reach of the arm")
+    return replace(problem, hand=hand, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, *notes))))
+
+
+def group_on_arm(
+    group: Group, hand: Hand, T_object_base: Float[np.ndarray, "4 4"], *, seed: int = 0
+) -> tuple[Group, tuple[str, ...]]:
+    """Return the grasps of a group on an arm, and notes."""
+    scene = group.scene
+    if scene.environment is not None:
+        T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
+    in_the_way = arm_in_the_way(hand, scene.object, scene.table, scene.environment)
+    grasps, notes = on_arm(group.grasps, hand, T_object_base, in_the_way=in_the_way, seed=seed)
+    columns = [grasps.joint_names.index(name) for name in hand.joint_names]
+    targets = aim(hand, grasps.targets, np.arange(len(grasps)))
+    moved = Scene(
+        hand,
+        scene.object,
+        transform_from_pose(grasps.hand_pose),
+        grasps.q[:, columns],
+        *targets,
+        table=scene.table,
+        environment=scene.environment,
+    )
+    return replace(group, scene=moved, grasps=grasps), notes
+
+
+def arm_in_the_way(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> InTheWay:
+    """Return the function that tells whether a moving link of the arm is in the object, the table or another body."""
+    arm = hand.arm
+    assert arm is not None
+    moving = arm.links - arm.standing
+    links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
+    bodies = tuple(hand.links_by_name[name].solid for name in links)
+    chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
+
+    def in_the_way(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Bool[np.ndarray, " M"]:
+        if pairs is None:
+            return np.zeros(len(q), dtype=bool)
+        T_link = chain(T, q).T_world_link
+        found = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=0.0)
+        inside = (found.valid & (found.distance < 0.0)).any(axis=1)
+        if table is not None:
+            lowest = transform_points(T_link, table.lowest(bodies, T_link))
+            inside |= (lowest @ np.asarray(table.normal) < table.offset).any(axis=1)
+        if environment is not None:
+            inside |= scene_depths(environment, bodies, T_link).depth > 0.0
+        return np.asarray(inside)
+
+    return in_the_way

@@ -1,0 +1,159 @@
+"""Grasps of a hand on an arm: from the options to the simulation, in which the arm holds the hand and lifts it."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import grasp_refine as gr
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.rpy_poses import read_pose
+from grasp_refine.core.se3 import distances, transform_from_pose
+from grasp_refine.hands.palm import palm_poses
+from grasp_refine.pipeline.problem import Problem
+from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.simulation import close, push
+from grasp_refine.validation.stepping import Conditions, Rows
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import World, build_world
+
+BASE = "-0.55,0,-0.06,0,0,0"
+
+
+def spec(**changes: object) -> gr.ProblemSpec:
+    """Return new grasps of a gripper on a box on a table, on an arm."""
+    given = {
+        "hand": "franka_hand",
+        "arm": "ur5e",
+        "base": BASE,
+        "object": "box:0.05,0.06,0.12",
+        "grasps": Path("sample:4"),
+        "table": -0.06,
+    }
+    return gr.ProblemSpec(**(given | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    """Return the problem."""
+    return gr.load_problem(spec())
+
+
+@pytest.fixture(scope="module")
+def refined(problem: Problem) -> gr.RefinedGrasps:
+    """Return it refined."""
+    return gr.refine(problem, config=gr.Config(starts=1))
+
+
+def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> None:
+    """On the arm, sampled palms are where they are without it; some ways may be out of reach, and say so."""
+    alone = gr.load_problem(spec(arm=None, base=None)).groups[0].scene
+    scene = problem.groups[0].scene
+    reached = ~scene.out_of_reach
+    assert reached.sum() >= 2
+    T = palm_poses(scene.hand, scene.T_world_root, scene.q)
+    moved, turned = distances(alone.T_world_root[reached], T[reached])
+    assert moved.max() < 1e-6 and turned.max() < 1e-6
+    np.testing.assert_allclose(scene.T_world_root[0], read_pose(BASE, "--base"), atol=1e-12)
+    # No link of the arm that moves is below the table, though the base stands on it.
+    assert problem.hand.name == "franka_hand_on_ur5e"
+
+
+def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
+    """A base 3 m away."""
+    found = gr.refine(gr.load_problem(spec(base="-3,0,0")), config=gr.Config(starts=1))
+    assert (found.outcome.status == Status.OUT_OF_REACH).all() and set(found.status) == {"out of reach"}
+    assert np.isnan(found.quality).all()
+    assert "out of reach" in str(found)
+
+
+def test_results_are_read_again_on_the_same_arm(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
+    """They hold the joints of both by name, and begin at the base of the arm, which needs not be told again."""
+    (path,) = refined.save(tmp_path / "refined.npz")
+    again = gr.load_problem(gr.ProblemSpec(hand="franka_hand", arm="ur5e", object="box:0.05,0.06,0.12", grasps=path))
+    scene = again.groups[0].scene
+    np.testing.assert_array_equal(scene.q, refined.outcome.q)
+    assert again.hand.joint_names == refined.problem.hand.joint_names and scene.hand.arm is not None
+    with pytest.raises(GraspRefineError, match="--hand franka_hand --arm ur5e"):
+        gr.load_problem(gr.ProblemSpec(object="box:0.05,0.06,0.12", grasps=path))
+
+
+def test_base_of_the_arm_never_moves(refined: gr.RefinedGrasps) -> None:
+    """Not in the refinement, nor in pregrasp and squeeze; the squeeze moves no joint of the arm."""
+    outcome = refined.outcome
+    at = outcome.status != Status.OUT_OF_REACH
+    arm = refined.problem.hand.arm_joints
+    np.testing.assert_array_equal(outcome.hand_pose[at], outcome.initial_pose[at])
+    np.testing.assert_array_equal(outcome.stage_pose[at], np.repeat(outcome.hand_pose[at, None], 3, axis=1))
+    np.testing.assert_array_equal(outcome.stage_q[at, 2][:, arm], outcome.q[at][:, arm])
+
+
+@pytest.fixture(scope="module")
+def world(refined: gr.RefinedGrasps) -> World:
+    """Return the world in which the arm lifts."""
+    scene = refined.problem.groups[0].scene
+    return build_world(model_of(scene.hand), scene.object, load_protocol("tabletop"), scene.table)
+
+
+def test_arm_holds_the_grasp_and_lifts_the_box(refined: gr.RefinedGrasps, world: World) -> None:
+    """In simulation its base has no joint, and its palm rises by the height of the protocol."""
+    outcome, hand = refined.outcome, refined.problem.hand
+    at = np.flatnonzero(outcome.status != Status.OUT_OF_REACH)[:1]
+    assert world.root_at is None and world.model.nv == 6 + len(world.hand.joints)
+    T = transform_from_pose(outcome.stage_pose[at])
+    from grasp_refine.validation.motion import Motion
+
+    motion = Motion(T, outcome.stage_q[at])
+    closed = close(world, motion, Conditions.nominal(world, 1), threads=1)
+    heights: list[float] = []
+    data = mujoco.MjData(world.model)
+
+    def watch(batch: mujoco.batch.Batch) -> None:
+        batch.get_data(0, data)
+        mujoco.mj_kinematics(world.model, data)
+        heights.append(float(data.body("hand/panda_hand").xpos[2]))
+        base = data.body(f"hand/{hand.base_link}")
+        np.testing.assert_allclose(base.xpos, outcome.hand_pose[at[0], :3], atol=1e-12)
+
+    trials = push(world, closed, threads=1, on_step=watch, engine=Rows)
+    protocol: Protocol = world.protocol
+    assert abs(heights[-1] - heights[0] - protocol.lift) < 2e-3
+    assert trials.success.all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"base": None}, ("--base", "base_link")),
+        ({"arm": None, "mount": "tool0", "base": None}, ("--mount tool0", "--arm")),
+        ({"mount": "tool9"}, ("tool9", "tool0")),
+        ({"arm": "ur6"}, ("ur6", "ur5e")),
+        ({"base": "1,2"}, ("--base 1,2",)),
+        ({"base": "1,2,x"}, ("--base 1,2,x", "degrees")),
+        ({"base": "550,0,0"}, ("--base 550,0,0", "metres")),
+        ({"mount_pose": "0,0,nan"}, ("--mount-pose 0,0,nan",)),
+        ({"arm": None}, ("--arm", "--base-link")),
+    ],
+)
+def test_wrong_options_are_refused_with_the_way_out(changes: dict, named: tuple[str, ...]) -> None:
+    """In one line that names the value."""
+    with pytest.raises(GraspRefineError) as error:
+        gr.load_problem(spec(**changes))
+    assert all(part in str(error.value) for part in named) and "\n" not in str(error.value)
+
+
+def test_facade_places_grasps_in_memory() -> None:
+    """With the base as numbers, or as a transform."""
+    hand, box = gr.load_hand("franka_hand"), gr.load_object("box:0.05,0.06,0.12")
+    grasps = gr.sample_grasps(hand, box, 2)
+    whole = gr.mount(gr.load_hand("ur5e"), hand)
+    a = gr.problem_of(whole, box, grasps, base=[-0.5, 0.0, -0.1])
+    b = gr.problem_of(whole, box, grasps, base=a.groups[0].scene.T_world_root[0])
+    np.testing.assert_allclose(a.groups[0].scene.q, b.groups[0].scene.q, atol=1e-9)
+    with pytest.raises(GraspRefineError, match="base"):
+        gr.problem_of(whole, box, grasps)
+    with pytest.raises(GraspRefineError, match="base"):
+        gr.problem_of(whole, box, grasps, base=[1.0, 2.0])
