@@ -104,8 +104,8 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
             # Not the name of ours: grasps refined with the one must not be validated with the other.
             return asset.full_name, toml
         choices = (
-            f"the hands here are {', '.join(list_hands())}, the arms {', '.join(list_arms())}; or give a folder, a URDF "
-            f"or MJCF file, a {HAND_TOML}, an asset (refine-grasp assets list hands), or {PREFIX}NAME"
+            f"the hands here are {', '.join(list_hands())}, the arms {', '.join(list_arms())}; or give a folder, a "
+            f"URDF or MJCF file, a {HAND_TOML}, an asset (refine-grasp assets list hands), or {PREFIX}NAME"
         )
         if isinstance(source, str) and path.name == source and not path.suffix:
             raise AssetError(f"no hand or arm '{source}'; {choices}")

@@ -79,7 +79,8 @@ def problem_of(
             f"the grasps are on several objects or scales: {listing}; choose those on {obj.name} with "
             "grasps.select(...), or give the file to load_problem"
         )
-    plane, notes = None if table is None else Plane(offset=table), ()
+    plane = None if table is None else Plane(offset=table)
+    notes: tuple[str, ...] = ()
     if hand.arm is not None and grasps.base_link == hand.palm != hand.base_link:
         if base is None:
             raise GraspRefineError(f"{hand.name} needs the pose of its base in the object's frame: base=[x, y, z, ...]")

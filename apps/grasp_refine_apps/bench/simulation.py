@@ -42,6 +42,7 @@ def plain(world: World, motion: Motion) -> bool:
     joints = motion.q[0] @ world.hand.matrix.T + world.hand.offset
     for axis in AXES.values():
         mujoco.mj_resetData(model, data)
+        assert world.root_at is not None  # a hand without an arm
         data.qpos[world.root_at : world.root_at + 7] = pose_from_transform(T[0])
         data.qpos[world.joints_at] = joints[0]
         data.qpos[world.object_at : world.object_at + 7] = [0, 0, 0, 1, 0, 0, 0]
