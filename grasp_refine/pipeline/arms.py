@@ -89,8 +89,8 @@ def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int 
         return problem
     if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
         raise GraspRefineError(
-            f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or the "
-            "world of the scene: --base x,y,z,roll,pitch,yaw (metres, degrees), as in --base -0.5,0,0,0,0,0"
+            f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or "
+            "the world of the scene: --base x,y,z,roll,pitch,yaw (metres, degrees), as in --base -0.5,0,0,0,0,0"
         )
     T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
     groups, notes, beyond, count = [], [*hand.notes], 0, 0
