@@ -31,6 +31,7 @@ COMMANDS = {
     "view": "view grasps in a browser: watch their refinement, edit, validate, compare and export them",
     "convert": "convert grasp files of other programs to ours and back, checked by fingertip positions",
     "hands": "list the hands that ship with the program, or check a URDF",
+    "scenes": "list the scenes that ship with the program, or check one of your own",
     "assets list": "list the hands, objects and grasps of others that can be fetched by name",
     "assets fetch": "fetch assets by name, each file checked; shows licence and citation",
     "assets verify": "check that fetched assets are complete and unchanged",

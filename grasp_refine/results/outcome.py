@@ -16,7 +16,7 @@ from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.formulas import MeasuredGrasps, MeasuredRefinement
+from grasp_refine.validation.formulas import SCENE_DEPTHS_M, MeasuredGrasps, MeasuredRefinement
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.measures import MEASURE, RECORDED
 from grasp_refine.validation.motion import Motion
@@ -208,15 +208,15 @@ def compare(
 
 
 def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
-    """Return the texts of `weaknesses`, or for links in bodies of the scene, where that is worst, on these."""
+    """Return the texts of `weaknesses`; of grasps with a link in a body of the scene, on that."""
     hand, links = grasps.hand, grasps.links
     inside: dict[int, str] = {}
     if grasps.environment is not None and (found := grasps.scene_depths) is not None:
-        deepest = np.fmax(np.nan_to_num(found.depth), np.nan_to_num(grasps.geometry.penetration))
-        for i in np.flatnonzero((found.depth > 0) & (found.depth >= deepest)).tolist():
+        for i in np.flatnonzero(found.depth > SCENE_DEPTHS_M[0]).tolist():
             body = grasps.environment.bodies[found.body[i]].name
             inside[i] = f"{links[found.link[i]]} is {1e3 * found.depth[i]:.1f} mm in {body}"
-    return weaknesses(grasps.quality, links, hand.joint_names, inside)
+    texts = weaknesses(grasps.quality, links, hand.joint_names)
+    return [inside.get(i, text) for i, text in enumerate(texts)]
 
 
 def worst_over_links(values: np.ndarray) -> np.ndarray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from grasp_refine.forces.calibration import CALIBRATION
@@ -16,16 +14,13 @@ AXES = "xyz"
 """Names of the axes of the object."""
 
 
-def weaknesses(
-    quality: Quality, links: tuple[str, ...], joints: tuple[str, ...], inside: Mapping[int, str] | None = None
-) -> list[str]:
+def weaknesses(quality: Quality, links: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
     """Return for each of N grasps a text on its costliest shortcoming; empty where it costs little, or is not known.
 
     Args:
         quality: Shortcomings of the grasps, in the object's frame.
         links: Names of the links.
         joints: Names of the independent joints.
-        inside: Grasp -> text on the link that is deepest in another body than the object, where that counts.
     """
     costs = CALIBRATION.costs(quality.shortcomings)
     known = np.isfinite(costs).all(axis=1)
@@ -37,8 +32,7 @@ def weaknesses(
         elif costs[i, which] < NEGLIGIBLE_COST:
             found.append("")
         else:
-            told = inside.get(i) if inside is not None and SHORTCOMINGS[which] == "deep" else None
-            found.append(told or _text(quality, SHORTCOMINGS[which], i, links, joints))
+            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints))
     return found
 
 

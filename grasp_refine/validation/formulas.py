@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from grasp_refine.forces.quality import DEEP, Quality, quality
+from grasp_refine.forces.quality import Quality, quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 MAX_FINGER_DISTANCE_M = 0.01
 """Largest distance in metres of a finger from the object that counts; farther ones count as this."""
+SCENE_DEPTHS_M = (0.0005, 0.0025)
+"""Depths in metres of a link in a body of the scene up to which it costs no quality, and from which on it costs all."""
 CONTACT_DISTANCE_M = 0.002
 """Signed distance in metres within which a link counts as touching."""
 
@@ -60,10 +62,7 @@ class MeasuredGrasps:
         T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
         q = np.where(known[:, None], self.q, 0.0)
         chain = Chain(self.hand, self.links)
-        found = quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
-        if self.scene_depths is None:
-            return found
-        return replace(found, deep=np.fmax(found.deep, self.scene_depths.depth / DEEP))
+        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
 
     @cached_property
     def scene_depths(self) -> SceneDepths | None:
@@ -109,8 +108,15 @@ def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
-    """Return `Quality.value` (N,); NaN where a grasp is not `known`, or has no contacts."""
-    return np.where(grasps.known, grasps.quality.value, np.nan)
+    """Return `Quality.value` (N,), less where a link is in a body of the scene; NaN where it is not `known`.
+
+    Up to `SCENE_DEPTHS_M[0]` a depth costs nothing, from `SCENE_DEPTHS_M[1]` on the quality is 0.
+    """
+    value, inside = np.where(grasps.known, grasps.quality.value, np.nan), grasps.scene_depths
+    if inside is None:
+        return value
+    least, most = SCENE_DEPTHS_M
+    return value * np.clip((most - inside.depth) / (most - least), 0.0, 1.0)
 
 
 def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

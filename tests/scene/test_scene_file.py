@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.scene_file import SceneFile, load_scene
+from grasp_refine.scene.scene_file import list_scenes, load_scene
 
 
-def read(tmp_path: Path, text: str) -> SceneFile:
+def read(tmp_path: Path, text: str) -> Environment:
     path = tmp_path / "mine.toml"
     path.write_text(text)
     return load_scene(path)
@@ -61,7 +63,7 @@ def test_bodies_are_where_the_file_says(tmp_path: Path) -> None:
         pieces = "parts"
         """,
     )
-    found = scene.environment
+    found = scene
     assert (scene.object, found.name) == ("mug", "mine")
     assert [body.name for body in found.bodies] == ["table", "bin", "wall", "wall 2", "post", "sphere", "parts"]
     assert [body.margin for body in found.bodies] == [0.005, 0.005, 0.005, 0.0, 0.005, 0.005, 0.005]
@@ -83,10 +85,22 @@ def test_bodies_are_where_the_file_says(tmp_path: Path) -> None:
 def test_the_digest_is_of_what_is_where_around_the_object(tmp_path: Path) -> None:
     table, ball = "[table]\nposition = [0, 0, {z}]\n", "[[body]]\nsphere = 0.03\nposition = [0.1, 0, {z}]\n"
     named = ('[object]\nname = "mug"\nposition = [0, 0, {z}]\n', table, ball)
-    first = read(tmp_path, "".join(named).format(z=0.5)).environment.digest
-    assert first == read(tmp_path, "".join(named).format(z=0.7)).environment.digest
-    assert first != read(tmp_path, "".join(named).format(z=0.5).replace("0.03", "0.031")).environment.digest
-    assert first != read(tmp_path, "".join(named[:2]).format(z=0.5)).environment.digest
+    first = read(tmp_path, "".join(named).format(z=0.5)).digest
+    assert first == read(tmp_path, "".join(named).format(z=0.7)).digest
+    assert first != read(tmp_path, "".join(named).format(z=0.5).replace("0.03", "0.031")).digest
+    assert first != read(tmp_path, "".join(named[:2]).format(z=0.5)).digest
+
+
+@pytest.mark.parametrize("name", list_scenes())
+def test_in_the_scenes_that_come_with_the_program_the_object_rests_on_something_and_is_in_nothing(name: str) -> None:
+    scene = load_scene(name)
+    assert scene.object is not None and scene.name == scene.source == name
+    obj, T = load_object(scene.object).body, scene.T_object_body[None]
+    pairs = Pairs(tuple(one.body for one in scene.bodies), (obj,) * len(scene.bodies))
+    found = query(pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    assert found.distance.min() == pytest.approx(0.0, abs=1e-6)
+    # What supports it is below: the normal from body to object points up.
+    assert found.normal[0, found.distance[0].argmin()] == pytest.approx(scene.up, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,8 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         assert all(after[key] == worst[key] for key in worst)
         assert set(grasp) >= {
             "index", "object", "status", "advice", "iterations", "queries", "wall_s", "cpu_s", "quality",
-            "contact_error_m", "penetration_m", "self_penetration_m", "wrench_residual", "limits_violated", "moved",
+            "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m",
+            "wrench_residual", "limits_violated", "moved",
             "simulation",
         }  # fmt: skip
         assert grasp["status"] is None and grasp["moved"] is None
