@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.collision.query import Witness
-from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.wrench import center_of_mass, turn_loads
-from grasp_refine.hands.chain import Chain, Frames
-from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.witness.face_patch import FacePairs
 
 STRONG_PUSH_SHARE = 0.33
 """Outer force per unit of total pressure: about the weight of 1 kg for a squeeze of `TOTAL_PRESSURE_N`."""
@@ -27,14 +23,15 @@ hand."""
 
 
 def strong_push_residual(
-    hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness, faces: FacePairs | None = None
+    points: ContactPoints, obj: Object, axes: Float[np.ndarray, "N 3 3"]
 ) -> Float[np.ndarray, " N"]:
     """Largest wrench residual (N,) under any of `STRONG_PUSHES`, with `STRONG_PUSH_FRICTION`; NaN without forces.
 
-    The arguments are those of `quality.quality`.
+    Args:
+        points: Contact points of N grasps.
+        obj: The object.
+        axes: Rotations (N, 3, 3) of the hand, in whose axes the pushes are.
     """
-    points = contacts(hand, obj, chain.links, witness, frames.T_world_link, faces)
-    axes = frames.T_world_root[:, :3, :3]
     loads = turn_loads(STRONG_PUSHES, axes)
     return points.forces_under(loads, center_of_mass(obj), friction=STRONG_PUSH_FRICTION, axes=axes).residual.max(
         axis=1

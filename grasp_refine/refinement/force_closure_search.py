@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import query
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP, quality
-from grasp_refine.forces.squeeze import CONTACTS
+from grasp_refine.forces.squeeze import CONTACTS, contacts
 from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.clearance import clearances
@@ -37,6 +37,11 @@ from grasp_refine.scene.scene import Scene
 
 GOOD_SCORE = 0.1
 """A grasp with at most this score is not tried from another start."""
+
+PINCH_SHARE = 0.6
+"""Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
+good: forces at two points make no torque about the line between them, whatever the pads do, so that the scores of such
+grasps hardly tell which of them holds."""
 
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
@@ -104,6 +109,8 @@ class _Attempt:
     goal: Goal
     score: np.ndarray
     """Score (M,), lower is better; infinite where the attempt failed."""
+    pinches: np.ndarray
+    """True where there are at most two contact points (M,)."""
 
 
 def score_of(
@@ -114,13 +121,20 @@ def score_of(
     The residual under the worst of the strong pushes, which counts as much as the shortcomings of `Quality` together,
     tells which of several attempts holds a heavy object, or one in a simulation whose contacts creep.
     """
-    T = frames.T_world_link
-    cutoff = CONTACTS.cutoff(prepared.hand, prepared.chain.links)
+    return _judge(prepared, frames, clearance)[0]
+
+
+def _judge(
+    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float
+) -> tuple[Float[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
+    """Return the score of grasps, see `score_of`, and whether they have at most two contact points."""
+    hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
+    cutoff = CONTACTS.cutoff(hand, chain.links)
     witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
-    grasps = prepared.hand, prepared.object, prepared.chain, frames, witness
-    faces = prepared.faces
-    pushed = strong_push_residual(*grasps, faces)
-    return quality(*grasps, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
+    points = contacts(hand, obj, chain.links, witness, T, faces)
+    pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
+    score = quality(hand, obj, chain, frames, witness, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
+    return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2
 
 
 def most_iterations(config: Config) -> int:
@@ -166,7 +180,7 @@ def search(
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
             at = at[search.best.score[member[at]] > GOOD_SCORE]
-            search.take(member[at], take(found, at))
+            search.take(member[at], take(found, at), PINCH_SHARE)
             search.starts[member[at]] += 1
     return search.result()
 
@@ -200,7 +214,7 @@ class _Search:
             point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
         )
         goal = replace(Goal.nothing(N, L), direction=scene.direction)
-        self.best = _Attempt(minimum, goal, np.full(N, np.inf))
+        self.best = _Attempt(minimum, goal, np.full(N, np.inf), np.zeros(N, dtype=bool))
 
     def given(self, rows: np.ndarray) -> Point:
         """Return the input grasps."""
@@ -226,9 +240,11 @@ class _Search:
         """Return the rows of grasps that are not good yet and have CPU time left."""
         return rows[(self.best.score[rows] > GOOD_SCORE) & (self.cpu[rows] < self.config.seconds)]
 
-    def take(self, rows: np.ndarray, found: _Attempt) -> None:
-        """Keep attempts at different grasps that are better than the best so far."""
-        better = found.score < self.best.score[rows]
+    def take(self, rows: np.ndarray, found: _Attempt, pinch_share: float = 1.0) -> None:
+        """Keep attempts at different grasps that are better than the best so far, pinches only by that share."""
+        best = self.best.score[rows]
+        least = np.where(self.best.pinches[rows] & (found.score > GOOD_SCORE), pinch_share, 1.0) * best
+        better = found.score < least
         never = self.best.minimum.status[rows] == Status.RUNNING
         kept = rows[better | never]
         place = np.arange(len(self.starts))
@@ -243,9 +259,10 @@ class _Search:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = self.free.evaluate(rows, point, None)
-        score = score_of(prepared, known.frames, self.clearance) + self.free.other_depth(known) / DEEP
+        score, pinches = _judge(prepared, known.frames, self.clearance)
+        score = score + self.free.other_depth(known) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
-        return _Attempt(found, goal, np.where(usable, score, np.inf))
+        return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 
     def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """Return the grasps `rows`, which are those of the scene, after a phase, and its goal."""

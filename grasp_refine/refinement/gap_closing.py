@@ -23,11 +23,11 @@ def close_gaps(
     progress: Progress | None = None,
     on_iteration: IterationCallback | None = None,
 ) -> Minimum:
-    """Minimise losses without forces; where faces cannot lie flat, they touch in points in the end.
+    """Minimise losses without forces; where faces cannot lie flat on each other, they touch in points in the end.
 
-    No grasp of parallel jaws brings both onto faces that are not parallel. The sum of squares is least where gaps at
-    the corners are, between lying flat and touching. From there contacts close in points, which moves the hand as
-    little as the damping lets it: faces lie as flat as they can.
+    No grasp of parallel jaws brings both onto faces that are not parallel. The sum of squares is least between lying
+    flat and touching. From there contacts close in points, which moves the hand as little as the damping lets it: faces
+    lie as flat as they can.
 
     Args:
         problem: Problem of N grasps.

@@ -189,6 +189,14 @@ def test_parallel_jaws_touch_a_wedge_as_flat_as_they_can(tmp_path, config: Confi
     np.testing.assert_allclose(tilt, 2.0, atol=0.5)
 
 
+def test_two_points_are_not_left_for_others_that_balance_a_little_better(tmp_path, block: Object):
+    T, q = gripping([0.006, 0, 0.004, 0, 0, 0.02])
+    scene = Scene(jaws(tmp_path, ROUND_JAW), block, T, q + 0.001)
+    once, often = (refine(scene, Config(starts=starts)) for starts in (1, 6))
+    assert often.starts.tolist() == [6]
+    np.testing.assert_array_equal(often.T_world_root, once.T_world_root)
+
+
 def test_nothing_is_looked_for_where_no_link_is_flat(tmp_path, block: Object):
     T, q = gripping([0.0] * 6)
     points, *_ = points_of(jaws(tmp_path, ROUND_JAW), block, T, q)

@@ -8,13 +8,14 @@ import pytest
 from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
 from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.squeeze import contacts
 from grasp_refine.forces.strong_pushes import (
     STRONG_PUSH_FRICTION,
     STRONG_PUSH_SHARE,
     STRONG_PUSHES,
     strong_push_residual,
 )
-from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
@@ -31,6 +32,12 @@ def ball() -> Object:
     return load_object("sphere:0.03", candidates=16)
 
 
+def residual_of(hand: Hand, obj: Object, chain: Chain, frames: Frames, witness: Witness) -> np.ndarray:
+    """That of grasps."""
+    points = contacts(hand, obj, chain.links, witness, frames.T_world_link)
+    return strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
+
+
 def residual(hand: Hand, ball: Object, normals: list[list[float]]) -> float:
     """That of tips with normals into a ball, so many as there are normals."""
     chain = Chain(hand, links_of(hand))
@@ -43,7 +50,7 @@ def residual(hand: Hand, ball: Object, normals: list[list[float]]) -> float:
     none = np.zeros((1, links), dtype=np.int64)
     witness = Witness(point, point, normal, gap, status, none, none)
     frames = chain(np.eye(4)[None], np.zeros((1, len(hand.joint_names))))
-    return float(strong_push_residual(hand, ball, chain, frames, witness)[0])
+    return float(residual_of(hand, ball, chain, frames, witness)[0])
 
 
 def test_strong_pushes_go_to_faces_and_corners_of_a_cube() -> None:
@@ -69,7 +76,7 @@ def test_there_is_none_without_contacts(hand: Hand, ball: Object) -> None:
     point, normal = np.zeros((2, 1, len(chain.links), 3))
     none = np.zeros(far.shape, dtype=np.int64)
     witness = Witness(point, point, normal, far, np.full(far.shape, QueryStatus.FAR), none, none)
-    assert np.isnan(strong_push_residual(hand, ball, chain, frames, witness)).all()
+    assert np.isnan(residual_of(hand, ball, chain, frames, witness)).all()
 
 
 def test_it_is_the_same_in_another_frame(tmp_path: Path) -> None:
@@ -83,7 +90,7 @@ def test_it_is_the_same_in_another_frame(tmp_path: Path) -> None:
     witness = query(prepared.pairs, poses, np.broadcast_to(np.eye(4), poses.shape))
     turned = [part @ T[:3, :3].T for part in (witness.point_a, witness.point_b, witness.normal)]
     moved = Witness(*turned, witness.distance, witness.status, witness.winner, witness.num_queries)
-    one = strong_push_residual(hand, obj, prepared.chain, here, witness)
-    other = strong_push_residual(hand, obj, prepared.chain, there, moved)
+    one = residual_of(hand, obj, prepared.chain, here, witness)
+    other = residual_of(hand, obj, prepared.chain, there, moved)
     assert np.isfinite(one).sum() >= 4
     np.testing.assert_allclose(other, one, atol=1e-9)
