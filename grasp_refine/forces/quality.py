@@ -53,7 +53,8 @@ class Quality:
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
     strained: Float[np.ndarray, " N"]
     """Excess (N,) of the torque of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, over its
-    limit, as a share of that limit; 0 where the actuators can make all torques."""
+    limit, as a share of that limit; 0 where the actuators can make all torques. Where set points end, the limit is the
+    torque with which the actuator presses after the joint gave way by `GIVE_RAD`."""
     weakest_push: Float[np.ndarray, "N 3"]
     """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
     deepest_link: Int[np.ndarray, " N"]
@@ -120,7 +121,7 @@ def quality(
     for rows, some in points.groups():
         force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link)
-    share = limit_shares(hand, torque).max(axis=1)
+    share = limit_shares(hand, torque, frames.q[:, None]).max(axis=1)
     distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
     wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure[:, 0] * np.maximum(points.gap - wanted, 0.0)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_records import take
 from grasp_refine.forces.contact_points import ContactPoints, LinkPatches
-from grasp_refine.forces.torques import joint_torques
+from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, tensions, torque_bounds
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
@@ -24,6 +24,9 @@ CONTACTS = ContactSelection(farthest=0.0)
 
 TOTAL_PRESSURE_N = 30.0
 """Sum of the pressures of a grasp, in newtons."""
+
+MIN_PRESSURE_SHARE = 0.4
+"""Least share of the pressure at which a squeeze is planned where set points end: less holds fewer objects."""
 
 SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
@@ -63,7 +66,25 @@ def squeezed(
         f = force[rows, None, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), f, np.nan_to_num(some.point_on_link), some.link)[:, 0]
     torque = np.where(hand.arm_joints, 0.0, torque)
-    return np.where(posed[:, None], q + set_point_offsets(hand, torque), np.nan)
+    torque = torque * pressure_shares(hand, torque, q)[:, None]
+    return np.where(posed[:, None], q + set_point_offsets(hand, torque, q), np.nan)
+
+
+def pressure_shares(
+    hand: Hand, torque: Float[np.ndarray, "N n"], q: Float[np.ndarray, "N n"]
+) -> Float[np.ndarray, " N"]:
+    """Return the largest shares (N,) of torques (N, n), up to 1, at which no set point ends, or `MIN_PRESSURE_SHARE`.
+
+    Weaker forces hold more objects than those of which some are cut off, which do not balance.
+    """
+    if hand.actuator.set_points is None:
+        return np.ones(len(q))
+    demand = tensions(hand, torque)
+    bound = np.where(demand < 0.0, -1.0, 1.0) * np.where(demand < 0.0, *torque_bounds(hand, q))
+    # Force limits leave the other actuators as they are.
+    ends = (bound < hand.actuator.force_limit) & (hand.actuator.kp > 0.0)
+    most = np.where(ends, np.abs(demand) / np.maximum(bound, MIN_LIMIT), 0.0).max(axis=1, initial=1.0)
+    return np.maximum(1.0 / most, MIN_PRESSURE_SHARE)
 
 
 def grasp_forces(
@@ -104,21 +125,25 @@ def contacts(
     return ContactPoints.of(touching, witness, LinkPatches.of(faces, touching, T_world_link, witness))
 
 
-def set_point_offsets(hand: Hand, torque: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N n"]:
-    """Offsets (N, n) of the joints' set points that make torques (N, n), in rad or m, where nothing moves.
+def set_point_offsets(
+    hand: Hand, torque: Float[np.ndarray, "N n"], q: Float[np.ndarray, "N n"]
+) -> Float[np.ndarray, "N n"]:
+    """Offsets (N, n) of the joints' set points from q, in rad or m, that make torques (N, n) where nothing moves.
 
-    Each actuator makes as much of them as it can: nothing without stiffness, else up to its limit; and where it drives
+    Each actuator makes as much of them as it can: nothing without stiffness, else up to its limit, and to where its set
+    points end (`torques.torque_bounds`); and where it drives
     several joints through a tendon, the nearest torques in the ratio of the joints, which is for equal ratios the mean
     for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
     the sum of ratio x set point over its joints, which share it in proportion to their ratios.
     """
-    kp, limit = hand.actuator.kp, hand.actuator.force_limit
+    kp = hand.actuator.kp
+    least, greatest = torque_bounds(hand, q)
     give = np.where(kp > 0.0, 1.0 / np.where(kp > 0.0, kp, 1.0), 0.0)
-    ahead = np.clip(torque, -limit, limit) * give
+    ahead = np.clip(torque, least, greatest) * give
     for group in hand.coupled:
         joints = [hand.joint_names.index(name) for name in group.joints]
         ratio = np.array(group.ratio)
         share, first = ratio / (ratio @ ratio), joints[0]
-        tension = np.clip(torque[:, joints] @ share, -limit[first], limit[first])
+        tension = np.clip(torque[:, joints] @ share, least[:, first], greatest[:, first])
         ahead[:, joints] = tension[:, None] * share * give[first]
     return ahead

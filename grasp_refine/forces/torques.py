@@ -9,7 +9,10 @@ from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 
 MIN_LIMIT = 1e-6
-"""Smallest limit, in N m or N, by which torques are divided."""
+"""Smallest bound, in N m or N, by which torques are divided."""
+
+GIVE_RAD = 0.1
+"""Angle by which a joint may give way to the object where its set points end, and still hold it."""
 
 
 def joint_torques(
@@ -35,18 +38,62 @@ def joint_torques(
     return torque.reshape(N, P, K, torque.shape[-1]).sum(axis=2)
 
 
-def limit_shares(hand: Hand, torque: Float[np.ndarray, "*N n"]) -> Float[np.ndarray, "*N n"]:
-    """Return torques as shares (..., n) of what the actuators can make: 0 without a limit.
+def tensions(hand: Hand, torque: Float[np.ndarray, "*N n"]) -> Float[np.ndarray, "*N n"]:
+    """Return what each actuator should make of torques (..., n): of a coupled group the tension, at its first joint.
 
-    Of joints that share an actuator, the share of the tension that comes nearest to their torques (see
-    `squeeze.set_point_offsets`) is that of the first one, and the others have none.
+    It is the tension that comes nearest to their torques (see `squeeze.set_point_offsets`); other joints of it have 0.
     """
-    limit = hand.actuator.force_limit
-    demand = np.abs(torque)
+    demand = torque.copy()
     for group in hand.coupled:
         joints = [hand.joint_names.index(name) for name in group.joints]
         ratio = np.array(group.ratio)
         demand[..., joints] = 0.0
-        demand[..., joints[0]] = np.abs(torque[..., joints] @ (ratio / (ratio @ ratio)))
+        demand[..., joints[0]] = torque[..., joints] @ (ratio / (ratio @ ratio))
+    return demand
+
+
+def torque_bounds(
+    hand: Hand, q: Float[np.ndarray, "*N n"], give: float = 0.0
+) -> tuple[Float[np.ndarray, "*N n"], Float[np.ndarray, "*N n"]]:
+    """Return the least and the greatest torque (..., n) that each actuator can make, in N m or N.
+
+    A position actuator makes kp times the distance to its set point, which ends where `Actuator.set_points` do, and at
+    most its force limit. Bounds of a coupled group are those of its tension, the same for all its joints.
+
+    Args:
+        hand: The hand.
+        q: Joint values (..., n) at which the joints rest.
+        give: Angle in rad by which a joint may give way before it makes them; a slide by as much as counts like it.
+    """
+    limit, ends = hand.actuator.force_limit, hand.actuator.set_points
+    least, greatest = np.broadcast_to(-limit, q.shape), np.broadcast_to(limit, q.shape)
+    if ends is None:
+        return least, greatest
+    length = q.copy()
+    for group in hand.coupled:
+        joints = [hand.joint_names.index(name) for name in group.joints]
+        length[..., joints] = (q[..., joints] @ np.array(group.ratio))[..., None]
+    way, kp = give * hand.per_radian, hand.actuator.kp
+    # Without stiffness there is no torque, however far a set point may be.
+    below = kp * np.where(kp > 0.0, np.minimum(ends[:, 0] - length - way, 0.0), 0.0)
+    above = kp * np.where(kp > 0.0, np.maximum(ends[:, 1] - length + way, 0.0), 0.0)
+    return np.maximum(least, below), np.minimum(greatest, above)
+
+
+def limit_shares(
+    hand: Hand, torque: Float[np.ndarray, "*N n"], q: Float[np.ndarray, "*#N n"], give: float = GIVE_RAD
+) -> Float[np.ndarray, "*N n"]:
+    """Return torques as shares (..., n) of what the actuators can make: 0 without a limit.
+
+    Of joints that share an actuator the first has the share of their tension, and the others have none.
+
+    Args:
+        hand: The hand.
+        torque: Torques of the joints, in N m or N.
+        q: Joint values at which they are made.
+        give: As for `torque_bounds`.
+    """
+    least, greatest = torque_bounds(hand, q, give)
+    demand = tensions(hand, torque)
     # A limit of 0 allows no torque at all.
-    return demand / np.maximum(limit, MIN_LIMIT)
+    return np.abs(demand) / np.maximum(np.where(demand < 0.0, -least, greatest), MIN_LIMIT)

@@ -91,7 +91,7 @@ class Chain:
             twists = twists * slope
         root_twists = (T_world_root[:, :, 3] @ numbers.root_twist).reshape(-1, 6, 6)
         axes = xp.matrix_transpose(xp.concat([root_twists, twists], axis=1))
-        return Frames(T_world_link, axes, T_world_root)
+        return Frames(T_world_link, axes, T_world_root, q)
 
     def to_joint_space(
         self, frames: Frames, covector: Array, link: np.ndarray, minus: np.ndarray | None = None
@@ -149,6 +149,8 @@ class Frames:
     """
     T_world_root: Array
     """Poses (batch, 4, 4) of the root."""
+    q: Array
+    """Values (batch, n) of the independent joints."""
 
     __repr__ = brief
 

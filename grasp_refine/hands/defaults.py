@@ -36,6 +36,9 @@ class Actuator:
     """Inertia of the rotor as seen at the joint."""
     frictionloss: Float[np.ndarray, " n"]
     """Dry friction torque."""
+    set_points: Float[np.ndarray, "n 2"] | None = None
+    """Least and greatest set point (n, 2), infinite where there is no limit; None: there is none at all. Those of a
+    coupled group are sums of ratio x set point over its joints, the same for all of them."""
 
     __repr__ = brief
 

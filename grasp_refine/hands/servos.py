@@ -27,8 +27,8 @@ def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuat
     spec, _, _ = read_mjcf(mechanism.path)
     rescale_servos(spec)
     model = compile_mjcf(spec, mechanism.path)
-    matrix, _, names = mimic_map(mechanism.joints, mechanism.independent)
-    found = servo_settings(mechanism.independent, coupled, model, {name: name for name in names}, matrix)
+    matrix, offset, names = mimic_map(mechanism.joints, mechanism.independent)
+    found = servo_settings(mechanism.independent, coupled, model, {name: name for name in names}, matrix, offset)
     if not spec.actuators or other_actuators(spec):
         return replace(given, damping=found.damping, armature=found.armature, frictionloss=found.frictionloss)
     return found
@@ -97,14 +97,16 @@ def servo_settings(
     model: mujoco.MjModel,
     matched: Mapping[str, str],
     matrix: Float[np.ndarray, "m n"],
+    offset: Float[np.ndarray, " m"],
 ) -> Actuator:
     """Return the servos of `model` as actuators of the n independent joints of the hand, in their units and order.
 
     An actuator whose length changes by M_j with joint j acts on it with kp M_j^2 per error, and with at most |M_j|
     times its own limit; several actuators add up. In a coupled group M_j is divided by the joint's ratio: stiffness and
     limit are those of a tendon whose length is the sum of ratio x joint value, as `Hand.actuator` has them. Limits of
-    the actuator force at joints and tendons count too. Armature and dry friction are those of the joint itself, and
-    so is damping, to which that of the servos is added.
+    the actuator force at joints and tendons count too. Set points are within the ctrlrange of all actuators of a joint
+    or group. Armature and dry friction are those of the joint itself, and so is damping, to which that of the servos is
+    added.
 
     Args:
         independent: The independent joints.
@@ -112,15 +114,17 @@ def servo_settings(
         model: Model of the hand, all of whose actuators are position servos.
         matched: Joint of the hand -> its name in the model, for m joints.
         matrix: As `HandModel.matrix` (m, n), for these joints.
+        offset: As `HandModel.offset` (m,).
     """
     names = list(independent)
     dof = [model.joint(name).dofadr[0] for name in matched.values()]
-    M = np.abs(moments(model)[:, dof] @ matrix)
+    arms = moments(model)[:, dof]
     groups = [[names.index(name) for name in group.joints] for group in coupled]
     ratio = np.ones(len(names))
     for group, rows in zip(coupled, groups, strict=True):
-        ratio[rows] = np.abs(group.ratio)
-    M = M / ratio
+        ratio[rows] = group.ratio
+    signed = arms @ matrix / ratio
+    M, ratio = np.abs(signed), np.abs(ratio)
     # An actuator that does not act on a joint adds nothing to its limit, even if its own limit is infinite.
     reach = np.where(M > 0, _limits(model)[:, None], 0.0) * M
     own = [model.joint(matched[name]).id for name in names]
@@ -137,7 +141,39 @@ def servo_settings(
         damping=model.dof_damping[own_dof] + (-model.actuator_biasprm[:, 2:3] * M**2).sum(axis=0),
         armature=model.dof_armature[own_dof],
         frictionloss=model.dof_frictionloss[own_dof],
+        set_points=_set_points(model, signed, arms @ offset, groups),
     )
+
+
+def _set_points(
+    model: mujoco.MjModel,
+    slope: Float[np.ndarray, "u n"],
+    offset: Float[np.ndarray, " u"],
+    groups: Sequence[Sequence[int]],
+) -> Float[np.ndarray, "n 2"] | None:
+    """Return the range (n, 2) of set points within every ctrlrange; None where there is none.
+
+    Args:
+        model: Model of the hand.
+        slope: Control (u, n) of each actuator per set point of each joint or, of a group, of its tendon.
+        offset: Control (u,) of each actuator where all set points are 0.
+        groups: Indices of the joints of each group.
+    """
+    if not model.actuator_ctrllimited.any():
+        return None
+    first = np.arange(slope.shape[1])
+    for rows in groups:
+        first[rows] = rows[0]
+    ends = np.tile([-np.inf, np.inf], (slope.shape[1], 1))
+    for actuator in np.flatnonzero(model.actuator_ctrllimited):
+        driven = np.flatnonzero(slope[actuator])
+        # Where an actuator drives several set points, the range of each depends on the others: it is not known.
+        if len({*first[driven]}) == 1:
+            low, high = np.sort((model.actuator_ctrlrange[actuator] - offset[actuator]) / slope[actuator, driven[0]])
+            same = first == first[driven[0]]
+            ends[same, 0] = np.maximum(ends[same, 0], low)
+            ends[same, 1] = np.minimum(ends[same, 1], high)
+    return ends
 
 
 def _limits(model: mujoco.MjModel) -> Float[np.ndarray, " u"]:

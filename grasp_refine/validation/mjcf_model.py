@@ -74,7 +74,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         offset=offset,
         links=_links(hand, model, root, matched, own=path.samefile(hand.urdf)),
         notes=tuple(notes),
-        actuator=servo_settings(hand.joint_names, hand.coupled, placed, matched, matrix),
+        actuator=servo_settings(hand.joint_names, hand.coupled, placed, matched, matrix, offset),
         curves=hand.curves.take(rows, fit.sign),
     )
 

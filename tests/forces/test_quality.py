@@ -238,7 +238,7 @@ def test_no_grasps_have_no_qualities(free: Hand, ball: Object) -> None:
         free,
         ball,
         chain,
-        Frames(*(part[:0] for part in (frames.T_world_link, frames.axes, frames.T_world_root))),
+        Frames(*(part[:0] for part in (frames.T_world_link, frames.axes, frames.T_world_root, frames.q))),
         witness.rows(slice(0)),
     )
     assert found.value.shape == (0,)

@@ -9,7 +9,14 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
-from grasp_refine.forces.squeeze import SQUEEZE_RIDGE, TOTAL_PRESSURE_N, contacts, set_point_offsets, squeezed
+from grasp_refine.forces.squeeze import (
+    MIN_PRESSURE_SHARE,
+    SQUEEZE_RIDGE,
+    TOTAL_PRESSURE_N,
+    contacts,
+    set_point_offsets,
+    squeezed,
+)
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
@@ -142,6 +149,24 @@ def test_grasps_that_are_not_finite_become_nan_and_harm_no_other(clamp: Hand, ba
 # actuators
 
 
+def ending(hand: Hand, left: float) -> Hand:
+    """The clamp without force limits, whose left pad has set points from `left` on."""
+    ends = np.array([[left, np.inf], [-np.inf, np.inf]])
+    return limitless(replace(hand, actuator=replace(hand.actuator, set_points=ends)))
+
+
+@pytest.mark.parametrize(("newtons", "share"), [(20.0, 1.0), (10.0, 10.0 / 15.0), (1.0, MIN_PRESSURE_SHARE)])
+def test_the_other_finger_presses_less_where_the_set_points_of_one_end(
+    clamp: Hand, ball: Object, newtons: float, share: float
+) -> None:
+    """Both pads press with 15 N, or with what the left one can; the right one at least with `MIN_PRESSURE_SHARE`."""
+    q = np.array([[0.002, 0.0]])
+    hand = ending(clamp, 0.002 - newtons / 5.0)
+    left, right = 5.0 * (squeezed(Scene(hand, ball, np.eye(4)[None], q)) - q)[0]
+    assert right == pytest.approx(share * 15.0)
+    assert left == pytest.approx(-min(newtons, 15.0))
+
+
 def tendons(hand: Hand, groups: tuple[Coupled, ...], limit: float) -> Hand:
     n = len(hand.lower)
     plain = np.zeros(n)
@@ -158,7 +183,7 @@ def test_joints_of_a_tendon_share_the_mean_torque(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = tendons(mugs.hand, (group,), np.inf)
     torque = np.random.default_rng(1).normal(size=(7, 16))
-    ahead = set_point_offsets(hand, torque)
+    ahead = set_point_offsets(hand, torque, np.zeros_like(torque))
     np.testing.assert_allclose(tension(hand, ahead, group), torque[:, 2:4].mean(axis=1))
     np.testing.assert_allclose(ahead[:, 2], ahead[:, 3])
     np.testing.assert_allclose(ahead[:, 4:], torque[:, 4:] / 4.0)
@@ -168,7 +193,7 @@ def test_a_tendon_makes_the_nearest_torques_in_its_ratio(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[5:8:2], (1.0, -0.5))
     hand = tendons(mugs.hand, (group,), np.inf)
     torque = np.random.default_rng(2).normal(size=(7, 16))
-    made = tension(hand, set_point_offsets(hand, torque), group)[:, None] * np.array(group.ratio)
+    made = tension(hand, set_point_offsets(hand, torque, np.zeros_like(torque)), group)[:, None] * np.array(group.ratio)
     # The rest is orthogonal to all that the tendon can make.
     np.testing.assert_allclose((torque[:, 5:8:2] - made) @ np.array(group.ratio), 0.0, atol=1e-12)
 
@@ -177,7 +202,7 @@ def test_no_actuator_is_asked_for_more_than_it_can(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = tendons(mugs.hand, (group,), 0.5)
     torque = np.full((1, 16), 3.0) * np.where(np.arange(16) % 4 == 0, -1.0, 1.0)
-    ahead = set_point_offsets(hand, torque)
+    ahead = set_point_offsets(hand, torque, np.zeros_like(torque))
     np.testing.assert_allclose(tension(hand, ahead, group), 0.5)
     single = np.delete(ahead, [2, 3], axis=1)
     np.testing.assert_allclose(np.abs(single), 0.5 / 4.0)
@@ -189,5 +214,5 @@ def test_actuators_without_stiffness_are_not_moved(mugs: Scene) -> None:
     kp[[1, 2]] = 0.0
     group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
     hand = replace(mugs.hand, coupled=(group,), actuator=replace(mugs.hand.actuator, kp=kp))
-    ahead = set_point_offsets(hand, np.ones((1, 16)))
+    ahead = set_point_offsets(hand, np.ones((1, 16)), np.zeros((1, 16)))
     np.testing.assert_array_equal(np.flatnonzero(ahead[0] == 0.0), [1, 2, 3])

@@ -8,7 +8,7 @@ import pytest
 
 from claw import around, capsule, claw
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.forces.torques import joint_torques, limit_shares
+from grasp_refine.forces.torques import GIVE_RAD, joint_torques, limit_shares, torque_bounds
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.scene.scene import links_of
@@ -43,11 +43,11 @@ def test_shares_are_of_each_limit(hand: Hand) -> None:
     n = len(hand.joint_names)
     limit = np.arange(1.0, n + 1.0)
     limit[0] = np.inf
-    torque = np.full((2, 3, n), -3.0)
-    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque)
+    torque, q = np.full((2, 3, n), -3.0), np.zeros((2, 1, n))
+    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque, q)
     np.testing.assert_allclose(shares, np.broadcast_to(3.0 / limit, shares.shape))
     assert (shares[..., 0] == 0.0).all()
-    nothing = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=np.zeros(n))), torque)
+    nothing = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=np.zeros(n))), torque, q)
     assert np.isfinite(nothing).all() and (nothing > 1e3).all()
 
 
@@ -60,7 +60,24 @@ def test_a_tendon_has_the_share_of_its_tension(tmp_path: Path) -> None:
     across = rng.normal(size=len(at))
     across -= ratio * (across @ ratio) / (ratio @ ratio)
     torque = np.zeros((1, len(hand.joint_names)))
+    q = np.zeros_like(torque)
     torque[0, at] = 2.0 * ratio + across
     limit = np.full(len(hand.joint_names), 4.0)
-    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque)
+    shares = limit_shares(replace(hand, actuator=replace(hand.actuator, force_limit=limit)), torque, q)
     assert shares.sum() == pytest.approx(0.5) and shares[0, at[0]] == pytest.approx(0.5)
+
+
+def test_set_points_that_end_near_the_joint_value_bound_one_direction(hand: Hand) -> None:
+    """A joint that rests 0.1 rad before the last set point makes kp x 0.1 that way, and as much as ever the other."""
+    n = len(hand.joint_names)
+    ends = np.tile([-np.inf, np.inf], (n, 1))
+    ends[0, 1] = 0.3
+    actuator = replace(hand.actuator, kp=np.full(n, 4.0), force_limit=np.full(n, 3.0), set_points=ends)
+    bounded, q = replace(hand, actuator=actuator), np.zeros((2, n))
+    q[:, 0] = 0.2, 0.35
+    least, greatest = torque_bounds(bounded, q)
+    np.testing.assert_allclose(greatest[:, 0], [0.4, 0.0], atol=1e-12)
+    assert (greatest[:, 1:] == 3.0).all() and (least == -3.0).all()
+    shares = limit_shares(bounded, np.ones((2, n)), q)
+    np.testing.assert_allclose(shares[:, 0], 1.0 / (4.0 * np.array([0.1 + GIVE_RAD, GIVE_RAD - 0.05])))
+    np.testing.assert_allclose(limit_shares(bounded, -np.ones((2, n)), q), 1.0 / 3.0)

@@ -12,6 +12,7 @@ import torch
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.forces.squeeze import set_point_offsets
+from grasp_refine.forces.torques import torque_bounds
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.prefixed_names import prefixed_names
@@ -324,9 +325,9 @@ def test_servos_pull_as_the_file_says_and_not_as_hand_toml(tmp_path: Path) -> No
     np.testing.assert_allclose(made.actuator.armature, [0.0, 0.001, 0.0])
     np.testing.assert_allclose(made.actuator.frictionloss, [0.02, 0.0, 0.0])
     wanted, q = np.array([0.7, 0.25, -3.0]), np.array([0.1, 0.2, 0.01])
-    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None])[0]
+    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None], q[None])[0]
     np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
-    asked = q + set_point_offsets(hand, wanted[None])[0]
+    asked = q + set_point_offsets(hand, wanted[None], q[None])[0]
     assert np.abs(torques(hand, made, q, asked) - wanted).max() > 0.5
 
 
@@ -340,8 +341,40 @@ def test_a_tendon_pulls_as_the_file_says_for_its_group(tmp_path: Path) -> None:
     np.testing.assert_allclose(made.actuator.kp, [2.0, 2.0, 7.0])
     np.testing.assert_allclose(made.actuator.force_limit, [8.0, 8.0, np.inf])
     wanted, q = 1.2 * np.array([1.0, 0.5, 0.0]), np.array([0.1, 0.2, 0.01])
-    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None])[0]
+    aim = q + set_point_offsets(replace(hand, actuator=made.actuator), wanted[None], q[None])[0]
     np.testing.assert_allclose(torques(hand, made, q, aim), wanted, atol=1e-9)
+
+
+SINGLE = """<actuator><general name="g" joint="rh_a2_j" gear="-3" biastype="affine" gainprm="1" biasprm="0 -1 0"
+    ctrlrange="-1.5 1.2"/><position joint="rh_a1_j" kp="0.5" ctrlrange="-0.2 0.3"/>
+    <position joint="rh_b1_j" kp="7"/></actuator>"""
+TENDON = """<tendon><fixed name="t"><joint joint="rh_a1_j" coef="-2"/><joint joint="rh_a2_j" coef="1"/></fixed></tendon>
+    <actuator><position tendon="t" kp="0.5" ctrlrange="-0.6 0.9" forcerange="-0.4 0.4"/>
+    <position joint="rh_b1_j" kp="7"/></actuator>"""
+
+
+@pytest.mark.parametrize("rest", [SINGLE, TENDON], ids=["single", "tendon"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_bounds_of_torques_are_what_actuators_make_of_the_farthest_set_points(
+    tmp_path: Path, rest: str, side: float
+) -> None:
+    """Through gears, tendons and joints that turn the other way; MuJoCo clips controls to ctrlrange."""
+    toml = "coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]" if rest is TENDON else ""
+    hand = ours(tmp_path, toml=toml)
+    made = mjcf_model(hand, written(tmp_path, sign=-1, rest=rest))
+    driven, q = replace(hand, actuator=made.actuator), np.array([0.1, 0.2, 0.01])
+    ratio = np.array([1.0, 0.5 if rest is TENDON else 1.0])
+    bound = torque_bounds(driven, q)[int(side > 0)]
+    found = torques(hand, made, q, q + side * 50.0 * np.array([1.0, ratio[1], 0.0]))
+    np.testing.assert_allclose(found[:2], ratio * bound[:2], atol=1e-9)
+    assert np.isinf(bound[2]) and (np.abs(bound[:2]) < 9.0).all()
+    # A squeeze asks for no more than that.
+    wanted = side * np.array([9.0, 9.0 * ratio[1], 0.0])
+    asked = q + set_point_offsets(driven, wanted[None], q[None])[0]
+    np.testing.assert_allclose(torques(hand, made, q, asked), found * [1, 1, 0], atol=1e-9)
+    data = asked if rest is SINGLE else np.array([asked[:2] @ ratio] * 2 + [0.0])
+    inside = made.actuator.set_points[:, int(side > 0)] * side - data * side
+    assert (inside > -1e-9).all()
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ class State:
     def frames(self) -> Frames:
         """Poses of the links with the twists of the joints."""
         assert self.axes is not None
-        return Frames(self.T_link, self.axes, self.T)
+        return Frames(self.T_link, self.axes, self.T, self.q)
 
     def like(self, values: np.ndarray) -> Any:
         """Return an array in the library and number type, and on the device, of the state."""
