@@ -6,13 +6,12 @@ The command line makes options of the same dataclasses, so that both have the sa
 from __future__ import annotations
 
 import re
-import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
 from operator import attrgetter
 from threading import RLock, Timer
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import viser
 from docstring_parser import parse_from_object
@@ -21,12 +20,14 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.viewer.units import FieldUnit
+from grasp_refine_apps.viewer.viser_private import widget_id
 
 REFUSAL_DELAY_S = 1.5
 """Seconds after the last key until invalid text is refused: until then it may be half typed."""
 
 _SUPPRESSED = get_args(Suppress[int])[1]
 _NONE = type(None)
+_DEFAULT = re.compile(r"\(default: (.*?)\)")
 _OPTION = re.compile(r"--([a-z][a-z0-9-]*)(?:\.([a-z][a-z0-9-]*))?")
 
 
@@ -151,15 +152,13 @@ class Form:
     def _make_widget(self, entry: Entry) -> Any:
         """Make the widget of a field."""
         shown = entry.write(attrgetter(entry.name)(self.value))
-        handle: Any
-        if entry.widget == "choice":
-            handle = self.gui.add_dropdown(entry.label, entry.choices, initial_value=shown, hint=entry.hint)
-        elif entry.widget == "tick":
-            handle = self.gui.add_checkbox(entry.label, shown, hint=entry.hint)
-        elif entry.widget == "number":
-            handle = self.gui.add_number(entry.label, shown, step=1, hint=entry.hint)
-        else:
-            handle = self.gui.add_text(entry.label, shown, hint=entry.hint)
+        add: dict[str, Callable[..., Any]] = {
+            "choice": partial(self.gui.add_dropdown, options=entry.choices),
+            "tick": self.gui.add_checkbox,
+            "number": partial(self.gui.add_number, step=1),
+            "text": self.gui.add_text,
+        }
+        handle = add[entry.widget](entry.label, initial_value=shown, hint=entry.hint)
 
         # Asynchronous, so that a button pressed next does not overtake it, see `panels.widgets`.
         async def changed(event: viser.GuiEvent[Any]) -> None:
@@ -232,6 +231,11 @@ class Form:
             self.handles[entry.name].value = entry.write(attrgetter(entry.name)(self._wanted))
         self.on_error(words)
 
+    def placeholders(self) -> dict[str, str]:
+        """Return the defaults of empty text fields, by the ids of their widgets."""
+        shown = ((name, _DEFAULT.search(entry.hint)) for name, entry in self._entries.items() if entry.widget == "text")
+        return {widget_id(self.handles[name]): found[1] for name, found in shown if found}
+
     def _cancel_refusal(self, name: str) -> None:
         """Cancel a pending refusal."""
         if timer := self._waiting.pop(name, None):
@@ -282,7 +286,7 @@ def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Sec
                 parts.append(Section(name, label, inside, chosen_by, choice if chosen_by else ""))
         else:
             hint = " ".join(filter(None, (about, doc, _default_words(one, extras))))
-            if _may_be_none(inner):
+            if _NONE in get_args(inner):
                 hint = hint.replace("None", "empty")
             parts.append(Entry(name, label, plain(hint), *_widget(name, inner, extras)))
     return tuple(parts)
@@ -326,11 +330,6 @@ def _unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...]]:
     return (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
 
 
-def _may_be_none(kind: Any) -> bool:
-    """Return whether a type is the union of one type and None."""
-    return get_origin(kind) in (Union, types.UnionType) and _NONE in get_args(kind) and len(get_args(kind)) == 2
-
-
 def _default_words(one: Field[Any], extras: Sequence[Any]) -> str:
     """Text of the default value of a field; that of the command line where it has one."""
     for extra in extras:
@@ -341,14 +340,10 @@ def _default_words(one: Field[Any], extras: Sequence[Any]) -> str:
 
 
 def _widget(name: str, kind: Any, extras: Sequence[Any]) -> tuple[Any, ...]:
-    """The widget of a type, how it is read and written, and its choices.
-
-    Raises:
-        TypeError: there is none for such a type.
-    """
-    for extra in extras:
-        if isinstance(extra, PrimitiveConstructorSpec):
-            return "text", _optional(partial(_parse_words, extra)), as_text
+    """The widget of a type, how it is read and written, and its choices; TypeError: there is none."""
+    spec = next((extra for extra in extras if isinstance(extra, PrimitiveConstructorSpec)), None)
+    if spec is not None:
+        return "text", lambda text: spec.instance_from_str(text.split()) if text.strip() else None, as_text
     if get_origin(kind) is Literal:
         choices = {str(choice): choice for choice in get_args(kind)}
         return "choice", choices.__getitem__, str, tuple(choices)
@@ -356,18 +351,15 @@ def _widget(name: str, kind: Any, extras: Sequence[Any]) -> tuple[Any, ...]:
         return "tick", bool, bool
     if kind is int:
         return "number", int, int
-    if _may_be_none(kind):
+    if _NONE in get_args(kind):
         (inner,) = (one for one in get_args(kind) if one is not _NONE)
-        return "text", _optional(_reader(name, inner)), as_text
+        read = _reader(name, inner)
+        return "text", lambda text: read(text) if text.strip() else None, as_text
     return "text", _reader(name, kind), as_text
 
 
 def _reader(name: str, kind: Any) -> Callable[[str], Any]:
-    """Return the parser of a type from text.
-
-    Raises:
-        TypeError: there is none.
-    """
+    """Return the parser of a type from text; TypeError: there is none."""
     if kind is str:
         return str.strip
     if kind in (int, float):
@@ -380,11 +372,6 @@ def _reader(name: str, kind: Any) -> Callable[[str], Any]:
     raise TypeError(f"no widget for {name}: {kind}")
 
 
-def _parse_words(spec: PrimitiveConstructorSpec, text: str) -> Any:
-    """Parse words as tyro does."""
-    return spec.instance_from_str(text.split())
-
-
 def _number(kind: type[int] | type[float], text: str) -> float:
     """Parse a number.
 
@@ -395,11 +382,6 @@ def _number(kind: type[int] | type[float], text: str) -> float:
         return kind(text)
     except ValueError:
         raise ValueError(f"needs {'an integer' if kind is int else 'a number'}, got {text.strip()!r}") from None
-
-
-def _optional(read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return the parser extended to empty text, which means None."""
-    return lambda text: read(text) if text.strip() else None
 
 
 def as_text(value: Any) -> str:

@@ -116,13 +116,18 @@ def open_server(host: str, port: int) -> Page:
         close_server(server)
         raise GraspRefineError(f"port {port} was taken meanwhile: give another --port, or 0 for any that is free")
     forbid_sharing(server)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    set_theme(server.gui)
     # Beside the scene, not in front of it.
     server.gui.main_panel.dock_right()
     # A page may dock the panel before it knows the width of its theme.
     server.gui.main_panel.set_width(PANEL_WIDTH_PX)
     server.scene.set_up_direction("+z")
     return Page(server, access)
+
+
+def set_theme(gui: viser.GuiApi, *, dark: bool = False) -> None:
+    """Set the look of all pages, or of one."""
+    gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=dark)
 
 
 def close_server(server: viser.ViserServer) -> None:

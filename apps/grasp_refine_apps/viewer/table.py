@@ -56,7 +56,7 @@ STYLE = """<style>
 .gr-table tbody tr{cursor:pointer;border-bottom:1px solid rgba(128,128,128,.18)}
 .gr-table tbody tr:hover,.gr-table th:hover{background:rgba(128,128,128,.15)}
 .gr-table tbody tr.gr-open,.gr-table tbody tr.gr-open:hover{background:rgba(34,139,230,.22)}
-.gr-good{color:#1a8a3a}.gr-bad{color:#d6336c;font-weight:600}.gr-unsure{color:#b06a00}
+.gr-good{color:var(--gr-good)}.gr-bad{color:var(--gr-bad);font-weight:600}.gr-unsure{color:var(--gr-unsure)}
 .gr-pages{display:flex;justify-content:space-between;align-items:center;padding-top:6px}
 .gr-pages a{cursor:pointer;padding:1px 9px;border:1px solid rgba(128,128,128,.5);border-radius:4px;user-select:none}
 .gr-pages a.gr-off{opacity:.3;pointer-events:none}
@@ -164,7 +164,7 @@ def _footer(collection: Collection, numbers: Int[np.ndarray, " M"], page: int) -
     text += "" if len(numbers) == len(collection) else f" listed, {len(collection)} in all"
 
     def arrow(to: int, sign: str, title: str) -> str:
-        off = " class=gr-off" if not 0 <= to <= last or to == page else ""
+        off = " class=gr-off aria-disabled=true" if not 0 <= to <= last or to == page else ""
         return f'<a data-do="page {min(max(to, 0), last)}" title="{title}"{off}>{sign}</a>'
 
     return (

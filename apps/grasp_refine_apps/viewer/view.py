@@ -20,6 +20,9 @@ from grasp_refine_apps.viewer.state import DisplayOptions, State
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
 """Clipping planes of the cameras, metres."""
 
+LEAST_SLANT = 1e-3
+"""Sine of the angle to the vertical below which a camera is taken as vertical."""
+
 ASPECT_RATIO = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
 
@@ -70,17 +73,39 @@ class View:
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)
 
+    def fit(self, client: viser.ClientHandle, aspect: float) -> None:
+        """Fit the camera of one page, whose scene has an aspect ratio, to hand and object, as seen from where it is."""
+        nodes, state = self.nodes, self._controller.state
+        if nodes is None or not state.shown.finite:
+            return
+        camera = client.camera
+        back = np.array(camera.position) - np.array(camera.look_at)
+        back /= max(float(np.linalg.norm(back)), 1e-9)
+        if np.linalg.norm(np.cross(back, UP)) < LEAST_SLANT:
+            back = np.array([1.0, 0.0, 0.5]) / np.linalg.norm([1.0, 0.0, 0.5])
+        points = self._points(state, nodes)
+        found = fit_camera(points, points.mean(axis=0), back, aspect)
+        with client.atomic():
+            camera.up_direction = UP
+            camera.position, camera.look_at = found.position, found.look_at
+
+    def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
+        """Points (N, 3) on all that is shown, world frame."""
+        points = transform_points(state.T_world_object, nodes.corners(state.shown))
+        if not state.side_by_side:
+            return points
+        other = transform_points(state.T_world_object, nodes.corners(state.initial)) + nodes.input_offset(state)
+        return np.concatenate([points, other])
+
     def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
         """Place all cameras for one grasp, or for two side by side."""
         camera = self._camera
         if camera is None:
             return
         if state.side_by_side:
-            points = transform_points(state.T_world_object, nodes.corners(state.shown))
-            other = transform_points(state.T_world_object, nodes.corners(state.initial)) + nodes.input_offset(state)
             back = camera.position - camera.look_at
             back /= np.linalg.norm(back)
-            both = np.concatenate([points, other])
+            both = self._points(state, nodes)
             camera = fit_camera(both, both.mean(axis=0), back, ASPECT_RATIO)
         self.server.initial_camera.up = UP
         clients = [client.camera for client in self.server.get_clients().values()]

@@ -7,11 +7,13 @@ and `window.__viserSceneTree` for its own tests.
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from html import escape
+from functools import lru_cache
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any
 
 import viser
@@ -24,6 +26,12 @@ from grasp_refine_apps.viewer.access import Access
 
 Answer = Callable[[Any, Request], Response | None]
 """Function that answers a request; None: it is a websocket's, to be accepted."""
+
+PAGE_HEAD = Path(__file__).parent / "page_head.html"
+"""Style and script that are added to the page; its private parts are `window.__viserMutable` and names of classes."""
+
+GZIP_LEVEL = 1
+"""Compression of the page, which is sent over this machine mostly."""
 
 MAX_CONCURRENT_UPLOADS = 4
 """Maximum concurrent uploads of all browsers together."""
@@ -66,20 +74,6 @@ def click_script(handle: Any) -> str:
     )
 
 
-def tab_listener(handle: Any) -> str:
-    """Return HTML that sends the title of each tab that is clicked as the value of a text widget.
-
-    viser tells nobody which tab is open. Scripts in HTML of the panel are not run, but handlers of errors are.
-    """
-    script = (
-        "if(!window.grTabs){window.grTabs=true;document.addEventListener('click',event=>{"
-        "const tab=event.target.closest('[role=tab]');"
-        "if(tab&&window.__viserMutable)window.__viserMutable.sendMessage({type:'GuiUpdateMessage',uuid:"
-        f"{json.dumps(widget_id(handle))},updates:{{value:tab.innerText+' '+performance.now()}}}})}})}}"
-    )
-    return f'<img src="data:," alt="" style="display:none" onerror="{escape(script)}">'
-
-
 @contextmanager
 def guarded(access: Access) -> Iterator[None]:
     """Let a server that is started in this context answer only the requests that `access` allows.
@@ -114,11 +108,36 @@ def _guarded_answer(answer: Answer, access: Access) -> Answer:
             return _refusal("Only the page of this server may connect to it.")
         found = answer(connection, request)
         if found is not None:
+            _add_head(found)
             for name, value in access.cookies(port).items():
                 found.headers[name] = value
         return found
 
     return guarded_answer
+
+
+def _add_head(response: Response) -> None:
+    """Add our style and script to the page, if it is one.
+
+    viser has neither keys that its camera leaves alone, nor links, nor placeholders, nor a way to draw over everything,
+    and runs no script in HTML of the panel.
+    """
+    headers, body = response.headers, bytes(response.body)
+    if "html" not in headers.get("Content-Type", "") or b"<head>" not in (page := _unpacked(headers, body)):
+        return
+    page = page.replace(b"<head>", b"<head>" + PAGE_HEAD.read_bytes(), 1)
+    response.body = gzip.compress(page, GZIP_LEVEL) if headers.get("Content-Encoding") == "gzip" else page
+    del headers["Content-Length"]
+    headers["Content-Length"] = str(len(response.body))
+
+
+@lru_cache(maxsize=2)
+def _gunzipped(body: bytes) -> bytes:
+    return gzip.decompress(body)
+
+
+def _unpacked(headers: Headers, body: bytes) -> bytes:
+    return _gunzipped(body) if headers.get("Content-Encoding") == "gzip" else body
 
 
 def _refusal(text: str) -> Response:

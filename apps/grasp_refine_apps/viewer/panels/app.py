@@ -15,16 +15,15 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
-from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
+from grasp_refine_apps.viewer.panels.browse_panel import NEXT, PREVIOUS, BrowsePanel
 from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
 from grasp_refine_apps.viewer.panels.edit_panel import EditPanel
 from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
+from grasp_refine_apps.viewer.panels.habits import Habits
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
-from grasp_refine_apps.viewer.panels.widgets import on_change
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.view import View
-from grasp_refine_apps.viewer.viser_private import tab_listener
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
@@ -40,7 +39,7 @@ PANELS = (
 """Titles and panels of the tabs."""
 
 
-GRASP_TABS = ("Refine", "Edit", "Browse")
+GRASP_TABS = ("refine", "edit", "browse")
 """Tabs that end a replay: they show and change the grasp. Files and View also serve the replay."""
 
 
@@ -58,9 +57,6 @@ class Viewer:
         with server.atomic():
             self._heading = server.gui.add_html("")
             self.banner = Banner(server.gui)
-            self._tab = server.gui.add_text("tab", "", visible=False)
-            on_change(self._tab, self._change_tab)
-            server.gui.add_html(tab_listener(self._tab))
             tabs = server.gui.add_tab_group()
             self.panels: list[Any] = []
             # The first tab is open at first: a replay is played on its own.
@@ -68,7 +64,27 @@ class Viewer:
             for title, kind in sorted(PANELS, key=lambda panel: replayed and panel[0] != "Validate"):
                 with tabs.add_tab(title):
                     self.panels.append(kind(server, controller))
-            draws = (self._draw_heading, self.banner.draw, self._notify, *(panel.draw for panel in self.panels))
+            panels = {kind: panel for panel in self.panels for kind in [type(panel)]}
+            browse, refine = panels[BrowsePanel], panels[RefinePanel]
+            self.habits = Habits(
+                server,
+                controller,
+                {
+                    "next": lambda: browse.go(NEXT),
+                    "previous": lambda: browse.go(PREVIOUS),
+                    "play": lambda: self._play(refine, panels[ValidatePanel]),
+                },
+                self.view.fit,
+                self._change_tab,
+                refine.form.placeholders,
+            )
+            draws = (
+                self._draw_heading,
+                self.habits.draw,
+                self.banner.draw,
+                self._notify,
+                *(panel.draw for panel in self.panels),
+            )
             # Functions that draw what need not follow each iteration of a refinement.
             slow_draws = [draw for panel in self.panels for draw in getattr(panel, "slow_draws", ())]
             for draw in (*draws, *slow_draws):
@@ -84,9 +100,13 @@ class Viewer:
         self._measuring.daemon = True
         self._measuring.start()
 
+    def _play(self, refine: RefinePanel, validate: ValidatePanel) -> None:
+        """Play or pause the replay, or else the refinement."""
+        (refine.timeline.bar if self.controller.state.motion is None else validate.replay).toggle()
+
     def _change_tab(self, tab: str) -> None:
         """End a replay when another tab is opened that is about the grasp itself."""
-        if tab.split(" ")[0] in GRASP_TABS and self.controller.state.motion is not None:
+        if tab in GRASP_TABS and self.controller.state.motion is not None:
             self.controller.end_motion()
 
     def _draw_heading(self, state: State) -> None:

@@ -131,7 +131,7 @@ class BrowsePanel:
         on_change(self.beside, self._controller.set_side_by_side)
         for name, widget in self.filters.items():
             on_change(widget, partial(self._filter, name))
-        on_choice(self.steps, self._go)
+        on_choice(self.steps, self.go)
         on_choice(self.marks, self._mark)
         on_click(self.measure, self._controller.measure)
         on_click(self.refine, lambda: self._controller.refine_many(self._chosen()))
@@ -180,7 +180,7 @@ class BrowsePanel:
         if what == "open" and value.isascii() and value.isdigit():
             self._controller.show(int(value[:9]))
 
-    def _go(self, where: str) -> None:
+    def go(self, where: str) -> None:
         """Open another grasp of the list."""
         with self._lock:
             collection, listed, number = self._collection, self._listed, self._number

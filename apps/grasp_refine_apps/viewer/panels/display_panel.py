@@ -9,6 +9,7 @@ import viser
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form
 from grasp_refine_apps.viewer.grasp_nodes import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
+from grasp_refine_apps.viewer.panels.habits import keys_html
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 
@@ -26,6 +27,7 @@ class DisplayPanel:
             server.gui, state.display, controller.set_display, controller.notify, first=shown, left_out=left_out
         )
         server.gui.add_html(_legend())
+        server.gui.add_html(keys_html())
 
     def draw(self, state: State) -> None:
         """Show a state."""

@@ -40,7 +40,7 @@ class PlayBar:
         self._shown, self._show = shown, show
         self._slider = LiveInput(slider, self._scrub)
         self.button = gui.add_button(PLAY, icon=viser.Icon.MOVIE, hint="Play from here to the end, or pause")
-        on_click(self.button, self._toggle)
+        on_click(self.button, self.toggle)
         self._lock = Lock()
         self._stop: Event | None = None
         self._marks: np.ndarray = np.zeros(1)
@@ -93,7 +93,10 @@ class PlayBar:
             self._stop = None
             self.button.label = PLAY
 
-    def _toggle(self) -> None:
+    def toggle(self) -> None:
+        """Play, or pause; nothing where there is nothing to play."""
+        if self.button.disabled or not self.button.visible:
+            return
         if self._stop is None:
             self.play()
         else:

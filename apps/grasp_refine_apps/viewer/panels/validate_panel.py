@@ -35,15 +35,15 @@ STYLE = """<style>
 .gr-trial{font:13px/1.45 system-ui,sans-serif;margin:.3em .9em .5em}
 .gr-trial table{font-size:12px}
 .gr-trial .gr-verdict{font-weight:600;padding:.45em .7em;border-radius:6px;border-left:5px solid}
-.gr-trial .gr-yes{border-color:#1a8a3a;background:rgba(26,138,58,.13)}
-.gr-trial .gr-no{border-color:#d6336c;background:rgba(214,51,108,.12)}
-.gr-trial .gr-unsure{border-color:#b06a00;background:rgba(176,106,0,.13)}
+.gr-trial .gr-yes{border-color:var(--gr-good);background:rgba(26,138,58,.13)}
+.gr-trial .gr-no{border-color:var(--gr-bad);background:rgba(214,51,108,.12)}
+.gr-trial .gr-unsure{border-color:var(--gr-unsure);background:rgba(176,106,0,.13)}
 .gr-trial table{border-collapse:collapse;width:100%;margin:.5em 0 0}
 .gr-trial th,.gr-trial td{padding:3px 4px;text-align:right;white-space:nowrap}
 .gr-trial th{font-weight:600;border-bottom:1px solid rgba(128,128,128,.5)}
 .gr-trial td{border-bottom:1px solid rgba(128,128,128,.18)}
 .gr-trial th:nth-child(-n+2),.gr-trial td:nth-child(-n+2){text-align:left}
-.gr-trial .gr-held{color:#1a8a3a;font-weight:600}.gr-trial .gr-lost{color:#d6336c;font-weight:600}
+.gr-trial .gr-held{color:var(--gr-good);font-weight:600}.gr-trial .gr-lost{color:var(--gr-bad);font-weight:600}
 </style>"""
 """Style sheet for both colour schemes of the page."""
 
@@ -221,5 +221,5 @@ def _arrow(direction: str) -> str:
 
 def motion_html(line: str, *, lost: bool) -> str:
     """Return the text of a frame of a motion as HTML; in red where the object is lost."""
-    color = "#d6336c" if lost else "inherit"
+    color = "var(--gr-bad)" if lost else "inherit"
     return f'<div style="font:13px/1.45 system-ui,sans-serif;margin:.2em 1em .4em;color:{color}">{escape(line)}</div>'

@@ -1,0 +1,149 @@
+"""Habits of the page that are not widgets: keys, links, the title of the tab, dark mode, and the camera of one page.
+
+The other half is page_head.html, which runs in the page.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from html import escape
+from typing import Any
+
+import viser
+
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.page import TITLE, set_theme
+from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.view import ASPECT_RATIO
+from grasp_refine_apps.viewer.viser_private import widget_id
+
+KEYS: Mapping[str, tuple[str, str, str]] = {
+    "next": ("→", "ArrowRight", "Next grasp of the list in Browse"),
+    "previous": ("←", "ArrowLeft", "Previous grasp of the list"),
+    "play": ("Space", " ", "Play or pause the refinement or the replay"),
+    "good": ("G", "g", "Mark the grasp good, or take the mark back"),
+    "bad": ("B", "b", "Mark the grasp bad, or take the mark back"),
+    "fit": ("F", "f", "Fit the camera to hand and object"),
+    "undo": ("Ctrl Z", "Ctrl+z", "Undo"),
+    "redo": ("Ctrl Y", "Ctrl+y", "Redo"),
+}
+"""Command -> its key for people, the key in the page, and its description."""
+
+ASPECT_TOLERANCE = 0.04
+"""Difference of a scene's aspect ratio, as a share, from which on its first camera is fitted to it."""
+
+ALIASES = {"Ctrl+Shift+z": "redo"}
+"""Further keys in the page -> their command."""
+
+
+class Habits:
+    """Listener to what pages send, and teller of what they need."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        controller: Controller,
+        commands: Mapping[str, Callable[[], object]],
+        fit: Callable[[viser.ClientHandle, float], None],
+        change_tab: Callable[[str], None],
+        placeholders: Callable[[], Mapping[str, str]],
+    ) -> None:
+        """Make the hidden widgets, in the container that is open.
+
+        Args:
+            server: The page.
+            controller: Receiver of the commands on grasps.
+            commands: Commands of the panels: next, previous and play; must return at once.
+            fit: Fits the camera of one page whose scene has an aspect ratio; called in a thread.
+            change_tab: Called with the lower-case title of a tab that was opened.
+            placeholders: Texts in empty fields, by the ids of their widgets.
+        """
+        self._controller, self._fit, self._change_tab = controller, fit, change_tab
+        self._placeholders = placeholders
+        self._commands: dict[str, Callable[[], object]] = {
+            **commands,
+            "good": lambda: self._mark("good"),
+            "bad": lambda: self._mark("bad"),
+            "undo": controller.undo,
+            "redo": controller.redo,
+        }
+        self._last = ""
+        self.channel = server.gui.add_text("page", "", visible=False)
+        self.page = server.gui.add_html("")
+
+        # Asynchronous, so that commands come in the order of the keys, see `panels.widgets`.
+        async def received(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None and event.target.value != self._last:
+                self._last = event.target.value
+                self.receive(event.target.value, event.client)
+
+        self.channel.on_update(received)
+        for name, (key, _, text) in KEYS.items():
+            if name in self._commands:
+                command = server.gui.add_command(text, description=f"Key {key}")
+                command.on_trigger(partial(_run, self._commands[name]))
+
+    def receive(self, message: str, client: viser.ClientHandle) -> None:
+        """Do what a page sent; clients can send arbitrary text."""
+        what, _, rest = message.partition(" ")
+        value = rest.split(" ")[0]
+        if what in self._commands:
+            self._commands[what]()
+        elif what == "open" and value.isascii() and value.isdigit():
+            self._controller.show(int(value[:9]))
+        elif what == "scheme":
+            set_theme(client.gui, dark=value == "dark")
+        elif what == "tab":
+            self._change_tab(value)
+        elif what in ("fit", "ready"):
+            self._fit_to(client, value, always=what == "fit")
+
+    def draw(self, state: State) -> None:
+        """Show a state."""
+        page = {
+            "channel": widget_id(self.channel),
+            "keys": {key: name for name, (_, key, _) in KEYS.items()} | ALIASES,
+            "grasp": state.number,
+            "title": title(state.collection),
+            "placeholders": dict(self._placeholders()),
+        }
+        content = f'<div id="gr-page" hidden data-page="{escape(json.dumps(page))}"></div>'
+        if self.page.content != content:
+            self.page.content = content
+
+    def _mark(self, mark: Any) -> None:
+        """Mark the shown grasp; once more: take the mark back."""
+        state = self._controller.state
+        self._controller.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
+
+    def _fit_to(self, client: viser.ClientHandle, value: str, *, always: bool) -> None:
+        try:
+            aspect = float(value)
+        except ValueError:
+            return
+        if 0.1 < aspect < 10.0 and (always or abs(aspect / ASPECT_RATIO - 1) > ASPECT_TOLERANCE):
+            self._fit(client, aspect)
+
+
+def _run(act: Callable[[], object], event: object) -> None:
+    """Run a command of the palette."""
+    act()
+
+
+def title(collection: Collection) -> str:
+    """Title of the browser's tab: the name of the file first."""
+    problem = collection.problem
+    named = problem.files and not problem.sampled
+    return f"{problem.files[0].name if named else collection.title} – {TITLE}"
+
+
+def keys_html() -> str:
+    """List of the keys as HTML."""
+    rows = "".join(
+        f"<tr><td><kbd>{escape(key)}</kbd></td><td>{escape(text)}</td></tr>" for key, _, text in KEYS.values()
+    )
+    style = "padding:0.2em 1em 0.8em;font-size:0.85em;line-height:1.6"
+    return f'<div style="{style}"><b>Keys</b> (or all commands: Ctrl K)<table>{rows}</table></div>'
