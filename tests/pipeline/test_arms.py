@@ -12,6 +12,7 @@ from grasp_refine.core.rpy_poses import read_pose
 from grasp_refine.core.se3 import distances, transform_from_pose
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.pipeline.problem import Problem
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
@@ -19,6 +20,9 @@ from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.stepping import Conditions, Rows
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
+
+CONFIG = gr.Config(LevenbergMarquardt(iterations=12), starts=1)
+"""Few iterations: what moves matters here, not how far it comes."""
 
 BASE = "-0.55,0,-0.06,0,0,0"
 
@@ -45,7 +49,7 @@ def problem() -> Problem:
 @pytest.fixture(scope="module")
 def refined(problem: Problem) -> gr.RefinedGrasps:
     """Return it refined."""
-    return gr.refine(problem, config=gr.Config(starts=1))
+    return gr.refine(problem, config=CONFIG)
 
 
 def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> None:
@@ -64,7 +68,7 @@ def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> 
 
 def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     """A base 3 m away."""
-    found = gr.refine(gr.load_problem(spec(base="-3,0,0")), config=gr.Config(starts=1))
+    found = gr.refine(gr.load_problem(spec(base="-3,0,0")), config=CONFIG)
     assert (found.outcome.status == Status.OUT_OF_REACH).all() and set(found.status) == {"out of reach"}
     assert np.isnan(found.quality).all()
     assert "out of reach" in str(found)

@@ -22,11 +22,14 @@ from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.refinement.variables import MAX_STEP, variables
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
+
+FEW = LevenbergMarquardt(iterations=12)
 
 T_BASE = transform_from_rpy([-0.45, 0.05, -0.15, 0, 0, 20])
 
@@ -89,13 +92,13 @@ def test_arm_of_a_grasp_that_is_out_of_reach_is_told(scene: Scene) -> None:
     """Its status says so, it is returned as it was, and others do not notice."""
     q = scene.q.copy()
     q[1, scene.hand.arm_joints] = np.nan
-    found = refine(replace(scene, q=q), Config(starts=1))
+    found = refine(replace(scene, q=q), Config(FEW, starts=1))
     assert found.status[1] == Status.OUT_OF_REACH and "--base" in Status.OUT_OF_REACH.advice
     np.testing.assert_array_equal(found.q[1], q[1])
-    alone = refine(scene.select(np.array([0])), Config(starts=1))
+    alone = refine(scene.select(np.array([0])), Config(FEW, starts=1))
     np.testing.assert_allclose(found.q[0], alone.q[0], atol=1e-8)
     q[1, ~scene.hand.arm_joints] = np.nan
-    assert refine(replace(scene, q=q), Config(starts=1)).status[1] == Status.NOT_FINITE
+    assert refine(replace(scene, q=q), Config(FEW, starts=1)).status[1] == Status.NOT_FINITE
 
 
 def test_steps_of_the_arm_are_bounded_by_how_far_they_move_the_palm(scene: Scene) -> None:
@@ -131,7 +134,7 @@ def test_metric_of_an_arm_joint_is_the_squared_movement_of_the_palm(scene: Scene
 def test_largest_movement_is_that_of_the_palm(scene: Scene) -> None:
     """Bounds hold for palm and fingers, and leave the arm's joints free."""
     bounds = MaxMove(translation=0.004, rotation=0.03, joints=0.1)
-    found = refine(scene, Config(starts=1, max_move=bounds))
+    found = refine(scene, Config(FEW, starts=1, max_move=bounds))
     hand = scene.hand
     before, after = palm_poses(hand, scene.T_world_root, scene.q), palm_poses(hand, found.T_world_root, found.q)
     moved, turned = distances(before, after)
@@ -166,7 +169,7 @@ def test_movement_from_the_start_is_measured_at_the_palm(scene: Scene) -> None:
 
 def test_squeeze_closes_the_fingers_and_not_the_arm(scene: Scene) -> None:
     """Set points of the arm are its joint values, to the last bit."""
-    found = refine(scene, Config(starts=1))
+    found = refine(scene, Config(FEW, starts=1))
     after = replace(scene, q=found.q)
     arm = scene.hand.arm_joints
     pressed = squeezed(after)
