@@ -120,9 +120,6 @@ class View:
             with Viewer(page, controller):
                 loading.show("")
                 _wait(controller)
-        except KeyboardInterrupt:
-            # Interrupted while loading.
-            return 0
         finally:
             close_server(page.server)
         return 0

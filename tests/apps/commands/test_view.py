@@ -19,6 +19,7 @@ import trimesh
 
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.interruption import INTERRUPTED
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import Object, UncutObject, cut_objects
@@ -144,7 +145,8 @@ def test_it_ends_when_asked_and_leaves_nothing(tmp_path: Path, ending: signal.Si
     finally:
         process.kill()
         process.communicate()
-    assert process.returncode == 0 and error == ""
+    # Ended once the viewer stands, or interrupted while it loads.
+    assert (process.returncode, error) in ((0, ""), (INTERRUPTED, "refine-grasp: interrupted\n"))
     assert not list(tmp_path.iterdir())
 
 
@@ -181,7 +183,7 @@ def test_on_the_network_the_address_has_a_token_and_a_warning(tmp_path: Path) ->
     finally:
         process.kill()
         process.communicate()
-    assert process.returncode == 0 and error.startswith("Warning: ") and "ssh -L" in error
+    assert process.returncode in (0, INTERRUPTED) and error.startswith("Warning: ") and "ssh -L" in error
 
 
 @pytest.fixture
