@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.hands.arm import Arm
@@ -200,4 +201,12 @@ def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
 
 
 def _both(arm: Actuator, hand: Actuator) -> Actuator:
-    return Actuator(**{f.name: np.concatenate([getattr(arm, f.name), getattr(hand, f.name)]) for f in fields(Actuator)})
+    if arm.set_points is None and hand.set_points is None:
+        return join(arm, hand)
+    return join(*map(_with_set_points, (arm, hand)))
+
+
+def _with_set_points(actuator: Actuator) -> Actuator:
+    if actuator.set_points is not None:
+        return actuator
+    return replace(actuator, set_points=np.tile([-np.inf, np.inf], (len(actuator.kp), 1)))

@@ -1,5 +1,6 @@
 """Hands on arms: one tree of two robots, whose kinematics are those of both parts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,3 +205,15 @@ def test_root_twist_and_arm_joint_agree_where_they_are_the_same_motion(arm: Hand
     step[:, 0] = 0.2
     a, b = chain(turned, q).T_world_link, chain(np.eye(4)[None], q + step).T_world_link
     np.testing.assert_allclose(a, b, atol=1e-12)
+
+
+def test_set_points_end_where_those_of_both_parts_do(arm: Hand, hand: Hand) -> None:
+    ends = np.stack([hand.lower, hand.upper], axis=1)
+    limited = replace(hand, actuator=replace(hand.actuator, set_points=ends))
+    both = mount(arm, limited, "tool0").actuator
+    np.testing.assert_array_equal(both.kp, np.concatenate([arm.actuator.kp, hand.actuator.kp]))
+    np.testing.assert_array_equal(both.set_points[: len(arm.lower)], np.tile([-np.inf, np.inf], (len(arm.lower), 1)))
+    np.testing.assert_array_equal(both.set_points[len(arm.lower) :], ends)
+    assert (
+        mount(arm, replace(hand, actuator=replace(hand.actuator, set_points=None)), "tool0").actuator.set_points is None
+    )
