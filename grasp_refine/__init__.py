@@ -98,6 +98,8 @@ if TYPE_CHECKING:
     from grasp_refine.hands.hand import list_hands as list_hands
     from grasp_refine.hands.hand import load_hand as load_hand
     from grasp_refine.hands.mount import mount as mount
+    from grasp_refine.motion.way import WayOptions as WayOptions
+    from grasp_refine.motion.way_files import PlannedWays as PlannedWays
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
     from grasp_refine.pipeline.facade import Evaluation as Evaluation
@@ -113,6 +115,7 @@ if TYPE_CHECKING:
     from grasp_refine.pipeline.refine import refine_problem as refine_problem
     from grasp_refine.pipeline.refined import RefinedGrasps as RefinedGrasps
     from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
+    from grasp_refine.pipeline.ways import plan_ways as plan_ways
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
     from grasp_refine.scene.environment import Environment as Environment
@@ -128,6 +131,8 @@ _HOMES = {
     "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
     "hands.hand": ("Hand", "list_hands", "load_hand"),
     "hands.mount": ("mount",),
+    "motion.way": ("WayOptions",),
+    "motion.way_files": ("PlannedWays",),
     "objects.object": ("Object", "load_object"),
     "pipeline.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
     "pipeline.load": ("load_problem",),
@@ -136,6 +141,7 @@ _HOMES = {
     "pipeline.refine": ("refine_problem",),
     "pipeline.refined": ("RefinedGrasps",),
     "pipeline.spec": ("ProblemSpec",),
+    "pipeline.ways": ("plan_ways",),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
     "scene.environment": ("Environment",),

@@ -31,6 +31,7 @@ ORDER = (
     "grasp_refine.validation.drake",
     "grasp_refine.validation.margins",
     "grasp_refine.validation.replay",
+    "grasp_refine.motion",
     "grasp_refine.results",
     "grasp_refine.pipeline",
     "grasp_refine",

@@ -15,11 +15,14 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
+from grasp_refine.motion.way import WayOptions
+from grasp_refine.motion.way_files import check_way_file
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import NEAREST, NO_SCENE
+from grasp_refine.pipeline.ways import plan_ways
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.terms.weights import Weights
@@ -48,6 +51,13 @@ class Output:
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
+    way: OptionalFile = None
+    """Plan the whole way of each grasp, approach, pregrasp, grasp, squeeze and lift, tell what is in it, and write
+    waypoints and set points over time to this file, .json or .npz."""
+    approach: float = WayOptions.approach
+    """Length (metres) of the straight approach to the pregrasp, with --way."""
+    lift: float = WayOptions.lift
+    """Height (metres) of the lift, with --way."""
     overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, even if there are more than 40."""
@@ -91,7 +101,8 @@ class Run:
         limit_torch_threads(config)
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
-            check_writable(self.output.json, overwrite=self.output.overwrite, inside=self.output.out)
+            way = self._way_options()
+            check_writable(self.output.json, self.output.way, overwrite=self.output.overwrite, inside=self.output.out)
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             draft = loader.draft()
             self._check_applicable(draft, config)
@@ -104,6 +115,7 @@ class Run:
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
             refined = refine_problem(problem, config, protocol, listener=reporter)
+            planned = None if way is None else plan_ways(refined, way)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome
@@ -117,20 +129,39 @@ class Run:
                     outcome, config, refined.simulated, config=described, wall_s=wall, cpu_s=cpu, profile=profile
                 ),
             )
+        if planned is not None and self.output.way is not None:
+            planned.save(self.output.way)
         console = screen()
         console.print(refined.table(verbose=self.output.verbose))
         if not should_hold(outcome.quality[:, 1]).all():
             for note in problem.convention_notes:
                 console.print(f"fix the file first: {note}", soft_wrap=True, markup=False)
+        for line in () if planned is None else planned.lines():
+            console.print(line, soft_wrap=True, markup=False)
         if profile is not None:
             console.print(profile_table(profile))
         if not outcome.usable.any():
             console.print("no usable results; no grasps were written")
             return NOTHING_USABLE
-        written = [*paths.values(), *([self.output.json] if self.output.json else [])]
+        written = [*paths.values(), *filter(None, (self.output.json, self.output.way))]
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
         return self._show_result(paths) if self.output.view else 0
+
+    def _way_options(self) -> WayOptions | None:
+        """Return the lengths of the ways; None where none are planned.
+
+        Raises:
+            GraspRefineError: a length is not one, or there is no --way that it is for, or that is no such file.
+        """
+        out = self.output
+        if out.way is None:
+            for name in ("approach", "lift"):
+                if getattr(out, name) != getattr(WayOptions, name):
+                    raise GraspRefineError(f"--{name} needs --way, which plans the way of the grasps")
+            return None
+        check_way_file(out.way)
+        return WayOptions(out.approach, out.lift)
 
     def _show_result(self, paths: dict[str, Path]) -> int:
         """Show the result of the first object until interrupted."""
@@ -191,8 +222,10 @@ class Run:
         """
         out = self.output
         paths = result_paths(out.out, draft.hand.name, tuple(stamps))
-        for path in filter(None, (*paths.values(), out.json)):
-            check_no_input(path, draft.files, "the results would overwrite an input; give another --out or --json")
+        for path in filter(None, (*paths.values(), out.json, out.way)):
+            check_no_input(
+                path, draft.files, "the results would overwrite an input; give another --out, --json or --way"
+            )
         for name, path in paths.items():
             again = is_same_refinement(path, stamps[name], settings(protocol))
             check_writable(path, overwrite=out.overwrite or again, inside=out.out)

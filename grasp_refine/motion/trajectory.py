@@ -1,0 +1,93 @@
+"""Times of a way by the speed limits of the joints, so that a robot can follow it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import distances
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.hand import Hand
+from grasp_refine.motion.way import Way
+
+DEFAULT_SPEED_RAD_S = 1.0
+"""Speed limit of joints in rad/s whose file gives none; slides move by `Hand.per_radian` of it, 0.1 m/s."""
+
+ROOT_SPEED = (0.25, 1.0)
+"""Speed limits of a hand that floats, in m/s and rad/s."""
+
+SPEED_SHARE = 0.5
+"""Share of the speed limits that is used."""
+
+MIN_LEG_S = 0.5
+"""Least duration of a leg in seconds, in which fingers come to press."""
+
+MIN_SAMPLES = 10
+"""Least number of set points of a leg after its first one."""
+
+PEAK = 1.5
+"""Largest speed of a leg over its mean one: it starts and ends at rest, s = 3 u^2 - 2 u^3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Set points of a hand, and its arm, over time."""
+
+    time: Float[np.ndarray, " K"]
+    """Times (K,) in seconds, from 0 on."""
+    T_world_root: Float[np.ndarray, "K 4 4"]
+    """Poses (K, 4, 4) of the base link in the object's frame, metres."""
+    q: Float[np.ndarray, "K n"]
+    """Joint values (K, n) in `Hand.joint_names` order, rad or m."""
+    waypoints: tuple[int, ...]
+    """Places of the waypoints among them, the first one and the end of each leg."""
+
+    __repr__ = brief
+
+    def __len__(self) -> int:
+        """Return the number of set points."""
+        return len(self.time)
+
+
+def speed_limits(hand: Hand) -> Float[np.ndarray, " n"]:
+    """Return the speed limits (n,) of the independent joints in rad/s or m/s, by default `DEFAULT_SPEED_RAD_S`."""
+    given = [hand.joints_by_name[name].velocity for name in hand.joint_names]
+    default = DEFAULT_SPEED_RAD_S * hand.per_radian
+    return np.array([fallback if limit is None else limit for limit, fallback in zip(given, default, strict=True)])
+
+
+def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajectory:
+    """Return a way with times at which no joint is faster than a share of its limit; each leg begins and ends at rest.
+
+    Args:
+        hand: The hand, or the hand on its arm.
+        way: Its legs are taken as far as they are known.
+        share: Share of the speed limits.
+    """
+    limits = speed_limits(hand) * share
+    time, T, q, waypoints = [np.zeros(1)], [], [], [0]
+    for number, known in enumerate(way.legs):
+        leg = known if len(known) > MIN_SAMPLES else known.at(np.linspace(0.0, len(known) - 1, MIN_SAMPLES + 1))
+        moved, turned = distances(leg.T_world_root[:-1], leg.T_world_root[1:])
+        slowest = [np.abs(np.diff(leg.q, axis=0)) / limits, moved[:, None] / (ROOT_SPEED[0] * share)]
+        slowest += [turned[:, None] / (ROOT_SPEED[1] * share)]
+        each = np.concatenate(slowest, axis=1).max(axis=1, initial=0.0)
+        total = float(each.sum())
+        place = np.concatenate([[0.0], np.cumsum(each)]) / total if total else np.linspace(0.0, 1.0, len(leg))
+        times = time[-1][-1] + _smooth_times(place) * max(PEAK * total, MIN_LEG_S)
+        first = 0 if number == 0 else 1
+        T.append(leg.T_world_root[first:])
+        q.append(leg.q[first:])
+        time.append(times[first:])
+        waypoints.append(waypoints[-1] + len(leg) - 1)
+    if not q:
+        n = len(hand.joint_names)
+        return Trajectory(np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, n)), ())
+    return Trajectory(np.concatenate(time[1:]), np.concatenate(T), np.concatenate(q), tuple(waypoints))
+
+
+def _smooth_times(place: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Return u in [0, 1] where 3 u^2 - 2 u^3 = place: the inverse is 1/2 - sin(asin(1 - 2 s) / 3)."""
+    return 0.5 - np.sin(np.arcsin(np.clip(1.0 - 2.0 * place, -1.0, 1.0)) / 3.0)

@@ -1,0 +1,207 @@
+"""The whole way of a grasp: approach, pregrasp, grasp, squeeze and lift, each free, or with what is in its way.
+
+The palm comes straight to the pregrasp, from one of several directions of which the first free one is taken; the
+fingers close to the grasp and press; the palm goes straight up with the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from math import inf
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.arguments import check_fields, check_kind
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import tangents
+from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.paths import HandPath, straight
+from grasp_refine.motion.sweep import TOUCHING_M, Sweep
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import Motion
+
+LEGS = ("approach", "close", "squeeze", "lift")
+"""Names of the legs of a way: to the pregrasp, to the grasp, to the squeeze, and up."""
+
+WAYPOINTS = ("approach", "pregrasp", "grasp", "squeeze", "lift")
+"""Names of the waypoints: the start of the first leg, and the ends of all."""
+
+CLOSING_DEPTH_M = 1e-3
+"""Depth in metres by which links may be deeper in the object while the hand closes than at the grasp."""
+
+TILT_RAD = 0.6
+"""Angle in radians by which approaches are tilted where the palm's own direction is not free."""
+
+UP = (0.0, 0.0, 1.0)
+"""Direction of the lift in the object's frame, where neither a scene nor a table tells what is up."""
+
+
+class WayStatus(IntEnum):
+    """What is known of the way of a grasp."""
+
+    FREE = 0
+    BLOCKED = 1
+    OUT_OF_REACH = 2
+    NO_GRASP = 3
+
+    @property
+    def label(self) -> str:
+        """Name in tables and files."""
+        return self.name.lower().replace("_", " ")
+
+
+@dataclass(frozen=True)
+class WayOptions:
+    """Lengths of a way."""
+
+    approach: float = 0.1
+    """Length in metres of the straight approach of the palm to the pregrasp."""
+    lift: float = 0.1
+    """Height in metres by which the palm lifts the object."""
+
+    def __post_init__(self) -> None:
+        """Refuse lengths that are not at least 0.
+
+        Raises:
+            GraspRefineError: names the length.
+        """
+        check_fields(self)
+        for name in ("approach", "lift"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise GraspRefineError(f"{name} must be at least 0 m and finite, got {getattr(self, name):g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """The way of one grasp."""
+
+    status: WayStatus
+    """What is known of it."""
+    why: str
+    """What is in the way, or out of reach, and on which leg; empty where the way is free."""
+    legs: tuple[HandPath, ...]
+    """Paths of `LEGS`, as set points; those up to the first that is not free, none where there is no grasp."""
+    direction: tuple[float, float, float] | None = None
+    """Unit vector from the pregrasp to the start of the approach, in the object's frame."""
+
+    __repr__ = brief
+
+    @property
+    def free(self) -> bool:
+        """Whether the whole way is free."""
+        return self.status == WayStatus.FREE
+
+
+def ways(
+    scene: Scene, motion: Motion, options: WayOptions | None = None, prepared: HandObject | None = None
+) -> tuple[Way, ...]:
+    """Return the way of each grasp of a scene.
+
+    Args:
+        scene: Hand, object, what is around it, and the grasps.
+        motion: Pregrasps, grasps and squeezes of the same grasps.
+        options: Lengths; the defaults when None.
+        prepared: Geometry of this hand and object; None: built here.
+
+    Raises:
+        GraspRefineError: an argument of another type, or motions of other grasps.
+    """
+    check_kind("scene", scene, Scene)
+    check_kind("motion", motion, Motion)
+    check_kind("options", options, WayOptions | None)
+    if len(motion) != len(scene.q):
+        raise GraspRefineError(f"the motion has {len(motion)} grasps, the scene {len(scene.q)}")
+    prepared = prepared or HandObject.of(scene)
+    planner = _Planner(scene, prepared, options or WayOptions())
+    beyond = Way(WayStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
+    return tuple(
+        beyond if out_of_reach else planner.way(motion.T_world_root[row], motion.q[row])
+        for row, out_of_reach in enumerate(scene.out_of_reach)
+    )
+
+
+class _Planner:
+    """Ways of the grasps of one scene."""
+
+    def __init__(self, scene: Scene, prepared: HandObject, options: WayOptions) -> None:
+        self.scene, self.prepared, self.options = scene, prepared, options
+        self.sweep = Sweep(scene, prepared)
+        self.tips = [scene.links.index(contact.link) for contact in scene.hand.contacts]
+
+    def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
+        """Return the way through the three stages of a grasp."""
+        arm = self.scene.hand.arm_joints
+        if not (np.isfinite(T).all() and np.isfinite(q).all()):
+            return Way(WayStatus.NO_GRASP, "there is no grasp", ())
+        close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
+        allowed = max(self.sweep.depth_in_object(close), 0.0) + CLOSING_DEPTH_M
+        approach, direction, why, status = self._approach(T[0], q[0])
+        legs: list[HandPath] = [approach]
+        if why:
+            return Way(status, why, tuple(legs), direction)
+        met = self.sweep.obstruction(close, allowed=allowed)
+        legs += [close]
+        if met is not None:
+            return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction)
+        legs += [squeeze]
+        # Fingers are where the grasp has them, however far their set points are.
+        held, reached = straight(self.scene.hand, T[1], q[1], self.options.lift * self.up)
+        pressing = q[2] - q[1]
+        legs += [HandPath(held.T_world_root, held.q + np.where(arm, 0.0, pressing))]
+        if not reached:
+            height = (len(held) - 1) / max(int(np.ceil(self.options.lift / 0.01)), 1) * self.options.lift
+            return Way(
+                WayStatus.OUT_OF_REACH, f"{LEGS[3]}: the arm lifts it by {height:.2f} m only", tuple(legs), direction
+            )
+        met = self.sweep.obstruction(held, allowed=None, carries=True)
+        if met is not None:
+            return Way(WayStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction)
+        return Way(WayStatus.FREE, "", tuple(legs), direction)
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector (3,) of the lift, object frame."""
+        scene = self.scene
+        if scene.environment is not None:
+            return scene.environment.up
+        return np.asarray(UP if scene.table is None else scene.table.normal)
+
+    def _approach(
+        self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]
+    ) -> tuple[HandPath, tuple[float, float, float], str, WayStatus]:
+        """Return the approach to a pregrasp, its direction, and what is in the way of all of them."""
+        first: tuple[HandPath, tuple[float, float, float], str, WayStatus] | None = None
+        for direction in self._directions(T, q):
+            path, reached = straight(self.scene.hand, T, q, self.options.approach * direction)
+            path, toward = path.reversed(), tuple(direction.tolist())
+            met = self.sweep.obstruction(path, allowed=TOUCHING_M)
+            if met is None and reached:
+                return path, toward, "", WayStatus.FREE
+            if first is None:
+                blocked = met is not None
+                why = f"{LEGS[0]}: {met}" if blocked else f"{LEGS[0]}: the arm does not reach all of it"
+                first = path, toward, why, WayStatus.BLOCKED if blocked else WayStatus.OUT_OF_REACH
+        assert first is not None
+        return first
+
+    def _directions(self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> Iterator[np.ndarray]:
+        """Yield unit vectors along which the palm may retreat: its own direction, up, between, and tilted ones."""
+        hand = self.scene.hand
+        palm = palm_poses(hand, T[None], q[None])[0, :3, 3]
+        links = self.prepared.chain(T[None], q[None]).T_world_link[0]
+        tips = links[self.tips, :3, 3].mean(axis=0) if self.tips else links[:, :3, 3].mean(axis=0)
+        own, up = palm - tips, self.up
+        length = float(np.linalg.norm(own))
+        own = up if length < 1e-6 else own / length
+        yield own
+        if own @ up > -0.9:
+            yield (own + up) / np.linalg.norm(own + up)
+        yield up
+        for side in tangents(own).T:
+            for sign in (1.0, -1.0):
+                yield np.cos(TILT_RAD) * own + sign * np.sin(TILT_RAD) * side
