@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspFileError, HandError
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
@@ -14,8 +14,12 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import STARTS, ArmKinematics
 
-InTheWay = Callable[[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]], Bool[np.ndarray, " M"]]
-"""Returns a mask (M,) of base poses and joint values, object frame, at which the arm runs into something."""
+ArmClearance = Callable[[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]], Float[np.ndarray, " M"]]
+"""Returns the distances (M,) in metres of the arm from what is around it, at base poses in the object's frame and joint
+values; at most `ROOM_M`, negative where it runs into something."""
+
+ROOM_M = 0.03
+"""Distance in metres from which on more of it is no better: ways of an arm with less are taken where there is none."""
 
 
 def on_arm(
@@ -23,22 +27,22 @@ def on_arm(
     hand: Hand,
     T_object_base: Float[np.ndarray, "4 4"],
     *,
-    in_the_way: InTheWay | None = None,
+    clearance: ArmClearance | None = None,
     starts: int = STARTS,
     seed: int = 0,
 ) -> tuple[GraspSet, tuple[str, ...]]:
     """Return grasps of a hand as those of the hand on an arm, and notes.
 
     The base of the arm is where it is told to be, and its joints bring the palm to the pose of each grasp: of the ways
-    that inverse kinematics finds, without self-collision, the one that is farthest from singular. Joint values of the
-    arm are NaN where there is none. Pregrasps and squeezes are left out, as they may move the palm; grasps that begin
-    at the base of the arm already are returned as they are.
+    that inverse kinematics finds, without self-collision and with room around them, the best one, see
+    `ArmKinematics.solve`. Joint values of the arm are NaN where there is none. Pregrasps and squeezes are left out, as
+    they may move the palm; grasps that begin at the base of the arm already are returned as they are.
 
     Args:
         grasps: Grasps whose poses are those of the palm, `hand.palm`, or of the arm's base.
         hand: The hand on its arm.
         T_object_base: Pose (4, 4) of the base of the arm in the object's frame.
-        in_the_way: Arms that run into something are passed over; None: nothing is in the way.
+        clearance: Distance of the arm from what is around it; None: nothing is.
         starts: Number of starts of the inverse kinematics for each grasp.
         seed: Seed of the starts.
 
@@ -60,11 +64,12 @@ def on_arm(
     T_base = np.broadcast_to(T_object_base, (count, 4, 4))
     kinematics = ArmKinematics(hand)
     found = kinematics.solve(T_base, values, transform_from_pose(grasps.hand_pose), starts=starts, seed=seed)
-    usable = found.free.copy()
-    if in_the_way is not None and usable.any():
+    usable, roomy = found.free.copy(), found.free.copy()
+    if clearance is not None and usable.any():
         row, way = np.nonzero(usable)
-        usable[row, way] = ~in_the_way(T_base[row], found.q[row, way])
-    first = usable.argmax(axis=1)
+        room = clearance(T_base[row], found.q[row, way])
+        usable[row, way], roomy[row, way] = room > 0.0, room >= ROOM_M
+    first = np.where(roomy.any(axis=1), roomy.argmax(axis=1), usable.argmax(axis=1))
     q = found.q[np.arange(count), first]
     q[np.ix_(~usable.any(axis=1), hand.arm_joints)] = np.nan
     if grasps.other_stages:

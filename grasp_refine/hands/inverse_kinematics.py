@@ -39,6 +39,10 @@ BIAS = 1e-7
 SAME_RAD = 1e-3
 """Difference in radians below which two solutions are the same."""
 
+GOOD_DEXTERITY = 0.05
+"""Smallest singular value in metres per radian from on which an arm is far enough from singular: of solutions beyond
+it, the nearest to the rest pose is the best."""
+
 STARTS = 24
 """Number of starts for each pose."""
 
@@ -155,8 +159,8 @@ class ArmKinematics:
     ) -> ArmSolutions:
         """Return the different ways to bring the palm to poses, from several starts.
 
-        Those without self-collision come first, then those that are farther from singular. The first start is the rest
-        pose, the others are drawn within the limits, the same for all poses.
+        Those without self-collision come first, then those that are farther from singular, up to `GOOD_DEXTERITY`, then
+        those nearer to the rest pose. The first start is the rest pose, the others are drawn, the same for all poses.
 
         Args:
             T_world_base: Poses (N, 4, 4) of the base, or one (4, 4) for all.
@@ -197,7 +201,10 @@ class ArmKinematics:
         dexterity[at] = self.dexterity(T_world_base[grasp], flat[at])
         free[at] = self_penetration(self.hand, self._pairs, flat[at]) == 0.0
         dexterity, free = dexterity.reshape(count, starts), free.reshape(count, starts)
-        score = np.where(found, np.where(free, 0.0, 1e3) - np.nan_to_num(dexterity), np.inf)
+        per_radian = self.hand.per_radian[self.joints]
+        away = np.abs((q[..., self.joints] - self.hand.rest[self.joints]) / per_radian).max(axis=2)
+        poor = GOOD_DEXTERITY - np.minimum(np.nan_to_num(dexterity), GOOD_DEXTERITY)
+        score = np.where(found, np.where(free, 0.0, 1e6) + 1e4 * poor + away, np.inf)
         order = np.argsort(score, axis=1, kind="stable")[:, : max(int(found.sum(axis=1).max(initial=1)), 1)]
         q = np.take_along_axis(q, order[..., None], axis=1)
         q[..., self.joints] = np.where(np.take_along_axis(found, order, axis=1)[..., None], q[..., self.joints], np.nan)

@@ -119,8 +119,10 @@ def ways(
     prepared = prepared or HandObject.of(scene)
     planner = _Planner(scene, prepared, options or WayOptions())
     beyond = Way(WayStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
+    none = Way(WayStatus.NO_GRASP, "there is no grasp", ())
+    known = scene.posed & np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
     return tuple(
-        beyond if out_of_reach else planner.way(motion.T_world_root[row], motion.q[row])
+        planner.way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
         for row, out_of_reach in enumerate(scene.out_of_reach)
     )
 
@@ -136,8 +138,6 @@ class _Planner:
     def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
         """Return the way through the three stages of a grasp."""
         arm = self.scene.hand.arm_joints
-        if not (np.isfinite(T).all() and np.isfinite(q).all()):
-            return Way(WayStatus.NO_GRASP, "there is no grasp", ())
         close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
         allowed = max(self.sweep.depth_in_object(close), 0.0) + CLOSING_DEPTH_M
         approach, direction, why, status = self._approach(T[0], q[0])

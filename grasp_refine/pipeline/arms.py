@@ -6,14 +6,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.rpy_poses import read_pose
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
-from grasp_refine.grasps.on_arm import InTheWay, on_arm
+from grasp_refine.grasps.on_arm import ROOM_M, ArmClearance, on_arm
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand
@@ -24,7 +25,10 @@ from grasp_refine.pipeline.spec import SourceSpec
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.surroundings import scene_depths
+from grasp_refine.scene.surroundings import Surroundings
+
+BLOCK_ARMS = 64
+"""Number of arms that are measured at a time, which bounds the memory."""
 
 
 def check_arm(spec: SourceSpec) -> None:
@@ -111,8 +115,8 @@ def group_on_arm(
     scene = group.scene
     if scene.environment is not None:
         T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
-    in_the_way = arm_in_the_way(hand, scene.object, scene.table, scene.environment)
-    grasps, notes = on_arm(group.grasps, hand, T_object_base, in_the_way=in_the_way, seed=seed)
+    clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
+    grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
     targets = aim(hand, grasps.targets, np.arange(len(grasps)))
     moved = Scene(
@@ -127,26 +131,34 @@ def group_on_arm(
     return replace(group, scene=moved, grasps=grasps), notes
 
 
-def arm_in_the_way(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> InTheWay:
-    """Return the function that tells whether a moving link of the arm is in the object, the table or another body."""
+def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:
+    """Return the function that tells how far the moving links of the arm are from object, table and other bodies."""
     arm = hand.arm
     assert arm is not None
     moving = arm.links - arm.standing
     links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
     bodies = tuple(hand.links_by_name[name].solid for name in links)
     chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
+    around = None
+    if environment is not None and environment.bodies and links:
+        spheres, every = np.array([bounding_sphere(body) for body in bodies]), np.arange(len(environment.bodies))
+        around = Surroundings(bodies, spheres, environment, every, keeps_margins=False)
 
-    def in_the_way(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Bool[np.ndarray, " M"]:
+    def clearance(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Float[np.ndarray, " M"]:
+        room = np.full(len(q), ROOM_M)
         if pairs is None:
-            return np.zeros(len(q), dtype=bool)
+            return room
         T_link = chain(T, q).T_world_link
-        found = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=0.0)
-        inside = (found.valid & (found.distance < 0.0)).any(axis=1)
+        found = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=ROOM_M)
+        room = np.minimum(room, np.where(found.valid, found.distance, ROOM_M).min(axis=1))
         if table is not None:
             lowest = transform_points(T_link, table.lowest(bodies, T_link))
-            inside |= (lowest @ np.asarray(table.normal) < table.offset).any(axis=1)
-        if environment is not None:
-            inside |= scene_depths(environment, bodies, T_link).depth > 0.0
-        return np.asarray(inside)
+            room = np.minimum(room, (lowest @ np.asarray(table.normal) - table.offset).min(axis=1))
+        if around is not None:
+            for rows in np.split(np.arange(len(q)), range(BLOCK_ARMS, len(q), BLOCK_ARMS)):
+                near = around.near(T_link[rows], ROOM_M, most=1)
+                nearest = np.where(near.column >= 0, near.witness.distance, ROOM_M).min(axis=1)
+                room[rows] = np.minimum(room[rows], nearest)
+        return room
 
-    return in_the_way
+    return clearance

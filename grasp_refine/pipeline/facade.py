@@ -20,7 +20,7 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.pipeline.arms import arm_in_the_way
+from grasp_refine.pipeline.arms import arm_clearance
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -84,9 +84,9 @@ def problem_of(
     if hand.arm is not None and grasps.base_link == hand.palm != hand.base_link:
         if base is None:
             raise GraspRefineError(f"{hand.name} needs the pose of its base in the object's frame: base=[x, y, z, ...]")
-        way = arm_in_the_way(hand, obj, plane, scene)
+        clearance = arm_clearance(hand, obj, plane, scene)
         T_base = base_pose(base) if scene is None else inverse(scene.T_world_object) @ base_pose(base)
-        grasps, notes = on_arm(grasps, hand, T_base, in_the_way=way)
+        grasps, notes = on_arm(grasps, hand, T_base, clearance=clearance)
     if grasps.base_link != hand.base_link:
         raise GraspRefineError(
             f"the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "

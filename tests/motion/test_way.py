@@ -1,0 +1,221 @@
+"""The whole way of grasps: swept for what is in the way, and timed by the speed limits of the joints."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import grasp_refine as gr
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.npz_files import load_npz
+from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.core.se3 import distances
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.grasps.on_arm import on_arm
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.mount import mount
+from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.paths import HandPath, straight
+from grasp_refine.motion.sweep import Sweep
+from grasp_refine.motion.trajectory import SPEED_SHARE, speed_limits, trajectory
+from grasp_refine.motion.way import LEGS, WayOptions, WayStatus, ways
+from grasp_refine.motion.way_files import PlannedWays
+from grasp_refine.objects.object import Object, load_object
+from grasp_refine.pipeline.arms import arm_clearance
+from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import Motion
+
+T_BASE = transform_from_rpy([-0.5, 0.0, -0.06])
+OPEN_M = 0.036
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    """Return a gripper."""
+    return load_hand("franka_hand", candidates=32)
+
+
+@pytest.fixture(scope="module")
+def whole(hand: Hand) -> Hand:
+    """Return it on an arm."""
+    return mount(load_hand("ur5e", candidates=32), hand)
+
+
+@pytest.fixture(scope="module")
+def thing() -> Object:
+    """Return a box that the gripper takes along y."""
+    return load_object("box:0.05,0.05,0.12")
+
+
+def obstacle(name: str, size: tuple[float, float, float], place: tuple[float, float, float]) -> EnvironmentBody:
+    """Return a box beside the object."""
+    T = np.eye(4)
+    T[:3, 3] = place
+    return EnvironmentBody(name, build_body(name, [box(size)], candidates=16), T)
+
+
+def grasp(hand: Hand, thing: Object, *bodies: EnvironmentBody) -> tuple[Scene, Motion]:
+    """Return a grasp from above, the tips 2 cm below the top, with the fingers open before it and on the box at it."""
+    T_palm = transform_from_rpy([0.0, 0.0, 0.06 - 0.02 + 0.1034, 180.0, 0.0, 0.0])
+    fingers = np.array([[OPEN_M], [0.025], [0.0]])
+    T, q = np.tile(T_palm, (3, 1, 1)), fingers
+    if hand.arm is not None:
+        ours = GraspSet.of(hand, T_palm[None], np.zeros((1, len(hand.joint_names))))
+        of_hand = replace(ours, base_link=hand.palm, joint_names=hand.joint_names[-1:], q=fingers[:1])
+        placed, _ = on_arm(of_hand, hand, T_BASE, clearance=arm_clearance(hand, thing, None))
+        q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
+        T = np.tile(T_BASE, (3, 1, 1))
+    environment = Environment(bodies, np.eye(4)) if bodies else None
+    return Scene(hand, thing, T[1], q[1], environment=environment), Motion(T[None], q[None])
+
+
+def test_palm_of_an_arm_moves_on_a_straight_line(whole: Hand, thing: Object) -> None:
+    """To a micrometre and without turning, the base and the fingers still; it ends where the arm does."""
+    scene, motion = grasp(whole, thing)
+    along = np.array([0.02, -0.03, 0.1])
+    path, reached = straight(whole, motion.T_world_root[0, 1], motion.q[0, 1], along)
+    T = palm_poses(whole, path.T_world_root, path.q)
+    assert reached and (path.T_world_root == T_BASE).all()
+    expected = T[0, :3, 3] + np.linspace(0.0, 1.0, len(path))[:, None] * along
+    np.testing.assert_allclose(T[:, :3, 3], expected, atol=1e-6)
+    assert distances(np.tile(T[:1], (len(T), 1, 1)), T)[1].max() < 1e-6
+    assert (path.q[:, ~whole.arm_joints] == motion.q[0, 1, -1]).all()
+    beyond, reached = straight(whole, motion.T_world_root[0, 1], motion.q[0, 1], np.array([2.0, 0.0, 0.0]))
+    assert not reached and 2 < len(beyond) < 100
+
+
+@pytest.mark.parametrize("on_arm", [False, True])
+def test_free_way_has_all_legs_and_passes_the_stages(hand: Hand, whole: Hand, thing: Object, on_arm: bool) -> None:
+    """Up and down above the box, 0.1 m each."""
+    which = whole if on_arm else hand
+    scene, motion = grasp(which, thing)
+    (way,) = ways(scene, motion)
+    assert way.free and way.why == "" and len(way.legs) == len(LEGS)
+    approach, close, squeeze, lift = way.legs
+    for path, stage in ((approach, 0), (close, 1), (squeeze, 2)):
+        np.testing.assert_allclose(path.q[-1], motion.q[0, stage], atol=1e-9)
+    palms = palm_poses(which, lift.T_world_root, lift.q)
+    np.testing.assert_allclose(palms[-1, :3, 3] - palms[0, :3, 3], [0.0, 0.0, 0.1], atol=1e-6)
+    assert way.direction is not None
+    np.testing.assert_allclose(way.direction, [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_thin_wall_between_free_poses_is_found(hand: Hand, thing: Object) -> None:
+    """Both ends of the path are free; the sweep names link and wall, and the place is in the wall."""
+    wall = obstacle("wall", (0.4, 0.4, 0.002), (0.0, 0.0, 0.24))
+    scene, motion = grasp(hand, thing, wall)
+    T = np.tile(motion.T_world_root[0, 1], (2, 1, 1))
+    T[0, 2, 3] = 0.5
+    path = HandPath(T, np.tile(motion.q[0, 0], (2, 1)))
+    met = Sweep(scene, HandObject.of(scene)).obstruction(path)
+    assert met is not None and met.second == "wall" and met.first in scene.links
+    assert abs(met.place[2] - 0.24) < 0.006 and 0.0 < met.share < 1.0
+    # By brute force: all links at many poses of the path.
+    links = tuple(link.name for link in hand.links if link.body is not None)
+    pairs = Pairs.against(tuple(hand.links_by_name[name].solid for name in links), wall.body)
+    poses = path.at(np.linspace(0.0, 1.0, 2001))
+    T_link = Chain(hand, links)(poses.T_world_root, poses.q).T_world_link
+    apart = query(pairs, T_link, np.broadcast_to(wall.T_world_body, T_link.shape)).distance
+    first = (apart < -2e-4).any(axis=1).argmax() / 2000
+    assert abs(first - met.share) < 0.03
+
+
+def test_another_direction_is_taken_where_the_first_is_blocked(hand: Hand, thing: Object) -> None:
+    """A shelf above the palm leaves a tilted approach; one all around leaves none, and is named."""
+    shelf = obstacle("shelf", (0.02, 0.3, 0.02), (0.0, 0.0, 0.25))
+    scene, motion = grasp(hand, thing, shelf)
+    (way,) = ways(scene, motion, WayOptions(lift=0.0))
+    assert way.free and way.direction is not None and way.direction[2] < 0.99
+    cage = obstacle("cage", (0.6, 0.6, 0.02), (0.0, 0.0, 0.19))
+    scene, motion = grasp(hand, thing, cage)
+    (way,) = ways(scene, motion)
+    assert way.status == WayStatus.BLOCKED and "cage" in way.why and "approach" in way.why and "panda_hand" in way.why
+
+
+def test_object_that_is_lifted_into_a_shelf_is_named(hand: Hand, thing: Object) -> None:
+    """The hand passes beside the beam, the box does not."""
+    wide = load_object("box:0.3,0.05,0.12")
+    beam = obstacle("beam", (0.02, 0.3, 0.02), (0.13, 0.0, 0.12))
+    scene, motion = grasp(hand, wide, beam)
+    (way,) = ways(scene, motion)
+    assert way.status == WayStatus.BLOCKED and way.why.startswith("lift: object and beam"), way.why
+    assert ways(*grasp(hand, wide))[0].free
+
+
+def test_links_of_the_arm_are_swept_too(whole: Hand, thing: Object) -> None:
+    """A wall beside the forearm blocks the arm though the gripper is far from it; what its base stands in does not."""
+    stand = obstacle("stand", (0.2, 0.2, 0.2), (-0.5, 0.0, -0.15))
+    assert ways(*grasp(whole, thing, stand))[0].free
+    scene, motion = grasp(whole, thing)
+    T = Chain(whole, ["forearm_link"])(motion.T_world_root[0, :1], motion.q[0, :1]).T_world_link[0, 0]
+    x, y, z = (T @ [-0.2, 0.0, 0.007, 1.0])[:3].tolist()
+    scene, motion = grasp(whole, thing, obstacle("post", (0.02, 0.02, 0.02), (x, y, z)))
+    (way,) = ways(scene, motion)
+    assert way.status == WayStatus.BLOCKED and "forearm_link and post" in way.why
+
+
+def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Object) -> None:
+    """Speeds between set points are below the share of each joint's limit; the file's limits are those of its URDF."""
+    scene, motion = grasp(whole, thing)
+    (way,) = ways(scene, motion, WayOptions(approach=0.3))
+    timed = trajectory(whole, way)
+    limits = speed_limits(whole)
+    assert limits[0] == pytest.approx(np.pi) and limits[-1] == pytest.approx(0.05)
+    assert abs(timed.time[0]) < 1e-12 and (np.diff(timed.time) > 0).all()
+    speed = np.abs(np.diff(timed.q, axis=0)) / np.diff(timed.time)[:, None]
+    assert (speed <= SPEED_SHARE * limits + 1e-9).all()
+    slow = trajectory(whole, way, share=0.1)
+    assert (np.abs(np.diff(slow.q, axis=0)) / np.diff(slow.time)[:, None] <= 0.1 * limits + 1e-9).all()
+    assert slow.time[-1] > 2 * timed.time[-1]
+    fastest = (speed / limits).max(axis=1)
+    for at in timed.waypoints[1:-1]:
+        assert fastest[at - 1] < 0.7 * fastest.max() and fastest[at] < 0.7 * fastest.max()
+    for place, stage in zip(timed.waypoints[1:4], range(3), strict=True):
+        np.testing.assert_allclose(timed.q[place], motion.q[0, stage], atol=1e-9)
+
+
+def test_grasps_without_a_way_say_why_and_leave_others_alone(whole: Hand, thing: Object) -> None:
+    """Out of reach, and no grasp; the third is as it is alone."""
+    scene, motion = grasp(whole, thing)
+    q = np.repeat(scene.q, 3, axis=0)
+    q[0, 0], q[1] = np.nan, np.nan
+    stages = np.repeat(motion.q, 3, axis=0)
+    stages[0, :, 0], stages[1] = np.nan, np.nan
+    many = replace(scene, T_world_root=np.repeat(scene.T_world_root, 3, axis=0), q=q)
+    found = ways(many, Motion(np.repeat(motion.T_world_root, 3, axis=0), stages))
+    assert [way.status.label for way in found] == ["out of reach", "no grasp", "free"]
+    np.testing.assert_array_equal(found[2].legs[0].q, ways(scene, motion)[0].legs[0].q)
+
+
+def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Object, tmp_path: Path) -> None:
+    """Both formats have the same numbers; arrays of a way that is not known are NaN."""
+    scene, motion = grasp(whole, thing)
+    (way,) = ways(scene, motion)
+    none = ways(replace(scene, q=np.full_like(scene.q, np.nan)), motion)[0]
+    planned = PlannedWays(whole, np.array(["box", "box"]), np.array([3, 4]), (way, none))
+    planned.save(tmp_path / "ways.npz")
+    planned.save(tmp_path / "ways.json")
+    arrays, document = load_npz(tmp_path / "ways.npz").entries, json.loads((tmp_path / "ways.json").read_text())
+    entry, timed = document["grasps"][0], trajectory(whole, way)
+    assert entry["row"] == 3 and entry["status"] == "free" and document["grasps"][1]["trajectory"]["q"] == []
+    assert [point["name"] for point in entry["waypoints"]] == arrays["waypoint_names"].tolist()
+    np.testing.assert_array_equal(entry["trajectory"]["q"], timed.q)
+    np.testing.assert_array_equal(arrays["q"][0, : len(timed)], timed.q)
+    np.testing.assert_array_equal(arrays["waypoint_q"][0, 2], timed.q[timed.waypoints[2]])
+    assert np.isnan(arrays["q"][1]).all() and document["joint_names"] == list(whole.joint_names)
+    with pytest.raises(gr.GraspRefineError, match=".csv"):
+        planned.save(tmp_path / "ways.csv")
+
+
+@pytest.mark.parametrize("lengths", [{"approach": -0.1}, {"lift": np.inf}, {"lift": float("nan")}])
+def test_lengths_that_are_none_are_refused(lengths: dict) -> None:
+    """The message names the length."""
+    with pytest.raises(gr.GraspRefineError, match=next(iter(lengths))):
+        WayOptions(**lengths)
