@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
 from functools import wraps
@@ -68,6 +68,8 @@ class Stopwatch:
     """Narrow-phase queries."""
     patches: int = 0
     """Contacts whose patch of flat faces was looked for; none where nothing is flat."""
+    scene_pairs: dict[str, int] = field(default_factory=dict)
+    """Pairs of a link and a body of a scene, by what settled them: see `Surroundings.near`."""
     _open: list[Stage] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)
     _children: float = 0.0
@@ -191,6 +193,14 @@ def count_patches(number: int) -> None:
     watch = _RUNNING.get()
     if watch is not None:
         watch.patches += number
+
+
+def count_scene_pairs(settled: Mapping[str, int]) -> None:
+    """Add numbers of pairs of a link and a body of a scene, by what settled them, to the running stopwatch, if any."""
+    watch = _RUNNING.get()
+    if watch is not None:
+        for how, number in settled.items():
+            watch.scene_pairs[how] = watch.scene_pairs.get(how, 0) + number
 
 
 def cpu_seconds() -> float:

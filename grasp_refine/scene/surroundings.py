@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.culling import bounding_sphere, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query_items
-from grasp_refine.core.profiling import stage
+from grasp_refine.core.profiling import count_scene_pairs, stage
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.scene.environment import Environment
@@ -28,7 +28,13 @@ no part of a refinement. Measures leave none out."""
 GRASPS_AT_ONCE = 64
 """Grasps that are measured together, which bounds the memory."""
 
-MAX_NEAR = 96
+SETTLED = ("motion", "box of the hand", "box of the body", "boxes of its pieces", "query")
+"""What settles that a pair is not near, in this order: the last bound less the motion since, boxes, or a query."""
+
+MANY_PAIRS = 2048
+"""Pairs from which on bodies are compared with whole hands first."""
+
+MAX_NEAR = 64
 """Most pairs of a link and a body that count for one grasp, the nearest ones."""
 
 
@@ -44,6 +50,12 @@ class Nearby:
     """Pairs that were queried and are near; -1: none."""
     witness: Witness
     """Witness points (M, K) of links and bodies, object frame; FAR where there is no pair."""
+
+    @property
+    def near(self) -> Nearby:
+        """The pairs that are near, in as few columns as hold them."""
+        width = int((self.column >= 0).sum(axis=1).max(initial=0))
+        return Nearby(self.T_link, self.bound, self.column[:, :width], self.witness.pairs(slice(width)))
 
     @property
     def failed(self) -> Bool[np.ndarray, " M"]:
@@ -124,6 +136,8 @@ class Surroundings:
             previous: The last answer for the same grasps.
             rejected: Mask (M,) of grasps that are not queried.
             most: Largest number of pairs of a grasp.
+
+        Numbers of pairs are counted by what settled them (`SETTLED`), for a stopwatch that runs.
         """
         M, C = len(T_link), len(self.link)
         limit = self.margin + reach
@@ -136,12 +150,20 @@ class Surroundings:
             unsure &= ~rejected[:, None]
         known = np.isfinite(T_link).all(axis=(2, 3))
         unsure &= (known if self.counts is None else known & self.counts)[:, self.link]
+        left = [M * C, int(np.count_nonzero(unsure))]
+        if left[-1] > MANY_PAIRS:
+            bound = np.maximum(bound, self._hand_bounds(T_link)[:, self.body])
+            unsure &= bound < limit
         row, column = np.nonzero(unsure)
+        left.append(len(row))
         for bounds in (self._box_bounds, self._piece_bounds):
             if len(row):
                 bound[row, column] = np.maximum(bound[row, column], bounds(T_link, row, column))
                 near = bound[row, column] < limit[column]
                 row, column = row[near], column[near]
+            left.append(len(row))
+        settled = [before - after for before, after in zip(left, left[1:], strict=False)]
+        count_scene_pairs(dict(zip(SETTLED, (*settled, len(row)), strict=True)))
         width = min(C, most)
         if not len(row):
             return Nearby(T_link, bound, np.full((M, width), -1), _no_witness(M, width))
@@ -162,6 +184,17 @@ class Surroundings:
             spent = np.bincount(row, found.num_queries, M).astype(np.int64) - witness.num_queries.sum(axis=1)
             witness.num_queries[:, 0] += spent
         return Nearby(T_link, bound, columns, witness)
+
+    def _hand_bounds(self, T_link: np.ndarray) -> np.ndarray:
+        """Return lower bounds (M, B) of the distances of bodies from any link, by boxes along the object's axes."""
+        counts = slice(None) if self.counts is None else self.counts
+        center = transform_points(T_link[:, counts], self.spheres[counts, :3])
+        low, high = ((center + sign * self.spheres[counts, 3:]) for sign in (-1.0, 1.0))
+        boxes = self.environment.boxes[self.chosen]
+        away = np.maximum(boxes[:, 0] - high.max(axis=1)[:, None], low.min(axis=1)[:, None] - boxes[:, 1])
+        # Boxes that overlap say nothing on how deep.
+        beyond = np.sqrt((np.maximum(away, 0.0) ** 2).sum(axis=-1))
+        return np.where(beyond > 0.0, beyond, -np.inf)
 
     def _box_bounds(self, T_link: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return lower bounds of signed distances by spheres of links, and boxes of bodies along the object's axes."""

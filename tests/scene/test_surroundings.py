@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, capsule, sphere
@@ -62,11 +63,14 @@ def brute_force(of: Surroundings, T: np.ndarray) -> np.ndarray:
 def test_all_pairs_that_are_near_are_found_while_hands_move(scene: Scene) -> None:
     of, T = surroundings(scene, clutter(12, 0.09))
     rng, previous, queried = np.random.default_rng(4), None, []
+    every = T.shape[0] * len(of.link)
     T_root, q = scene.T_world_root, scene.q
     for _ in range(6):
         T = HandObject.of(scene).chain(T_root, q).T_world_link
         expected = brute_force(of, T)
-        previous = of.near(T, REACH, previous, most=len(of.link))
+        with Stopwatch() as watch:
+            previous = of.near(T, REACH, previous, most=len(of.link))
+        assert sum(watch.scene_pairs.values()) == every and watch.scene_pairs["query"] >= (previous.column >= 0).sum()
         assert (previous.bound <= expected + 1e-9).all()
         near = expected - of.margin < REACH
         found = np.zeros_like(near)

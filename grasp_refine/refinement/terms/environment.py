@@ -62,4 +62,4 @@ class Clearance(Term):
     @staticmethod
     def _nearby(state: State) -> Nearby:
         assert state.nearby is not None  # `complete` has found it
-        return state.nearby
+        return state.nearby.near
