@@ -13,6 +13,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hands.hand import HAND_TOML, load_hand
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.scene.scene_file import load_scene
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.strict import STRICT
@@ -79,7 +80,7 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 PYTHON = ("refine(scene", "simulate(", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
 """What tells apart the blocks of Python; a test runs each."""
 
-TOML = ("rest_pose", "[[job]]", "based_on")
+TOML = ("rest_pose", "[[job]]", "based_on", "[[body]]")
 """The same of TOML."""
 
 
@@ -131,6 +132,17 @@ def test_the_protocol_can_be_read(tmp_path: Path):
     assert protocol.name == "heavy" and protocol.friction == STRICT.friction and protocol.contact.cone == "pyramidal"
 
 
+def test_the_scene_can_be_read(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "[[body]]" in block)
+    (tmp_path / "desk.toml").write_text(block)
+    scene = load_scene(tmp_path / "desk.toml")
+    assert scene.object == "mug" and scene.T_world_object[:3, 3].tolist() == [0.1, 0.0, 0.7]
+    assert [(one.name, one.margin, one.movable) for one in scene.bodies] == [
+        ("table", 0.003, False), ("wall", 0.003, False), ("tea tin", 0.003, True), ("bottle", 0.01, False)
+    ]  # fmt: skip
+    assert scene.bodies[2].mass == 0.25
+
+
 def test_the_table_of_grasp_files_is_complete():
     lines = section("docs/pages/reference/files.md", "Grasp files").splitlines()
     listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in lines if "|" in line)))
@@ -159,7 +171,7 @@ def test_links_outside_the_site_lead_somewhere(page: str):
 
 def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
-    for command in ("run", "batch", "validate", "view", "hands", "convert", "assets fetch", *BENCHES):
+    for command in ("run", "batch", "validate", "view", "hands", "scenes", "convert", "assets fetch", *BENCHES):
         with pytest.raises(SystemExit):
             main([*command.split(), "--help"])
         known |= set(re.findall(r"--[a-z][\w.-]*", capsys.readouterr().out))

@@ -113,7 +113,7 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-RECIPES = ("my-hand", "my-object", "my-dataset", "prove-it")
+RECIPES = ("my-hand", "my-object", "my-dataset", "prove-it", "scenes")
 """Guides that begin with commands to be copied."""
 
 
@@ -156,6 +156,7 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
         "my-object": ("grasp-refine-results/leap_my_object.npz", "box.json"),
         "my-dataset": ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
         "prove-it": ("grasp-refine-results/allegro_mug.npz", "replays"),
+        "scenes": ("grasp-refine-results/allegro_mug.npz",),
     }
     for name in made[guide]:
         assert (newcomer / name).exists(), name
