@@ -186,6 +186,7 @@ class ContactPoints:
                 forms=None if forms is None else forms(rows, points),
                 axes=axes[rows],
                 start=None if start is None else np.ascontiguousarray(start[rows, :, :K]),
+                link=None if points.patches is None else points.link,
             )
             parts.append((rows, found))
         return self._joined(parts)

@@ -20,7 +20,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches, patches_columns
-from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, pyramid_faces
+from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, SHARE_TOLERANCE, heaviest_link, pyramid_faces
 from grasp_refine.forces.wrench import (
     LEVER_M,
     PLANNING_FRICTION,
@@ -167,23 +167,29 @@ class Equilibrium:
         moving = _Moving(p, n, motion, there[..., 0], np.broadcast_to(columns, p.shape[:2]), f, local)
         patched = np.zeros(len(p), dtype=bool) if patches is None else patches.faces.count.any(axis=1)
         if patches is None or not patched.any():
-            return self._rows(balance, moving, columns, frames, axes)
+            return self._rows(balance, moving, columns, frames, axes, shared=False)
         plain, flat = np.flatnonzero(~patched), np.flatnonzero(patched)
         corners = _with_corners(take(moving, flat), columns, take(patches, flat), take(balance, flat))
-        residual, J = self._rows(take(balance, flat), corners, corners.links, take(frames, flat), axes[flat])
+        residual, J = self._rows(
+            take(balance, flat), corners, corners.links, take(frames, flat), axes[flat], shared=True
+        )
         every = np.empty((len(p), *residual.shape[1:])), np.empty((len(p), *J.shape[1:]))
         for array, part in zip(every, (residual, J), strict=True):
             array[flat] = part
         if len(plain):
-            parts = self._rows(take(balance, plain), take(moving, plain), columns, take(frames, plain), axes[plain])
+            few = take(balance, plain), take(moving, plain), columns, take(frames, plain), axes[plain]
+            parts = self._rows(*few, shared=False)
             for array, part in zip(every, parts, strict=True):
                 array[plain] = part
         return every
 
     def _rows(
-        self, balance: Balance, moving: _Moving, link: np.ndarray, frames: Frames, axes: np.ndarray
+        self, balance: Balance, moving: _Moving, link: np.ndarray, frames: Frames, axes: np.ndarray, *, shared: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and their derivative, as `rows`, at points that move with links, (C,) or (M, C)."""
+        """Residuals and their derivative, as `rows`, at points that move with links, (C,) or (M, C).
+
+        `shared`: whether points of one link share its largest pressure.
+        """
         p, n, f, local = moving.point, moving.normal, moving.force, moving.local
         (M, C), P = p.shape[:2], len(self.loads)
         motion = self.chain.to_joint_space(frames, moving.motion.reshape(M, C * 6, 6), np.repeat(link, 6, axis=-1))
@@ -202,7 +208,7 @@ class Equilibrium:
             J[:, :, 6:] += self._axis_changes(frames, link, p, f)
         G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, self.center, forms, axes)
         # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
-        L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local) / RIDGE)
+        L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local, link if shared else None) / RIDGE)
         residual = matvec(L.mT, balance.unbalanced)
         stiff = np.linalg.inv(L) @ J
         solved = balance.solved[..., None]
@@ -258,8 +264,11 @@ class Equilibrium:
         by_axis = chain.to_joint_space(frames, by_axis, np.tile(len(chain.links) + used, P))
         return self.forms[:, used] @ by_axis.reshape(M, P, len(used), -1)
 
-    def _compliance(self, G: np.ndarray, local: np.ndarray) -> np.ndarray:
-        """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints."""
+    def _compliance(self, G: np.ndarray, local: np.ndarray, link: np.ndarray | None) -> np.ndarray:
+        """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints.
+
+        Links (M, C): where their points share the largest pressure.
+        """
         faces, projectors = self._free_changes
         held = local @ faces.T > -ACTIVE_TOLERANCE
         pressure = local[..., 0]
@@ -268,11 +277,18 @@ class Equilibrium:
         M, P, C = local.shape[:3]
         R = G.shape[2]
         free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
-        along = N[..., 0].reshape(M, P, 3 * C, 1)
-        # The pressures sum to 1.
-        length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
-        scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
-        return free @ free.mT - scale * (lost @ lost.mT)
+        # The pressures sum to 1, and those of a link with its largest pressure to that.
+        sums = [N[..., 0]]
+        if link is not None:
+            most, excess = heaviest_link(local, link[:, None])
+            part = N[..., 0] * (most & (excess > -SHARE_TOLERANCE)[..., None])[..., None]
+            sums = [part, sums[0] - part]
+        compliance = free @ free.mT
+        for along in (part.reshape(M, P, 3 * C, 1) for part in sums):
+            length, lost = (along * along).sum(axis=(-2, -1))[..., None, None], free @ along
+            scale = np.where(length > 1e-9, 1.0 / np.where(length > 1e-9, length, 1.0), 0.0)
+            compliance = compliance - scale * (lost @ lost.mT)
+        return compliance
 
     @cached_property
     def _free_changes(self) -> tuple[Float[np.ndarray, "8 3"], Float[np.ndarray, "513 3 3"]]:

@@ -7,12 +7,16 @@ The compiled solver is an active-set method that knows the friction pyramids (se
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.collision.engine import chosen
 
 MAX_PRESSURE_SHARE = 0.5
 """Largest share of the total pressure at one contact: every push needs a counter-push."""
+
+SHARE_WEIGHT, SHARE_TOLERANCE = 300.0, 1e-5
+"""Weight of the difference of the pressures of a link from that share in programs where they have it, and tolerance of
+that difference."""
 
 NUM_EDGES = 8
 """Number of edges of the pyramids that approximate friction cones from within."""
@@ -28,6 +32,7 @@ def solve_programs(
     friction: float,
     ridge: float,
     start: Float[np.ndarray, "N P K 3"] | None = None,
+    link: Int[np.ndarray, "N K"] | None = None,
 ) -> tuple[Float[np.ndarray, "N P K 3"], Bool[np.ndarray, "N P"]]:
     """Best forces (pressure and two tangents) of N grasps under P loads each, and True where they were found.
 
@@ -42,7 +47,48 @@ def solve_programs(
         ridge: Weight of the squared forces.
         start: Forces found for similar grasps, with the same friction: they change the way to the solution, not where
             it is. Where they are none, such as for other contacts, they are ignored.
+        link: Index of the link of each contact, where contacts of one link share its largest pressure; None: each has
+            its own.
     """
+    local, solved = _solve(G, there, outer, friction, ridge, start)
+    if link is None:
+        return local, solved
+    # Where a link presses more than its share, it has just that share in the best forces: the program is convex. All
+    # others together have the rest then.
+    n, p = np.nonzero(solved)
+    most, excess = heaviest_link(local[n, p], link[n])
+    others = (there[n] & ~most).any(axis=1)
+    over = np.flatnonzero(others & (excess > SHARE_TOLERANCE))
+    if len(over):
+        n, p, most = n[over], p[over], most[over]
+        row = np.zeros((len(n), G.shape[1], 1, 3))
+        row[..., 0, 0] = SHARE_WEIGHT * most
+        wanted = np.full((len(n), 1, 1), -SHARE_WEIGHT * MAX_PRESSURE_SHARE)
+        programs = np.concatenate([G[n], row], axis=2), there[n], np.concatenate([outer[n, p, None], wanted], axis=2)
+        shared, found = _solve(*programs, friction, ridge, np.ascontiguousarray(local[n, p, None]))
+        local[n, p], solved[n, p] = shared[:, 0], found[:, 0]
+    return local, solved
+
+
+def heaviest_link(
+    local: Float[np.ndarray, "*N K 3"], link: Int[np.ndarray, "*#N K"]
+) -> tuple[Bool[np.ndarray, "*N K"], Float[np.ndarray, "*N"]]:
+    """Return the contacts of the link that presses most, and how far its pressures are above the largest share.
+
+    Args:
+        local: Forces as of `solve_programs`.
+        link: Index of the link of each contact.
+    """
+    pressure = local[..., 0]
+    total = ((link[..., :, None] == link[..., None, :]) @ pressure[..., None])[..., 0]
+    heaviest = np.take_along_axis(np.broadcast_to(link, pressure.shape), total.argmax(axis=-1)[..., None], axis=-1)
+    return link == heaviest, total.max(axis=-1) - MAX_PRESSURE_SHARE
+
+
+def _solve(
+    G: np.ndarray, there: np.ndarray, outer: np.ndarray, friction: float, ridge: float, start: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the programs, each contact with its own largest pressure."""
     if chosen("auto") == "native":
         from grasp_refine.collision.native_search import solve_forces
 

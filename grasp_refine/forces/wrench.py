@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import hat
@@ -73,6 +73,7 @@ def contact_forces(
     forms: Float[np.ndarray, "N E K 3"] | None = None,
     axes: Float[np.ndarray, "*N 3 3"] = WORLD_AXES,
     start: Float[np.ndarray, "N P K 3"] | None = None,
+    link: Int[np.ndarray, "N K"] | None = None,
 ) -> ContactForces:
     """The forces f_k that minimise |[F, tau / LEVER_M]|^2 + ridge sum |f_k|^2, where F = sum f_k, tau = sum r_k x f_k.
 
@@ -94,13 +95,14 @@ def contact_forces(
         forms: Other linear forms of the forces, sum a_ek . f_k, whose squares are minimised with the rest.
         axes: Rotations (N, 3, 3) of the frames to which pyramids are aligned, such as the hand's, or one for all.
         start: `local` forces to start from (see `programs.solve_programs`).
+        link: Index of the link of each contact, where contacts of one link together press at most as one does.
     """
     N, K = point.shape[:2]
     there = np.isfinite(point).all(axis=-1) & np.isfinite(normal).all(axis=-1)
     G, basis = grasp_map(point, normal, center, forms, axes)
     outer = np.zeros((N, loads.shape[-2], G.shape[2]))
     outer[..., :6] = loads
-    local, solved = solve_programs(G, there, outer, friction, ridge, start)
+    local, solved = solve_programs(G, there, outer, friction, ridge, start, link)
     force = sum(local[..., [axis]] * basis[:, None, ..., axis] for axis in range(3))
     flat = np.moveaxis(G, 2, 3).reshape(N, 3 * K, G.shape[2])
     unbalanced = outer + local.reshape(N, outer.shape[1], 3 * K) @ flat

@@ -89,6 +89,22 @@ def test_two_flat_jaws_have_eight_corners_and_balance_any_torque(tmp_path, block
     assert residual == pytest.approx(reach / LEVER_M, rel=0.09), "between an octagon's edges and its corners"
 
 
+def test_the_corners_of_a_link_press_together_as_much_as_one_contact(tmp_path, block: Object):
+    """A push along the closing axis needs the other jaw as much as at points; a single link has all of the pressure."""
+    T, q = gripping([0.0] * 6, [0.002, 0, 0.004, 0, 0.1, 0])
+    load = np.zeros((2, 2, 6))
+    load[:, 0, 1], load[:, 1] = 0.2, [0.1, -0.15, 0.05, 0, 0, 0.1]
+    flat, _, witness, prepared = points_of(jaws(tmp_path), block, T, q)
+    given = {"axes": np.tile(np.eye(3), (2, 1, 1)), "friction": 0.15}
+    found = flat.forces_under(load, np.zeros(3), **given)
+    total = np.stack([(found.pressure * (flat.link == k)[:, None]).sum(axis=-1) for k in range(2)], axis=-1)
+    np.testing.assert_allclose(total, 0.5, atol=1e-4)
+    np.testing.assert_allclose(found.residual[:, 0], 0.2, atol=1e-3)
+    alone = np.isin(flat.link, [0])
+    left = replace(flat, point=np.where(alone[..., None], flat.point, np.nan))
+    assert (left.forces_under(load, np.zeros(3), **given).pressure.sum(axis=-1) > 0.999).all()
+
+
 def test_forces_of_a_squeeze_do_the_work_of_its_torques(tmp_path, block: Object):
     hand = jaws(tmp_path)
     T, q = gripping([0.004, 0, 0.003, 0, 0.2, 0])

@@ -1,11 +1,18 @@
 """The compiled solver of contact forces against DAQP: degenerate contacts, other loads, threads."""
 
+import daqp
 import numpy as np
 import pytest
 
 from grasp_refine.collision.engine import VARIABLE, why_not_native
 from grasp_refine.forces.equilibrium import LOADS
-from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES, solve_programs
+from grasp_refine.forces.programs import (
+    DAQP_OPTIMAL,
+    MAX_PRESSURE_SHARE,
+    NUM_EDGES,
+    _constraints,
+    solve_programs,
+)
 from grasp_refine.forces.wrench import PLANNING_FRICTION, RIDGE, grasp_map
 from single_load import single_load_forces
 
@@ -80,6 +87,40 @@ def both(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> list[tuple[np.n
         monkeypatch.setenv(VARIABLE, engine)
         found.append(solve_programs(*arguments))
     return found
+
+
+def test_contacts_of_a_link_share_its_largest_pressure() -> None:
+    """As DAQP finds it with one constraint more for each link; a link that touches alone has all of the pressure."""
+    rng = np.random.default_rng(3)
+    link = np.array([[0, 1, 0, 1, 0, 2], [0, 1, 0, 0, 0, 0], [4, 4, 4, 4, 4, 4]])
+    point, normal = random(rng, 3, 6)
+    G, _ = grasp_map(point, normal, np.zeros(3))
+    outer = np.tile(np.concatenate([np.zeros((1, 6)), LOADS]), (3, 1, 1))
+    there = np.ones((3, 6), dtype=bool)
+    mine, solved = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE, link=link)
+    free, _ = solve_programs(G, there, outer, PLANNING_FRICTION, RIDGE)
+    assert solved.all() and (mine[2] == free[2]).all()
+    heavier = 0
+    for n, p in np.ndindex(2, len(outer[0])):
+        same = link[n] == link[n, :, None]
+        assert (same @ mine[n, p, :, 0]).max() < MAX_PRESSURE_SHARE + 2e-5
+        heavier += (same @ free[n, p, :, 0]).max() > MAX_PRESSURE_SHARE + 0.01
+        A = np.moveaxis(G[n], 1, 0).reshape(6, -1)
+        rows, upper, lower, sense = _constraints(6, PLANNING_FRICTION)
+        sums = np.kron(same, [1.0, 0.0, 0.0])
+        x, _, flag, _ = daqp.solve(
+            A.T @ A + RIDGE * np.eye(18),
+            outer[n, p] @ A,
+            np.concatenate([rows, sums]),
+            np.concatenate([upper, np.full(6, MAX_PRESSURE_SHARE)]),
+            np.concatenate([lower, np.zeros(6)]),
+            np.concatenate([sense, np.zeros(6, dtype=np.int32)]),
+        )
+        theirs = x.reshape(1, 1, 6, 3)
+        assert flag == DAQP_OPTIMAL
+        values = (value(G[n : n + 1], outer[n : n + 1, p : p + 1], f, RIDGE) for f in (mine[n, p][None, None], theirs))
+        np.testing.assert_allclose(*values, rtol=0, atol=2e-5)
+    assert heavier >= 4
 
 
 @compiled
