@@ -38,7 +38,7 @@ from grasp_refine.scene.scene import Scene
 GOOD_SCORE = 0.1
 """A grasp with at most this score is not tried from another start."""
 
-PINCH_SHARE = 0.6
+PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
 good: forces at two points make no torque about the line between them, whatever the pads do, so that the scores of such
 grasps hardly tell which of them holds."""
