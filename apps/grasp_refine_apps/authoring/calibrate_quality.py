@@ -1,6 +1,6 @@
 """Fit the calibration of the quality: simulate grasps of many hands and generators, and print coefficients.
 
-Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE]`, where ASSETS is a folder of
+Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE] [--every N]`, where ASSETS is a folder of
 hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry refined, and
 refined from one start and from several: what people will ask about. Refined grasps of generators are also simulated
 with weak actuators, for the last shortcoming: its weight is fitted with all others held. The reliability is told on
@@ -69,21 +69,21 @@ class Source:
     """Whether refined grasps are also simulated with weak actuators."""
 
 
-def sources(assets: Path) -> Iterator[Source]:
-    """Return all sources of a folder of assets."""
+def sources(assets: Path, every: int = 1) -> Iterator[Source]:
+    """Return all sources of a folder of assets, with one of `every` grasps of each."""
     grasps, hands = assets / "grasps" / "normalised", assets / "hands"
     shadow = str(hands / "shadow" / "shadow_right.urdf")
     pieces = assets / "grasps" / "bodex_shadow" / "example_object"
     meshes, cube = assets / "objects", "box:0.075,0.075,0.075"
-    every = {"bodex": tuple(range(0, 80, 4)), "dexgraspnet": tuple(range(0, 60, 6)), "leap": tuple(range(0, 768, 16))}
+    bodex, dexgraspnet, leap = range(0, 80, 4), range(0, 60, 6), range(0, 768, 16)
     yield Source(
         "BODex, Shadow",
-        ProblemSpec(hand=shadow, objects=pieces, index=every["bodex"], grasps=grasps / "bodex_shadow.npz"),
+        ProblemSpec(hand=shadow, objects=pieces, index=tuple(bodex[::every]), grasps=grasps / "bodex_shadow.npz"),
     )
     yield Source(
         "DexGraspNet, Shadow",
         ProblemSpec(
-            hand="shadow", objects=meshes, index=every["dexgraspnet"], grasps=grasps / "dexgraspnet_shadow.npz"
+            hand="shadow", objects=meshes, index=tuple(dexgraspnet[::every]), grasps=grasps / "dexgraspnet_shadow.npz"
         ),
     )
     yield Source(
@@ -92,12 +92,16 @@ def sources(assets: Path) -> Iterator[Source]:
             hand="allegro", objects=meshes, object_name="077_rubiks_cube", grasps=grasps / "frogger_allegro.npz"
         ),
     )
-    yield Source("LEAP", ProblemSpec(hand="leap", object=cube, index=every["leap"], grasps=grasps / "leap_cube.npz"))
+    yield Source(
+        "LEAP", ProblemSpec(hand="leap", object=cube, index=tuple(leap[::every]), grasps=grasps / "leap_cube.npz")
+    )
     own = {name: str(hands / name / f"{name}.urdf") for name in ("barrett", "robotiq3f")}
     for name, hand in {**{name: name for name in ("allegro", "leap", "shadow_palm")}, **own}.items():
         for obj in SAMPLED_OBJECTS:
             yield Source(
-                f"sampled, {name}", ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{NUM_SAMPLED}")), weak=False
+                f"sampled, {name}",
+                ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{max(NUM_SAMPLED // every, 1)}")),
+                weak=False,
             )
 
 
@@ -233,13 +237,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--samples", type=Path, help="keep shortcomings and verdicts in this .npz, or take them from it"
     )
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take one of N grasps of each set")
     options = parser.parse_args(arguments)
     if options.samples is not None and options.samples.exists():
         with np.load(options.samples) as file:
             found = Samples(file["source"], file["shortcomings"], file["held"])
     else:
         parts = []
-        for source in sources(options.assets):
+        for source in sources(options.assets, options.every):
             try:
                 parts.append(samples(source))
                 print(f"{source.name}, {source.spec.object or 'its objects'}: {len(parts[-1].held)} grasps", flush=True)
