@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt32
+from jaxtyping import Float, Float32
 
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
@@ -15,8 +15,8 @@ UNIT_FORCE_LENGTH = 0.5
 CONE_HEIGHT = 0.12
 """Height of a friction cone, likewise."""
 
-CONE_SIDES = 24
-"""Sides of the pyramids that are drawn for cones."""
+CONE_SIDES, CONE_LINES = 24, 4
+"""Segments of the rim of a drawn cone, and lines from there to its apex."""
 
 
 def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> Float32[np.ndarray, "S 2 3"]:
@@ -51,6 +51,11 @@ def arrow_lines(arrow: Float[np.ndarray, "2 3"], head: float) -> Float[np.ndarra
     return np.stack([arrow, *(np.stack([end, point]) for point in back)])
 
 
+def newtons_per_centimetre(obj: Body, total_n: float) -> float:
+    """Return the force in newtons of a contact whose arrow is 1 cm long, where all pressures sum to `total_n`."""
+    return 0.01 / (UNIT_FORCE_LENGTH * obj.diagonal) * total_n
+
+
 def force_arrows(
     point: Float[np.ndarray, "C 3"], force: Float[np.ndarray, "C 3"], obj: Body
 ) -> Float32[np.ndarray, "S 2 3"]:
@@ -65,18 +70,17 @@ def force_arrows(
 
 def friction_cones(
     point: Float[np.ndarray, "C 3"], normal: Float[np.ndarray, "C 3"], friction: float, obj: Body
-) -> tuple[Float32[np.ndarray, "V 3"], UInt32[np.ndarray, "F 3"]]:
-    """Vertices and faces of all friction cones together: each opens from its contact along the normal, into the object.
+) -> Float32[np.ndarray, "S 2 3"]:
+    """Line segments (S, 2, 3) that outline the friction cones: each opens from its contact along the normal, inwards.
 
     The half angle is atan(friction). The forces that friction allows are those in the cone.
     """
-    import trimesh
-
     height = CONE_HEIGHT * obj.diagonal
-    cone = trimesh.creation.cone(friction * height, height, sections=CONE_SIDES)
-    # The apex of this cone is on its axis z, its base in the plane z = 0.
-    normal = np.asarray(normal, dtype=np.float64)
-    axes = np.concatenate([tangents(normal)[..., ::-1], -normal[..., None]], axis=-1)
-    vertices = (point + height * normal)[:, None] + np.asarray(cone.vertices) @ axes.mT
-    faces = np.asarray(cone.faces) + len(cone.vertices) * np.arange(len(point))[:, None, None]
-    return vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32)
+    normal, point = np.asarray(normal, dtype=np.float64), np.asarray(point, dtype=np.float64)
+    turn = np.linspace(0.0, 2 * np.pi, CONE_SIDES, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    rim = (point + height * normal)[:, None] + friction * height * (tangents(normal) @ circle).mT
+    around = np.stack([rim, np.roll(rim, -1, axis=1)], axis=2)
+    sides = rim[:, :: CONE_SIDES // CONE_LINES]
+    sides = np.stack([np.broadcast_to(point[:, None], sides.shape), sides], axis=2)
+    return np.concatenate([around, sides], axis=1).reshape(-1, 2, 3).astype(np.float32)

@@ -16,11 +16,12 @@ from grasp_refine_apps.viewer.camera import hand_points, surface_points
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.depth import overlap_patches
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
 from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
 from grasp_refine_apps.viewer.pose import Pose
-from grasp_refine_apps.viewer.scene_nodes import Arrows, HandMeshes, Lines, Meshes, PointMarkers, place
+from grasp_refine_apps.viewer.scene_nodes import Arrows, ColoredPatches, HandMeshes, Lines, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import State
@@ -38,6 +39,12 @@ GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (220, 20, 40),
     (250, 130, 20),
 )
+
+CONE_COLOR = (110, 150, 225)
+"""Colour of the outlines of friction cones."""
+
+FORCE_THICKNESS = 0.4
+"""Thickness of the arrows of forces, as a share of that of a push."""
 
 TABLE_COLOR = (200, 190, 175)
 """Colour of the table."""
@@ -74,6 +81,7 @@ class GraspNodes:
         self.ghost = HandMeshes(scene, f"{GRASP_NODE}/ghost", self.shapes, self._poses, **ghost_style)
         self.object_frame = scene.add_frame(f"{GRASP_NODE}/object", show_axes=False)
         self.object_shapes = object_shapes(obj, "pieces" if display.object == "pieces" else "mesh")
+        self._surface = self.object_shapes[0] if display.object != "pieces" else object_shapes(obj, "mesh")[0]
         wireframe = display.object == "wireframe"
         opacity = OPACITY if display.transparent and not wireframe else None
         self._object_style: dict[str, Any] = {"opacity": opacity, "wireframe": wireframe}
@@ -93,10 +101,12 @@ class GraspNodes:
         self._targets_link = PointMarkers(scene, f"{GRASP_NODE}/targets/link", 1.3 * radius, TARGET_COLOR)
         self._target_lines = Lines(scene, f"{GRASP_NODE}/targets/lines", 2.0)
         self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
-        self.forces = Arrows(scene, f"{GRASP_NODE}/forces", length, FORCE_COLOR)
+        self.depths = ColoredPatches(scene, f"{GRASP_NODE}/depth")
+        self._depths_of: Contacts | None = None
+        self.forces = Arrows(scene, f"{GRASP_NODE}/forces", FORCE_THICKNESS * length, FORCE_COLOR)
+        self.cones = Lines(scene, f"{GRASP_NODE}/cones", 1.5)
         self.patches = Lines(scene, f"{GRASP_NODE}/forces/patches", 3.0)
         self.push = Arrows(scene, f"{GRASP_NODE}/push", length, DEEP_COLOR)
-        self.cones: Any = None
         self.axes = [
             scene.add_frame(f"{GRASP_NODE}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
             for name in ("frame_of_hand", "frame_of_object")
@@ -158,6 +168,22 @@ class GraspNodes:
         self.picked.draw(picked)
         refining = state.job is not None and state.job.kind == "refine"
         self._draw_forces(found.forces if self._display.forces and not refining else None)
+        self._draw_depths(found if self._display.overlap and not refining else None)
+
+    def _draw_depths(self, found: Contacts | None) -> None:
+        """Draw where links and object overlap, coloured by depth; None: nothing."""
+        if found is self._depths_of:
+            return
+        self._depths_of, patches = found, []
+        for link in () if found is None else np.array(found.link)[found.deep]:
+            shape = next((shape for shape in self.shapes if shape.link == link), None)
+            body = self.prepared.hand.links_by_name[link].body
+            if found is None or shape is None or body is None:
+                continue
+            T = found.frames.T_world_link[0, self.prepared.chain.links.index(link)]
+            both = overlap_patches(shape, body, self._surface, self.prepared.object.body, T)
+            patches += [(patch, pose) for patch, pose in zip(both, (T, np.eye(4)), strict=True) if patch is not None]
+        self.depths.draw(patches)
 
     def _draw_simulated_contacts(self, motion: ShownMotion, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""
@@ -169,6 +195,7 @@ class GraspNodes:
             lines.draw(np.zeros((0, 2, 3)), NO_POINTS)
         self.points_object.draw(points, distance_colors(np.zeros(len(points))))
         self._draw_forces(None)
+        self._draw_depths(None)
 
     def _draw_push(self, state: State) -> None:
         """Draw the push of a simulation, from the middle of the object outwards."""
@@ -192,23 +219,17 @@ class GraspNodes:
         self._ground.draw(points)
 
     def _draw_forces(self, forces: Forces | None) -> None:
-        """Draw contact forces as arrows into the object, friction cones, and outlines of patches; None: nothing."""
-        if self.cones is not None:
-            self.cones.remove()
-            self.cones = None
+        """Draw contact forces as arrows into the object, and outlines of cones and patches; None: nothing."""
         if forces is None:
             self.forces.draw(np.zeros((0, 2, 3)))
-            self.patches.draw(np.zeros((0, 2, 3)), NO_POINTS)
+            for lines in (self.patches, self.cones):
+                lines.draw(np.zeros((0, 2, 3)), NO_POINTS)
             return
         body = self.prepared.object.body
         self.forces.draw(force_arrows(forces.point, forces.force, body))
         self.patches.draw(forces.outline, np.full((len(forces.outline), 3), FORCE_COLOR))
-        vertices, faces = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
-        if len(faces):
-            self.cones = self._scene.add_mesh_simple(
-                f"{GRASP_NODE}/cones", vertices, faces, color=FORCE_COLOR, opacity=0.2, side="double",
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+        cones = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
+        self.cones.draw(cones, np.full((len(cones), 3), CONE_COLOR))
 
     def _draw_input(self, state: State) -> None:
         """Draw the input grasp beside, with its own object."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine_apps.viewer.colors import Color
+from grasp_refine_apps.viewer.depth import DepthPatch
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, Shape
 
@@ -163,6 +164,27 @@ class PointMarkers:
             else:
                 self.nodes[k].position, self.nodes[k].color = point, color
         return range(before, len(points))
+
+
+class ColoredPatches:
+    """Triangle meshes with a colour per vertex, as many as there are at a time."""
+
+    def __init__(self, scene: viser.SceneApi, name: str) -> None:
+        """Start without patches."""
+        self._scene, self._name = scene, name
+        self.nodes: list[Any] = []
+
+    def draw(self, patches: Sequence[tuple[DepthPatch, Float[np.ndarray, "4 4"]]]) -> None:
+        """Draw patches at poses (4, 4) in the frame of their parent, instead of those before."""
+        import trimesh
+
+        while self.nodes:
+            self.nodes.pop().remove()
+        for k, (patch, T) in enumerate(patches):
+            mesh = trimesh.Trimesh(patch.vertices, patch.faces, vertex_colors=patch.colors, process=False)
+            node = self._scene.add_mesh_trimesh(f"{self._name}/{k}", mesh, cast_shadow=False, receive_shadow=False)
+            place(node, T)
+            self.nodes.append(node)
 
 
 class Arrows:

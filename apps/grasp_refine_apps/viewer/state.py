@@ -65,6 +65,9 @@ class DisplayOptions:
     """A pale copy of the hand before refinement."""
     contacts: bool = True
     """Points where links and object are nearest or deepest, and lines between them."""
+    overlap: bool = True
+    """Depth of links in the object and of the object in them, as colours where they overlap; takes up to 0.1 s for each
+    such link after each move, and nothing where none is."""
     forces: bool = False
     """The contact forces that balance best, and friction cones."""
     frames: bool = False

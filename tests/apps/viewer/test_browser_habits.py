@@ -25,11 +25,11 @@ CONTRASTS = """() => {
     const luminance = rgb => rgb.map(c => c / 255).map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4)
         .reduce((sum, c, k) => sum + c * [0.2126, 0.7152, 0.0722][k], 0);
     const dark = document.documentElement.dataset.mantineColorScheme === "dark";
-    const found = [];
+    const found = [], exempt = "[data-disabled],:disabled,[aria-disabled=true],script,style,canvas";
     const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
     while (walker.nextNode()) {
         const element = walker.currentNode.parentElement, text = walker.currentNode.nodeValue.trim();
-        if (!text || !element || element.closest("[data-disabled],:disabled,[aria-disabled=true],script,style,canvas")) continue;
+        if (!text || !element || element.closest(exempt)) continue;
         const box = element.getBoundingClientRect();
         if (!box.width || !box.height || !element.checkVisibility({opacityProperty: true, visibilityProperty: true}))
             continue;
@@ -59,8 +59,8 @@ OVERLAPS = """() => {
             if (one.contains(other) || other.contains(one)) continue;
             const wide = Math.min(a.right, b.right) - Math.max(a.left, b.left);
             const high = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
-            const same = one.closest(".mantine-InputWrapper-root,.mantine-Input-wrapper");
-            if (wide > 3 && high > 3 && !(same && same === other.closest(".mantine-InputWrapper-root,.mantine-Input-wrapper")))
+            const field = ".mantine-InputWrapper-root,.mantine-Input-wrapper", same = one.closest(field);
+            if (wide > 3 && high > 3 && !(same && same === other.closest(field)))
                 found.push([one.outerHTML.slice(0, 90), other.outerHTML.slice(0, 90)]);
         }
     }

@@ -8,10 +8,12 @@ from types import TracebackType
 from typing import Any
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.hands.hand import Hand
 from grasp_refine_apps.viewer.colors import distance_legend
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.glyphs import newtons_per_centimetre
 from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
@@ -170,6 +172,10 @@ def _heading(state: State, contacts_of: ContactMeter) -> str:
     elif state.shown.finite:
         found = contacts_of(state)
         lines.append(distances_text(found.contact_error, found.penetration))
+        if state.display.forces:
+            total = TOTAL_PRESSURE_N if state.work.config is None else state.work.config.pressure
+            scale = newtons_per_centimetre(found.prepared.object.body, total)
+            lines.append(f"forces: an arrow of 1 cm is {scale:.2g} N, all press with {total:g} N")
     style = "padding:0.3em 1em;line-height:1.5;font-size:0.9em;overflow-wrap:anywhere"
     return f'<div style="{style}">{"<br>".join(lines)}{SCALE}</div>'
 

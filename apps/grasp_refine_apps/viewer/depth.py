@@ -1,0 +1,106 @@
+"""Depth of one surface in another body, as coloured patches where they overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt8
+
+from grasp_refine.core.se3 import inverse, transform_points
+from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine_apps.viewer.colors import distance_colors
+from grasp_refine_apps.viewer.shapes import Shape
+
+EDGE_M = 0.0015
+"""Longest edge of a patch's triangles in metres."""
+
+MAX_FACES = 30_000
+"""Number of triangles from which on they are not made smaller."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthPatch:
+    """Part of a surface that lies in another body."""
+
+    vertices: Float32[np.ndarray, "V 3"]
+    """Vertices (V, 3) in the frame of the surface, metres."""
+    faces: Int[np.ndarray, "F 3"]
+    """Triangles (F, 3)."""
+    depth: Float[np.ndarray, " V"]
+    """Depth (V,) in metres, 0 on the rim."""
+
+    @property
+    def colors(self) -> UInt8[np.ndarray, "V 3"]:
+        """Colours (V, 3) of the vertices, by the scale of distances."""
+        return distance_colors(-self.depth)
+
+
+def depth_in(body: Body, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+    """Return the depth (N,) of points in a body, in its frame, metres; negative outside.
+
+    Inside it is the distance to the surface of the convex piece in which the point is deepest, which is exact for
+    bodies of one piece and too small where pieces overlap. Outside it is at most the distance to the body, negated. It
+    changes by no more than a point moves.
+    """
+    return np.max([_depth_in_piece(piece, points) for piece in body.pieces], axis=0)
+
+
+def _depth_in_piece(piece: Piece, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+    """Depth (N,) in a convex piece; negative outside."""
+    if piece.radius > 0 and len(piece.vertices) <= 2:
+        a, b = piece.vertices[0], piece.vertices[-1]
+        axis = b - a
+        along = np.clip((points - a) @ axis / max(float(axis @ axis), np.finfo(np.float64).tiny), 0.0, 1.0)
+        return piece.radius - np.linalg.norm(points - a - along[:, None] * axis, axis=1)
+    normals, offsets = piece.planes
+    return piece.radius + (offsets - points @ normals.T).min(axis=1)
+
+
+def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], body: Body) -> DepthPatch | None:
+    """Return the part of a shape that lies in a body; None: none does.
+
+    Triangles are halved until their edges are short. Those that cannot reach the body are left out first: depth changes
+    by no more than a point moves.
+    """
+    import trimesh
+
+    vertices, faces = np.asarray(shape.vertices, dtype=float), np.asarray(shape.faces, dtype=np.int64)
+    while True:
+        depth = depth_in(body, transform_points(T_body_shape, vertices))
+        corners = vertices[faces]
+        edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        # Where all edges are short, only what lies inside is left.
+        fine = not len(edge) or edge.max() <= EDGE_M or len(faces) > MAX_FACES
+        near = depth[faces].max(axis=1) > (0.0 if fine else -edge)
+        long = edge[near] > EDGE_M
+        used, renumbered = np.unique(faces[near], return_inverse=True)
+        if not len(used):
+            return None
+        vertices, faces = vertices[used], renumbered.reshape(-1, 3)
+        if fine:
+            return _clipped(vertices, faces, depth[used])
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces, face_index=np.flatnonzero(long))
+
+
+def _clipped(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], depth: Float[np.ndarray, " V"]
+) -> DepthPatch:
+    """Patch whose outer vertices are moved to where the surface enters the body, along their edges inwards."""
+    ends = np.concatenate([faces[:, [a, b]] for a in range(3) for b in range(3) if a != b])
+    out, into = np.unique(ends[(depth[ends[:, 0]] < 0) & (depth[ends[:, 1]] > 0)], axis=0).T
+    share = depth[out] / (depth[out] - depth[into])
+    crossing = vertices[out] + share[:, None] * (vertices[into] - vertices[out])
+    count = np.bincount(out, minlength=len(vertices))
+    moved, place = count > 0, vertices.copy()
+    place[moved] = np.stack([np.bincount(out, crossing[:, k], len(vertices)) for k in range(3)], axis=1)[moved]
+    place[moved] /= count[moved, None]
+    return DepthPatch(place.astype(np.float32), faces, np.where(moved, 0.0, depth))
+
+
+def overlap_patches(
+    link: Shape, link_body: Body, obj: Shape, obj_body: Body, T_object_link: Float[np.ndarray, "4 4"]
+) -> tuple[DepthPatch | None, DepthPatch | None]:
+    """Return the part of a link that lies in the object, link frame, and that of the object in the link, its frame."""
+    return depth_patch(link, T_object_link, obj_body), depth_patch(obj, inverse(T_object_link), link_body)
