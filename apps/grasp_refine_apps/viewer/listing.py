@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Int
@@ -32,6 +32,8 @@ class Listing:
     """Verdict of the simulation."""
     mark: str = ""
     """Mark of the grasps; `NO_MARK`: none."""
+    ranges: tuple[tuple[str, float, float], ...] = ()
+    """Measures with lowest and highest value, SI units; grasps of which one is not known are not listed."""
 
     def numbers(self, collection: Collection) -> Int[np.ndarray, " M"]:
         """Numbers of the M grasps that are listed, in order; unknown values come last."""
@@ -50,7 +52,20 @@ class Listing:
                 keep &= np.zeros(len(collection), dtype=bool) if found is None else found.values == wanted
         if self.mark:
             keep &= marks_of(collection) == ("" if self.mark == NO_MARK else self.mark)
+        for key, low, high in self.ranges:
+            found = collection.columns.get(key)
+            if found is not None:
+                keep &= (found.values >= low) & (found.values <= high)
         return order[keep[order]]
+
+    def range_of(self, key: str) -> tuple[float, float] | None:
+        """Return the range of a measure; None: it has none."""
+        return next(((low, high) for name, low, high in self.ranges if name == key), None)
+
+    def with_range(self, key: str, range_: tuple[float, float] | None) -> Listing:
+        """Return the listing with another range of a measure; None: none."""
+        others = tuple(each for each in self.ranges if each[0] != key)
+        return replace(self, ranges=others if range_ is None else (*others, (key, *range_)))
 
 
 def column_of(collection: Collection, key: str) -> Column | None:

@@ -196,3 +196,21 @@ def test_hints_stand_beside_the_panel(page: ViserPage):
         lambda: (box := hint.bounding_box()) is not None and box["x"] + box["width"] <= panel["x"] + 1, "a hint aside"
     )
     page.page.mouse.move(100, 600)
+
+
+def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(page: ViserPage):
+    page.tab("Browse")
+    page.folder("Sort and filter")
+    chart = page.page.locator("svg[data-brush]")
+    chart.wait_for(state="visible")
+    chart.scroll_into_view_if_needed()
+    box = chart.bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.page.mouse.move(box["x"] + 0.5 * box["width"], y)
+    page.page.mouse.down()
+    page.page.mouse.move(box["x"] + box["width"], y, steps=4)
+    page.page.mouse.up()
+    page.wait_for_text("listed, 4 in all")
+    page.page.mouse.click(box["x"] + 0.5 * box["width"], y)
+    until(lambda: "1 to 4 of 4" in page.text(), "all of them")
+    page.folder("Sort and filter")

@@ -30,6 +30,9 @@ from grasp_refine_apps.viewer.view import View
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""
 
+NOTEBOOK_HEIGHT_PX = 640
+"""Height of the page in a notebook, pixels."""
+
 PANELS = (
     ("Refine", RefinePanel),
     ("Edit", EditPanel),
@@ -79,6 +82,7 @@ class Viewer:
                 self.view.fit,
                 self._change_tab,
                 refine.form.placeholders,
+                browse.brush,
             )
             draws = (
                 self._draw_heading,
@@ -139,6 +143,10 @@ class Viewer:
     def address(self) -> str:
         """Address to open in a browser."""
         return self.page.address
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, for a notebook."""
+        return f'<iframe src="{html.escape(self.address)}" width="100%" height="{NOTEBOOK_HEIGHT_PX}"></iframe>'
 
     def __enter__(self) -> Viewer:
         """Return the viewer."""

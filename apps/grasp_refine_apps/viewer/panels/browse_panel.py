@@ -7,6 +7,7 @@ from collections.abc import Hashable
 from dataclasses import replace
 from functools import partial
 from html import escape
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.histogram import brushed_range, histogram_html
 from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from grasp_refine_apps.viewer.marks import MARKS, Mark
 from grasp_refine_apps.viewer.measuring import unmeasured
@@ -85,6 +87,8 @@ class BrowsePanel:
             self.doing = gui.add_markdown("", visible=False)
             self.stop = gui.add_button("Stop", visible=False, hint="Stop after this; what is done is kept")
         with gui.add_folder("Sort and filter", expand_by_default=False):
+            self.measure_of: Any = gui.add_dropdown("Histogram", ("-",), hint="Measure whose histogram is drawn below")
+            self.histogram = gui.add_html("")
             self.key: Any = gui.add_dropdown("Sort by", (IN_FILE,), hint="Or click a header of the table")
             self.descending: Any = gui.add_checkbox("Largest first", False, hint="Or click the header once more")
             self.filters: dict[str, Any] = {
@@ -128,6 +132,7 @@ class BrowsePanel:
         on_change(self.clicks, self._click)
         on_change(self.key, lambda label: self._sort(self._keys().get(label, NUMBER)))
         on_change(self.descending, lambda descending: self._list(descending=descending))
+        on_change(self.measure_of, lambda title: self._choose_histogram())
         on_change(self.beside, self._controller.set_side_by_side)
         for name, widget in self.filters.items():
             on_change(widget, partial(self._filter, name))
@@ -160,6 +165,34 @@ class BrowsePanel:
         """Label of each column in the list of sortings -> its key."""
         columns = {} if self._collection is None else self._collection.columns
         return {IN_FILE: NUMBER, **{column.title: key for key, column in columns.items()}, "Mark": MARK}
+
+    def brush(self, text: str) -> None:
+        """List a range of a measure: "KEY LEFT RIGHT", places in its histogram; clients can send arbitrary text."""
+        key, *places = text.split(" ")
+        with self._lock:
+            collection, listing = self._collection, self._controller.state.listing
+        column = None if collection is None else collection.columns.get(key)
+        try:
+            left, right = map(float, places[:2])
+        except ValueError:
+            return
+        if column is not None and not column.is_text and isfinite(left + right):
+            self._controller.set_listing(listing.with_range(key, brushed_range(column, left, right)))
+
+    def _draw_histogram(self, collection: Collection) -> None:
+        """Update the histogram, and the choice of its measure."""
+        titles = {column.title: column for column in collection.columns.values() if not column.is_text}
+        if self.measure_of.options != tuple(titles or ("-",)):
+            self.measure_of.options = tuple(titles or ("-",))
+        column = titles.get(self.measure_of.value)
+        self.measure_of.visible = self.histogram.visible = column is not None
+        if column is not None:
+            self.histogram.content = histogram_html(column, self._listed, self._listing.range_of(column.key))
+
+    def _choose_histogram(self) -> None:
+        with self._lock:
+            if self._collection is not None:
+                self._draw_histogram(self._collection)
 
     # commands
 
@@ -258,6 +291,7 @@ class BrowsePanel:
         shown |= {"held": HELD.key in collection.columns, "mark": True}
         for name, widget in self.filters.items():
             widget.visible, widget.value = shown[name], getattr(self._listing, name) or ALL
+        self._draw_histogram(collection)
         self.key.value = chosen
         self.descending.value = self._listing.descending
         self.measure.visible = bool(unmeasured(self._controller.state.collection).any())

@@ -21,6 +21,7 @@ from grasp_refine_apps.viewer.camera import FirstCamera
 from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.gif import RENDER_TIMEOUT_S, recorded_gif
 from grasp_refine_apps.viewer.names import file_stem, shortened
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
@@ -35,8 +36,11 @@ from grasp_refine_apps.viewer.worker import Control
 
 UNSPECIFIED_UNIT = "ask me"
 """Label of a unit that is not specified."""
-RENDER_TIMEOUT_S = 15.0
-"""Seconds within which a browser must draw a picture; one that is hidden or hangs never does."""
+COPY_LINK = (
+    '<div style="padding:.2em 1em .6em;font-size:.85em"><button data-copy-link style="cursor:pointer">'
+    "Copy link</button> to this grasp and tab; the address of the page follows, too</div>"
+)
+"""Button that copies the address; the page's own script does it."""
 MAX_PICTURE_PIXELS = 4096
 """Maximum pixels of a picture's longer side; browsers may report any size."""
 
@@ -87,6 +91,12 @@ class ExportPanel:
                 icon=viser.Icon.MOVIE,
                 hint="Download the last refinement, or the simulation that is shown, as a page that plays anywhere",
             )
+            self.gif = gui.add_button(
+                "Animation (GIF)",
+                icon=viser.Icon.GIF,
+                hint="Download the same as a GIF, from where your camera is; it is played once for that",
+            )
+            gui.add_html(COPY_LINK)
         self.doing = gui.add_markdown("", visible=False)
         self.stop = gui.add_button("Stop", visible=False, hint="Stop opening or saving")
         on_click(self.stop, controller.stop)
@@ -96,6 +106,7 @@ class ExportPanel:
         self.save_all.on_click(self._save_several)
         self.picture.on_click(self._send_picture)
         self.animation.on_click(self._animate)
+        self.gif.on_click(self._record)
         limit_uploads(server, MAX_UPLOAD_BYTES, self._refused)
 
     def draw(self, state: State) -> None:
@@ -235,6 +246,18 @@ class ExportPanel:
             self._send(client, Saved(f"{_stem(now)}.html", page.encode()))
 
         self._run("export", "making the animation", work)
+
+    def _record(self, event: viser.GuiEvent) -> None:
+        """Send the last refinement, or the simulation that is shown, as a GIF from this browser's camera."""
+        now, client = self._controller.state, event.client
+        if client is None:
+            return
+        size = _size(client.camera)
+
+        def work(control: Control) -> None:
+            self._send(client, Saved(f"{_stem(now)}.gif", recorded_gif(self._controller, client, size, control)))
+
+        self._run("export", "recording a GIF", work)
 
     def _run(self, kind: JobKind, what: str, work: Callable[[Control], None]) -> None:
         if not self._controller.run_job(kind, what, work):

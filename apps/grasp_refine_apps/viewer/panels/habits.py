@@ -50,6 +50,7 @@ class Habits:
         fit: Callable[[viser.ClientHandle, float], None],
         change_tab: Callable[[str], None],
         placeholders: Callable[[], Mapping[str, str]],
+        brush: Callable[[str], None],
     ) -> None:
         """Make the hidden widgets, in the container that is open.
 
@@ -59,10 +60,12 @@ class Habits:
             commands: Commands of the panels: next, previous and play; must return at once.
             fit: Fits the camera of one page whose scene has an aspect ratio; called in a thread.
             change_tab: Called with the lower-case title of a tab that was opened.
+            brush: Called with the measure and the places of a brush over its histogram.
             placeholders: Texts in empty fields, by the ids of their widgets.
         """
         self._controller, self._fit, self._change_tab = controller, fit, change_tab
-        self._placeholders = placeholders
+        self._placeholders, self._brush = placeholders, brush
+        self._fitted: set[int] = set()
         self._commands: dict[str, Callable[[], object]] = {
             **commands,
             "good": lambda: self._mark("good"),
@@ -96,6 +99,8 @@ class Habits:
             self._controller.show(int(value[:9]))
         elif what == "scheme":
             set_theme(client.gui, dark=value == "dark")
+        elif what == "brush":
+            self._brush(rest)
         elif what == "tab":
             self._change_tab(value)
         elif what in ("fit", "ready"):
@@ -124,7 +129,9 @@ class Habits:
             aspect = float(value)
         except ValueError:
             return
+        always = always or client.client_id in self._fitted
         if 0.1 < aspect < 10.0 and (always or abs(aspect / ASPECT_RATIO - 1) > ASPECT_TOLERANCE):
+            self._fitted.add(client.client_id)
             self._fit(client, aspect)
 
 
