@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import Body
@@ -15,6 +15,9 @@ from grasp_refine_apps.viewer.shapes import Shape
 
 EDGE_M = 0.0015
 """Longest edge of a patch's triangles in metres."""
+
+CUT_M = 2e-4
+"""Distance in front of a face, metres, at which it is looked for another piece."""
 
 MAX_FACES = 30_000
 """Number of triangles from which on they are not made smaller."""
@@ -37,28 +40,57 @@ class DepthPatch:
         return distance_colors(-self.depth)
 
 
-def depth_in(body: Body, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """Return the depth (N,) of points in a body, in its frame, metres; negative outside.
+@dataclass(frozen=True, eq=False)
+class DepthField:
+    """Depth of points in a body; built once for a body."""
 
-    Inside it is the distance to the surface of the convex piece in which the point is deepest, which is exact for
-    bodies of one piece and too small where pieces overlap. Outside it is at most the distance to the body, negated. It
-    changes by no more than a point moves.
-    """
-    return np.max([_depth_in_piece(piece, points) for piece in body.pieces], axis=0)
+    body: Body
+    """The body."""
+    exposed: tuple[Bool[np.ndarray, " P"], ...]
+    """Of each piece, which planes are surface of the body, and not a cut that faces another piece."""
+
+    @staticmethod
+    def of(body: Body) -> DepthField:
+        """Build the field of a body."""
+        found = []
+        for piece in body.pieces:
+            normals, _ = piece.planes
+            solid = piece.normals.any(axis=1)
+            middle = piece.vertices[piece.faces[solid]].mean(axis=1) if len(normals) else np.zeros((0, 3))
+            outside = middle + (piece.radius + CUT_M) * normals
+            others = [_depth_in_piece(other, outside) for other in body.pieces if other is not piece]
+            found.append(np.max(others, axis=0) < 0.0 if others else np.ones(len(outside), dtype=bool))
+        return DepthField(body, tuple(found))
+
+    def __call__(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+        """Return the depth (N,) of points in the body's frame, metres; negative outside.
+
+        Inside it is the distance to the nearest plane of the piece in which the point is deepest, without cuts between
+        pieces: exact for convex bodies. Outside it is at most the distance to the body, negated, and changes by no more
+        than a point moves.
+        """
+        parts = zip(self.body.pieces, self.exposed, strict=True)
+        return np.max([_depth_in_piece(piece, points, exposed) for piece, exposed in parts], axis=0)
 
 
-def _depth_in_piece(piece: Piece, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """Depth (N,) in a convex piece; negative outside."""
+def _depth_in_piece(
+    piece: Piece, points: Float[np.ndarray, "N 3"], exposed: Bool[np.ndarray, " P"] | None = None
+) -> Float[np.ndarray, " N"]:
+    """Depth (N,) in a convex piece, negative outside; inside by its `exposed` planes only, if there are any."""
     if piece.radius > 0 and len(piece.vertices) <= 2:
         a, b = piece.vertices[0], piece.vertices[-1]
         axis = b - a
         along = np.clip((points - a) @ axis / max(float(axis @ axis), np.finfo(np.float64).tiny), 0.0, 1.0)
         return piece.radius - np.linalg.norm(points - a - along[:, None] * axis, axis=1)
     normals, offsets = piece.planes
-    return piece.radius + (offsets - points @ normals.T).min(axis=1)
+    gaps = piece.radius + offsets - points @ normals.T
+    depth = gaps.min(axis=1)
+    if exposed is None or not exposed.any():
+        return depth
+    return np.where(depth >= 0.0, gaps[:, exposed].min(axis=1), depth)
 
 
-def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], body: Body) -> DepthPatch | None:
+def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], field: DepthField) -> DepthPatch | None:
     """Return the part of a shape that lies in a body; None: none does.
 
     Triangles are halved until their edges are short. Those that cannot reach the body are left out first: depth changes
@@ -68,7 +100,7 @@ def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], body: Body
 
     vertices, faces = np.asarray(shape.vertices, dtype=float), np.asarray(shape.faces, dtype=np.int64)
     while True:
-        depth = depth_in(body, transform_points(T_body_shape, vertices))
+        depth = field(transform_points(T_body_shape, vertices))
         corners = vertices[faces]
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         # Where all edges are short, only what lies inside is left.
@@ -100,7 +132,7 @@ def _clipped(
 
 
 def overlap_patches(
-    link: Shape, link_body: Body, obj: Shape, obj_body: Body, T_object_link: Float[np.ndarray, "4 4"]
+    link: Shape, in_link: DepthField, obj: Shape, in_object: DepthField, T_object_link: Float[np.ndarray, "4 4"]
 ) -> tuple[DepthPatch | None, DepthPatch | None]:
     """Return the part of a link that lies in the object, link frame, and that of the object in the link, its frame."""
-    return depth_patch(link, T_object_link, obj_body), depth_patch(obj, inverse(T_object_link), link_body)
+    return depth_patch(link, T_object_link, in_object), depth_patch(obj, inverse(T_object_link), in_link)

@@ -10,13 +10,14 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import tangents, transform, transform_points
 from grasp_refine.forces.wrench import PLANNING_FRICTION
+from grasp_refine.geometry.body import Body
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.camera import hand_points, surface_points
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.depth import overlap_patches
+from grasp_refine_apps.viewer.depth import DepthField, overlap_patches
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
 from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
@@ -103,6 +104,7 @@ class GraspNodes:
         self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
         self.depths = ColoredPatches(scene, f"{GRASP_NODE}/depth")
         self._depths_of: Contacts | None = None
+        self._depth_fields: dict[Body, DepthField] = {}
         self.forces = Arrows(scene, f"{GRASP_NODE}/forces", FORCE_THICKNESS * length, FORCE_COLOR)
         self.cones = Lines(scene, f"{GRASP_NODE}/cones", 1.5)
         self.patches = Lines(scene, f"{GRASP_NODE}/forces/patches", 3.0)
@@ -181,9 +183,15 @@ class GraspNodes:
             if found is None or shape is None or body is None:
                 continue
             T = found.frames.T_world_link[0, self.prepared.chain.links.index(link)]
-            both = overlap_patches(shape, body, self._surface, self.prepared.object.body, T)
+            both = overlap_patches(shape, self._field(body), self._surface, self._field(self.prepared.object.body), T)
             patches += [(patch, pose) for patch, pose in zip(both, (T, np.eye(4)), strict=True) if patch is not None]
         self.depths.draw(patches)
+
+    def _field(self, body: Body) -> DepthField:
+        """Depth in a body, built when it is needed first."""
+        if body not in self._depth_fields:
+            self._depth_fields[body] = DepthField.of(body)
+        return self._depth_fields[body]
 
     def _draw_simulated_contacts(self, motion: ShownMotion, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""

@@ -16,6 +16,9 @@ from grasp_refine_apps.viewer.depth import DepthPatch
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, Shape
 
+SRGB_EXPONENT = 2.2
+"""Exponent from the usual colours to linear ones."""
+
 FADED_OPACITY = 0.3
 """Opacity of forearms."""
 
@@ -181,7 +184,9 @@ class ColoredPatches:
         while self.nodes:
             self.nodes.pop().remove()
         for k, (patch, T) in enumerate(patches):
-            mesh = trimesh.Trimesh(patch.vertices, patch.faces, vertex_colors=patch.colors, process=False)
+            # Files for browsers have linear colours.
+            colors = np.round(255 * (patch.colors / 255) ** SRGB_EXPONENT).astype(np.uint8)
+            mesh = trimesh.Trimesh(patch.vertices, patch.faces, vertex_colors=colors, process=False)
             node = self._scene.add_mesh_trimesh(f"{self._name}/{k}", mesh, cast_shadow=False, receive_shadow=False)
             place(node, T)
             self.nodes.append(node)

@@ -73,13 +73,20 @@ class View:
         nodes.right = across / np.linalg.norm(across)
         self._place_cameras(state, nodes)
 
-    def fit(self, client: viser.ClientHandle, aspect: float) -> None:
-        """Fit the camera of one page, whose scene has an aspect ratio, to hand and object, as seen from where it is."""
+    def fit(self, client: viser.ClientHandle, aspect: float, *, first: bool = False) -> None:
+        """Fit the camera of one page to hand and object.
+
+        Args:
+            client: The page.
+            aspect: Aspect ratio of its scene.
+            first: Whether it looks as the first camera does, not from where it is.
+        """
         nodes, state = self.nodes, self._controller.state
         if nodes is None or not state.shown.finite:
             return
         camera = client.camera
-        back = np.array(camera.position) - np.array(camera.look_at)
+        seen: Any = self._camera if first and self._camera is not None else camera
+        back = np.array(seen.position) - np.array(seen.look_at)
         back /= max(float(np.linalg.norm(back)), 1e-9)
         if np.linalg.norm(np.cross(back, UP)) < LEAST_SLANT:
             back = np.array([1.0, 0.0, 0.5]) / np.linalg.norm([1.0, 0.0, 0.5])
@@ -87,6 +94,7 @@ class View:
         found = fit_camera(points, points.mean(axis=0), back, aspect)
         with client.atomic():
             camera.up_direction = UP
+            camera.fov, camera.near, camera.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
             camera.position, camera.look_at = found.position, found.look_at
 
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:

@@ -47,7 +47,7 @@ class Habits:
         server: viser.ViserServer,
         controller: Controller,
         commands: Mapping[str, Callable[[], object]],
-        fit: Callable[[viser.ClientHandle, float], None],
+        fit: Callable[..., None],
         change_tab: Callable[[str], None],
         placeholders: Callable[[], Mapping[str, str]],
         brush: Callable[[str], None],
@@ -58,7 +58,7 @@ class Habits:
             server: The page.
             controller: Receiver of the commands on grasps.
             commands: Commands of the panels: next, previous and play; must return at once.
-            fit: Fits the camera of one page whose scene has an aspect ratio; called in a thread.
+            fit: Fits the camera of one page: `View.fit`.
             change_tab: Called with the lower-case title of a tab that was opened.
             brush: Called with the measure and the places of a brush over its histogram.
             placeholders: Texts in empty fields, by the ids of their widgets.
@@ -104,7 +104,7 @@ class Habits:
         elif what == "tab":
             self._change_tab(value)
         elif what in ("fit", "ready"):
-            self._fit_to(client, value, always=what == "fit")
+            self._fit_to(client, value, first=what == "ready")
 
     def draw(self, state: State) -> None:
         """Show a state."""
@@ -124,15 +124,16 @@ class Habits:
         state = self._controller.state
         self._controller.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
 
-    def _fit_to(self, client: viser.ClientHandle, value: str, *, always: bool) -> None:
+    def _fit_to(self, client: viser.ClientHandle, value: str, *, first: bool) -> None:
+        """Fit the camera of a page whose scene has this aspect ratio; the first time only if it is unusual."""
         try:
             aspect = float(value)
         except ValueError:
             return
-        always = always or client.client_id in self._fitted
+        always = not first or client.client_id in self._fitted
         if 0.1 < aspect < 10.0 and (always or abs(aspect / ASPECT_RATIO - 1) > ASPECT_TOLERANCE):
             self._fitted.add(client.client_id)
-            self._fit(client, aspect)
+            self._fit(client, aspect, first=first)
 
 
 def _run(act: Callable[[], object], event: object) -> None:
