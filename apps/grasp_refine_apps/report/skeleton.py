@@ -6,6 +6,7 @@ Convex pieces are drawn with fewer corners than they have, which is invisible in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -16,12 +17,18 @@ from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.report.drawing import CONTACT_COLOR, LINK_COLOR, OBJECT_COLOR
 from grasp_refine_apps.report.rasterizer import Model
 
+if TYPE_CHECKING:
+    import trimesh
+
 MAX_FACES = 4000
 """Maximum number of triangles of an object drawn by its mesh; of a finer one, the convex pieces are drawn."""
+MAX_LINK_FACES = 2500
+"""Maximum number of triangles of a link drawn by its visual meshes."""
 MERGE_SHARE = 0.012
 """Share of the whole size within which corners of a convex piece are merged."""
 
@@ -39,17 +46,21 @@ class Skeleton:
 
     @classmethod
     def of(cls, hand: Hand) -> Skeleton:
-        """Make the drawable surfaces of a hand."""
+        """Make the drawable surfaces of a hand: its visual meshes, or its pieces where these are too fine or missing."""
         links = [link for link in hand.links if link.body is not None]
         chain = Chain(hand, [link.name for link in links])
         resting = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
         points = [transform_points(T, link.solid.candidates.points) for T, link in zip(resting, links, strict=True)]
         grid = MERGE_SHARE * np.ptp(np.concatenate(points), axis=0).max()
         touching = tuple(link.name in {contact.link for contact in hand.contacts} for link in links)
-        models = [
-            _pieces(link.solid, CONTACT_COLOR if touches else LINK_COLOR, grid)
-            for link, touches in zip(links, touching, strict=True)
-        ]
+        visuals: dict[str, list[trimesh.Trimesh]] = {}
+        for visual in load_visuals(hand.urdf, hand.links_by_name):
+            visuals.setdefault(visual.link, []).append(visual.mesh)
+        models = []
+        for link, touches in zip(links, touching, strict=True):
+            color, meshes = CONTACT_COLOR if touches else LINK_COLOR, visuals.get(link.name, [])
+            coarse = 0 < sum(len(mesh.faces) for mesh in meshes) <= MAX_LINK_FACES
+            models.append(Model.of(meshes, color) if coarse else _pieces(link.solid, color, grid))
         return cls(chain, tuple(models), touching)
 
     def posed(self, T_world_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> list[Model]:
