@@ -46,7 +46,7 @@ class Skeleton:
 
     @classmethod
     def of(cls, hand: Hand) -> Skeleton:
-        """Make the drawable surfaces of a hand: its visual meshes, or its pieces where these are too fine or missing."""
+        """Make the drawable surfaces of a hand: visual meshes, or pieces where these are missing or too fine."""
         links = [link for link in hand.links if link.body is not None]
         chain = Chain(hand, [link.name for link in links])
         resting = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]

@@ -43,7 +43,7 @@ class Ground:
         self._scene, self._height = scene, height
         self.grid = scene.add_grid(
             "/ground/grid", infinite_grid=True, cell_size=CELL_M, section_size=4 * CELL_M, position=(0.0, 0.0, height),
-            cell_color=(206, 210, 216), section_color=(190, 195, 203), cell_thickness=0.7, section_thickness=0.9,
+            cell_color=(172, 176, 182), section_color=(150, 155, 163), cell_thickness=0.5, section_thickness=0.6,
             fade_distance=5.0 * size, fade_strength=1.5, fade_from="origin", shadow_opacity=0.0,
         )  # fmt: skip
         self._shadow: viser.ImageHandle | None = None
