@@ -12,6 +12,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.forces.contact_points import ContactPoints, LinkPatches
 from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, tensions, torque_bounds
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
+from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
@@ -27,6 +28,10 @@ TOTAL_PRESSURE_N = 30.0
 
 MIN_PRESSURE_SHARE = 0.4
 """Least share of the pressure at which a squeeze is planned where set points end: less holds fewer objects."""
+
+SOFT_PRESSURE_N = 15.0
+"""Sum of the pressures, in newtons, that set points should allow: about the most that hands with soft actuators hold
+with."""
 
 SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
@@ -59,24 +64,45 @@ def squeezed(
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
-    axes = T[:, :3, :3]
-    force = total * grasp_forces(points, scene.object, axes, ridge=SQUEEZE_RIDGE).force
-    torque = np.zeros_like(q)
+    torque = _torques(hand, scene.object, chain, frames, points, total)
+    # Weaker forces hold more objects than those of which some are cut off, which do not balance.
+    torque = torque * np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)[:, None]
+    return np.where(posed[:, None], q + set_point_offsets(hand, torque, q), np.nan)
+
+
+def pressure_shortfall(
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints
+) -> Float[np.ndarray, " N"]:
+    """Return the share (N,), 0 to 1, of `SOFT_PRESSURE_N` with which a hand cannot press, as its set points end.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        chain: Kinematics of the links.
+        frames: Poses of the links.
+        points: Contact points.
+    """
+    if hand.actuator.set_points is None:
+        return np.zeros(len(frames.q))
+    return 1.0 - pressure_shares(hand, _torques(hand, obj, chain, frames, points, SOFT_PRESSURE_N), frames.q)
+
+
+def _torques(
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints, total: float
+) -> Float[np.ndarray, "N n"]:
+    """Torques (N, n) of the best forces with pressures that sum to `total`; 0 at the joints of an arm."""
+    force = total * grasp_forces(points, obj, frames.T_world_root[:, :3, :3], ridge=SQUEEZE_RIDGE).force
+    torque = np.zeros_like(frames.q)
     for rows, some in points.groups():
         f = force[rows, None, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), f, np.nan_to_num(some.point_on_link), some.link)[:, 0]
-    torque = np.where(hand.arm_joints, 0.0, torque)
-    torque = torque * pressure_shares(hand, torque, q)[:, None]
-    return np.where(posed[:, None], q + set_point_offsets(hand, torque, q), np.nan)
+    return np.where(hand.arm_joints, 0.0, torque)
 
 
 def pressure_shares(
     hand: Hand, torque: Float[np.ndarray, "N n"], q: Float[np.ndarray, "N n"]
 ) -> Float[np.ndarray, " N"]:
-    """Return the largest shares (N,) of torques (N, n), up to 1, at which no set point ends, or `MIN_PRESSURE_SHARE`.
-
-    Weaker forces hold more objects than those of which some are cut off, which do not balance.
-    """
+    """Return the largest shares (N,) of torques (N, n), up to 1, at which no set point ends."""
     if hand.actuator.set_points is None:
         return np.ones(len(q))
     demand = tensions(hand, torque)
@@ -84,7 +110,7 @@ def pressure_shares(
     # Force limits leave the other actuators as they are.
     ends = (bound < hand.actuator.force_limit) & (hand.actuator.kp > 0.0)
     most = np.where(ends, np.abs(demand) / np.maximum(bound, MIN_LIMIT), 0.0).max(axis=1, initial=1.0)
-    return np.maximum(1.0 / most, MIN_PRESSURE_SHARE)
+    return 1.0 / most
 
 
 def grasp_forces(

@@ -18,7 +18,7 @@ from grasp_refine.collision.query import query
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
 from grasp_refine.forces.quality import DEEP, quality
-from grasp_refine.forces.squeeze import CONTACTS, contacts
+from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
 from grasp_refine.forces.strong_pushes import strong_push_residual
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.clearance import clearances
@@ -42,6 +42,9 @@ PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
 good: forces at two points make no torque about the line between them, whatever the pads do, so that the scores of such
 grasps hardly tell which of them holds."""
+
+SHORTFALL_WEIGHT = 0.2
+"""Score of a grasp whose set points allow no pressure at all."""
 
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
@@ -119,7 +122,8 @@ def score_of(
     """Return the score (N,) of grasps whose links meet nothing but the object, lower is better; inf without forces.
 
     The residual under the worst of the strong pushes, which counts as much as the shortcomings of `Quality` together,
-    tells which of several attempts holds a heavy object, or one in a simulation whose contacts creep.
+    tells which of several attempts holds a heavy object, or one in a simulation whose contacts creep. Grasps near the
+    ends of set points, where a hand cannot press, cost as much as `SHORTFALL_WEIGHT`.
     """
     return _judge(prepared, frames, clearance)[0]
 
@@ -134,6 +138,7 @@ def _judge(
     points = contacts(hand, obj, chain.links, witness, T, faces)
     pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
     score = quality(hand, obj, chain, frames, witness, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
+    score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points)
     return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2
 
 

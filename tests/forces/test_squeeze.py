@@ -11,9 +11,11 @@ from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import (
     MIN_PRESSURE_SHARE,
+    SOFT_PRESSURE_N,
     SQUEEZE_RIDGE,
     TOTAL_PRESSURE_N,
     contacts,
+    pressure_shortfall,
     set_point_offsets,
     squeezed,
 )
@@ -165,6 +167,22 @@ def test_the_other_finger_presses_less_where_the_set_points_of_one_end(
     left, right = 5.0 * (squeezed(Scene(hand, ball, np.eye(4)[None], q)) - q)[0]
     assert right == pytest.approx(share * 15.0)
     assert left == pytest.approx(-min(newtons, 15.0))
+
+
+@pytest.mark.parametrize("newtons", [0.0, 3.0, 20.0])
+def test_a_shortfall_is_of_the_pressure_that_both_fingers_should_make(
+    clamp: Hand, ball: Object, newtons: float
+) -> None:
+    q = np.array([[0.002, 0.0]])
+    scene = Scene(ending(clamp, 0.002 - newtons / 5.0), ball, np.eye(4)[None], q)
+    known = HandObject.of(scene)
+    frames = known.chain(scene.T_world_root, q)
+    T = frames.T_world_link
+    witness = query(known.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+    points = contacts(scene.hand, ball, scene.links, witness, T)
+    [found] = pressure_shortfall(scene.hand, ball, known.chain, frames, points)
+    assert found == pytest.approx(1.0 - min(2.0 * newtons / SOFT_PRESSURE_N, 1.0), abs=1e-6)
+    assert not pressure_shortfall(clamp, ball, known.chain, frames, points).any()
 
 
 def tendons(hand: Hand, groups: tuple[Coupled, ...], limit: float) -> Hand:

@@ -12,7 +12,7 @@ from grasp_refine.forces.quality import DEEP, Quality, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_SCORE, score_of
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_SCORE, SHORTFALL_WEIGHT, score_of
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
@@ -200,6 +200,14 @@ def test_same_seed_same_result_and_another_seed_another(
 
 
 # budgets and ends
+
+
+def test_grasps_where_set_points_end_are_worse(held: Refinement, prepared: HandObject) -> None:
+    """Of hands whose set points are the joint values, which cannot press at all, the score is higher."""
+    hand = prepared.hand
+    ends = np.repeat(held.q[:1, :, None], 2, axis=2)[0]
+    stuck = replace(prepared, hand=replace(hand, actuator=replace(hand.actuator, set_points=ends)))
+    assert score(stuck, held)[0] > score(prepared, held)[0] + SHORTFALL_WEIGHT / 2
 
 
 def test_a_budget_of_time_ends_the_search(hard: Scene, held: Refinement, prepared: HandObject) -> None:
