@@ -13,6 +13,7 @@ from grasp_refine.forces.quality import Quality, quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
@@ -97,6 +98,13 @@ def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the deepest penetration of links in bodies around the object (N,), metres; NaN without a scene."""
     found = grasps.scene_depths
     return np.full(len(grasps.q), np.nan) if found is None else found.depth
+
+
+def arm_dexterity(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Smallest singular value (N,) of the palm's Jacobian in the arm's joints, m/rad; NaN without an arm."""
+    if grasps.hand.arm is None:
+        return np.full(len(grasps.q), np.nan)
+    return ArmKinematics(grasps.hand).dexterity(grasps.T_world_root, grasps.q)
 
 
 def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -15,6 +15,7 @@ import numpy as np
 from grasp_refine.validation.formulas import (
     CONTACT_DISTANCE_M,
     MAX_FINGER_DISTANCE_M,
+    arm_dexterity,
     contact_distance,
     contact_number,
     quality_value,
@@ -231,6 +232,14 @@ MEASURES = (
         "the joint that slid most, of hands that have some",
         METRE,
         lambda of: of.movement.slides_m,
+    ),
+    Measure(
+        key="arm_dexterity",
+        title="arm dexterity",
+        hint="least movement of the palm per radian of the arm's joints, in any direction; 0 where it is singular",
+        unit=METRE,
+        formula=arm_dexterity,
+        better="higher",
     ),
     Measure(
         key="limits_violated",
