@@ -86,7 +86,7 @@ def draw_example() -> UInt8[np.ndarray, "H W 3"]:
     scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
     refined = refine(scene)
     camera = Camera(np.array(SIDE), np.array(TARGET_M), OVERSAMPLING * WIDTH, OVERSAMPLING * HEIGHT, EXTENT_M)
-    drawn, solid = Skeleton.of(hand), object_model(obj, OBJECT_OPACITY)
+    drawn, solid = Skeleton.of(hand, visual=True), object_model(obj, OBJECT_OPACITY)
     halves = []
     for title, T, q in (
         ("Before", scene.T_world_root, scene.q),

@@ -45,8 +45,14 @@ class Skeleton:
     """True for contact links."""
 
     @classmethod
-    def of(cls, hand: Hand) -> Skeleton:
-        """Make the drawable surfaces of a hand: visual meshes, or pieces where these are missing or too fine."""
+    def of(cls, hand: Hand, *, visual: bool = False) -> Skeleton:
+        """Make the drawable surfaces of a hand.
+
+        Args:
+            hand: The hand.
+            visual: Whether links are drawn by their visual meshes, if they have any that are not too fine; takes half
+                as long again as convex pieces do.
+        """
         links = [link for link in hand.links if link.body is not None]
         chain = Chain(hand, [link.name for link in links])
         resting = chain(np.eye(4)[None], hand.rest[None]).T_world_link[0]
@@ -54,8 +60,8 @@ class Skeleton:
         grid = MERGE_SHARE * np.ptp(np.concatenate(points), axis=0).max()
         touching = tuple(link.name in {contact.link for contact in hand.contacts} for link in links)
         visuals: dict[str, list[trimesh.Trimesh]] = {}
-        for visual in load_visuals(hand.urdf, hand.links_by_name):
-            visuals.setdefault(visual.link, []).append(visual.mesh)
+        for found in load_visuals(hand.urdf, hand.links_by_name) if visual else ():
+            visuals.setdefault(found.link, []).append(found.mesh)
         models = []
         for link, touches in zip(links, touching, strict=True):
             color, meshes = CONTACT_COLOR if touches else LINK_COLOR, visuals.get(link.name, [])

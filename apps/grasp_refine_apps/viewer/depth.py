@@ -46,7 +46,7 @@ class DepthField:
 
     body: Body
     """The body."""
-    exposed: tuple[Bool[np.ndarray, " P"], ...]
+    exposed: tuple[Bool[np.ndarray, " _P"], ...]
     """Of each piece, which planes are surface of the body, and not a cut that faces another piece."""
 
     @staticmethod

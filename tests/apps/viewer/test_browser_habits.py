@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from browser import ViserPage, until
 from viewer_process import Viewer
@@ -214,3 +216,22 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(page: V
     chart.click()
     until(lambda: "1 to 4 of 4" in page.text(), "all of them")
     page.folder("Sort and filter")
+
+
+def test_a_gif_is_recorded_from_the_camera_of_the_page(page: ViserPage, tmp_path: Path):
+    page.tab("Refine")
+    page.click("Start")
+    page.wait_for_text("Converged")
+    page.close_notifications()
+    page.tab("Files")
+    file = page.download("Animation (GIF)", tmp_path)
+    picture = Image.open(file)
+    assert file.suffix == ".gif" and picture.n_frames > 3
+    width, height = page.scene_size()
+    assert picture.width / picture.height == pytest.approx(width / height, rel=0.03)
+    first = np.asarray(picture.convert("RGB"), dtype=int)
+    picture.seek(picture.n_frames - 1)
+    assert np.abs(np.asarray(picture.convert("RGB"), dtype=int) - first).max() > 100, "nothing moves"
+    page.tab("Refine")
+    page.click("Reset")
+    assert page.errors == []

@@ -89,7 +89,7 @@ class Habits:
                 command = server.gui.add_command(text, description=f"Key {key}")
                 command.on_trigger(partial(_run, self._commands[name]))
 
-    def receive(self, message: str, client: viser.ClientHandle) -> None:
+    def receive(self, message: str, client: Any) -> None:
         """Do what a page sent; clients can send arbitrary text."""
         what, _, rest = message.partition(" ")
         value = rest.split(" ")[0]
