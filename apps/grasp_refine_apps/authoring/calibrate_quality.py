@@ -1,10 +1,10 @@
 """Fit the calibration of the quality: simulate grasps of many hands and generators, and print coefficients.
 
 Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE] [--every N]`, where ASSETS is a
-folder of hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry refined, and
-refined from one start and from several: what people will ask about. Refined grasps of generators are also simulated
-with weak actuators, for the last shortcoming: its weight is fitted with all others held. The reliability is told on
-each set with a fit on all others, where a set is one generator with one hand.
+folder of hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry
+refined, and refined from one start and from several: what people will ask about. Refined grasps of generators are also
+simulated with weak actuators, for the last shortcoming: its weight is fitted with all others held. The reliability is
+told on each set with a fit on all others, where a set is one generator with one hand.
 """
 
 from __future__ import annotations
