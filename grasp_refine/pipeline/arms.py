@@ -30,6 +30,9 @@ from grasp_refine.scene.surroundings import Surroundings
 BLOCK_ARMS = 64
 """Number of arms that are measured at a time, which bounds the memory."""
 
+MAX_SUNK_M = 0.02
+"""Depth of the base in a body of the scene, in metres, from which on it is told: bases stand on tables, not in them."""
+
 
 def check_arm(spec: SourceSpec) -> None:
     """Refuse options of an arm that have no meaning alone.
@@ -117,6 +120,8 @@ def group_on_arm(
         T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
     clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
     grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
+    if scene.environment is not None:
+        notes = (*notes, *_sunk_notes(hand, T_object_base, scene.environment))
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
     targets = aim(hand, grasps.targets, np.arange(len(grasps)))
     moved = Scene(
@@ -129,6 +134,29 @@ def group_on_arm(
         environment=scene.environment,
     )
     return replace(group, scene=moved, grasps=grasps), notes
+
+
+def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], environment: Environment) -> tuple[str, ...]:
+    """Return a note where the standing links of an arm are deep inside a body of the scene."""
+    assert hand.arm is not None
+    names = [link.name for link in hand.links if link.body is not None and link.name in hand.arm.standing]
+    if not names or not environment.bodies:
+        return ()
+    T_link = Chain(hand, tuple(names))(T_object_base[None], hand.rest[None]).T_world_link[0]
+    links, bodies = np.divmod(np.arange(len(names) * len(environment.bodies)), len(environment.bodies))
+    pairs = Pairs(
+        tuple(hand.links_by_name[names[link]].solid for link in links),
+        tuple(environment.bodies[body].body for body in bodies),
+    )
+    depth = -query(pairs, T_link[links][None], environment.T_object_body[bodies][None], cutoff=0.0).distance[0]
+    worst = int(depth.argmax())
+    if depth[worst] <= MAX_SUNK_M:
+        return ()
+    link, body = names[links[worst]], environment.bodies[bodies[worst]].name
+    return (
+        f"link '{link}', on which the arm stands, is {1e3 * depth[worst]:.0f} mm inside body '{body}' of the scene: "
+        "move the base (--base)",
+    )
 
 
 def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:

@@ -74,6 +74,14 @@ def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     assert "out of reach" in str(found)
 
 
+@pytest.mark.parametrize(("height", "told"), [(0.70, False), (0.66, True)])
+def test_base_inside_a_table_is_told(height: float, told: bool) -> None:
+    """The top of the table of this scene is at 0.7 m."""
+    scene = spec(object=None, table=None, scene="mug-on-table", base=f"-0.5,0,{height}", grasps=Path("sample:1"))
+    notes = [note for note in gr.load_problem(scene).notes if "inside" in note]
+    assert len(notes) == told and all("40 mm" in note and "'table'" in note for note in notes)
+
+
 def test_results_are_read_again_on_the_same_arm(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
     """They hold the joints of both by name, and begin at the base of the arm, which needs not be told again."""
     (path,) = refined.save(tmp_path / "refined.npz")
