@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 
@@ -16,9 +16,16 @@ from grasp_refine.core.names import is_valid
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.geometry.body import Body
+from grasp_refine.geometry.pieces import Piece, capsule, hull
 
 DEFAULT_MARGIN_M = 0.002
 """Gap in metres that links keep from a body where none is given."""
+
+LIFT_M = 0.1
+"""Height in metres of a lift where none is given, as in the simulation of scenes."""
+
+HANGS_M = 0.01
+"""Height in metres above the origin of the object from which on a piece of a body hangs: links may pass below."""
 
 GRID_M = 1e-9
 """Grid in metres on which geometry is compared: far below any mesh, far above rounding."""
@@ -70,6 +77,8 @@ class Environment:
     """Pose of the object in the world, whose z axis points up."""
     name: str = "scene"
     """Name in messages and results."""
+    lift: float = LIFT_M
+    """Height in metres by which the object is lifted: what hangs above is out of the way of the links up to there."""
     object: str | None = None
     """Object that is grasped, as `load_object` takes it; None: not told."""
     scale: float = 1.0
@@ -93,6 +102,8 @@ class Environment:
         check_kind("Environment: name", self.name, str)
         pose = rigid_pose("Environment: T_world_object", self.T_world_object)
         object.__setattr__(self, "T_world_object", pose)
+        if not 0.0 <= self.lift < inf:
+            raise GraspRefineError(f"{self.name}: lift must be at least 0 and finite, got {self.lift:g}")
         names = [body.name for body in self.bodies]
         twice = [name for name in names if names.count(name) > 1] if len(set(names)) < len(names) else []
         if twice:
@@ -111,12 +122,42 @@ class Environment:
 
     @cached_property
     def boxes(self) -> Float[np.ndarray, "B 2 3"]:
-        """Lower and upper corners (B, 2, 3) of the bodies' bounding boxes along the axes of the object, metres."""
-        found = np.empty((len(self.bodies), 2, 3))
+        """Lower and upper corners (B, 2, 3) of the bodies' bounding boxes along the axes of the object, metres.
+
+        They are those of `cleared`.
+        """
+        found, down = np.empty((len(self.bodies), 2, 3)), -self.lift * self.up
         for row, (one, T) in enumerate(zip(self.bodies, self.T_object_body, strict=True)):
             corners = np.stack([piece.transformed(T).bounds for piece in one.body.pieces])
+            if (hangs := self._hanging(one)).any():
+                corners = np.concatenate([corners, corners[hangs] + down])
             found[row] = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
         return found
+
+    def cleared(self, index: int) -> Body:
+        """Return body `index` with all that links must be out of while the object is lifted straight up.
+
+        A link that rises meets a body exactly where it is in the body's sweep down by as much, and the sweep of a
+        convex piece is convex. Only pieces that hang are swept: below the others there is no way through.
+        """
+        if index not in self._cleared:
+            one = self.bodies[index]
+            hangs, down = self._hanging(one), -self.lift * one.T_world_body[2, :3]
+            swept = [_swept(piece, down) if low else piece for piece, low in zip(one.body.pieces, hangs, strict=True)]
+            self._cleared[index] = replace(one.body, pieces=tuple(swept)) if hangs.any() else one.body
+        return self._cleared[index]
+
+    @cached_property
+    def _cleared(self) -> dict[int, Body]:
+        return {}
+
+    def _hanging(self, one: EnvironmentBody) -> np.ndarray:
+        """Return True for the pieces (P,) of a body that hang above the object's origin."""
+        if self.lift == 0.0:
+            return np.zeros(len(one.body.pieces), dtype=bool)
+        along, height = one.T_world_body[2, :3], one.T_world_body[2, 3]
+        lowest = [height + (piece.vertices @ along).min() - piece.radius for piece in one.body.pieces]
+        return np.array(lowest) > self.T_world_object[2, 3] + HANGS_M
 
     @property
     def up(self) -> Float[np.ndarray, " 3"]:
@@ -131,7 +172,7 @@ class Environment:
             pieces = sorted(_on_grid(piece.vertices) + _on_grid(piece.radius) for piece in one.body.pieces)
             fields = one.name.encode(), bytes([one.movable]), _on_grid(one.margin), _on_grid(one.mass or 0.0)
             parts.append(b"\0".join([*fields, _on_grid(T), *pieces]))
-        up = _on_grid(self.up)
+        up = _on_grid(self.up) + _on_grid(self.lift)
         return hashlib.sha256(up + b"".join(hashlib.sha256(part).digest() for part in sorted(parts))).hexdigest()
 
 
@@ -145,6 +186,15 @@ def rigid_pose(name: str, T: object) -> Float[np.ndarray, "4 4"]:
     if not (np.isfinite(pose).all() and is_rigid(pose)):
         raise GraspRefineError(f"{name} must be a rigid transform (4, 4), got {np.asarray(T).tolist()}")
     return pose
+
+
+def _swept(piece: Piece, way: np.ndarray) -> Piece:
+    """Return the convex hull of a piece here and moved along `way` (3,); round ones become polyhedra inside of it."""
+    if len(piece.vertices) == 1:
+        return capsule(piece.radius, piece.vertices[0], piece.vertices[0] + way)
+    core = np.asarray(piece.mesh().vertices) if len(piece.vertices) == 2 else piece.vertices
+    swept = hull(np.concatenate([core, core + way]))
+    return swept if len(piece.vertices) == 2 else replace(swept, radius=piece.radius)
 
 
 def _on_grid(metres: np.ndarray | float) -> bytes:

@@ -20,7 +20,7 @@ from grasp_refine.geometry.pieces import Piece, box, capsule
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.geometry.units import UNITS
 from grasp_refine.objects.object import UncutObject, cut_objects, read_object
-from grasp_refine.scene.environment import DEFAULT_MARGIN_M, Environment, EnvironmentBody
+from grasp_refine.scene.environment import DEFAULT_MARGIN_M, LIFT_M, Environment, EnvironmentBody
 from grasp_refine.scene.furniture import FURNITURE
 
 POSE_KEYS = ("pose", "position", "rpy")
@@ -41,7 +41,7 @@ BODY_KEYS = (*SOURCES, "scale", "unit", *COMMON_KEYS)
 OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", *POSE_KEYS)
 """Keys of [object]."""
 
-TOP_KEYS = ("name", "margin", "object", "body", *FURNITURE)
+TOP_KEYS = ("name", "margin", "lift", "object", "body", *FURNITURE)
 """Keys of a scene file."""
 
 MAX_MAGNITUDE_M = 100.0
@@ -75,6 +75,7 @@ def load_scene(
     raw, where = _read(path), f"{path}: "
     name = _text(raw.get("name", path.stem), f"{where}name")
     margin = _length(raw.get("margin", DEFAULT_MARGIN_M), f"{where}margin", least=0.0)
+    lift = _length(raw.get("lift", LIFT_M), f"{where}lift", least=0.0)
     obj, scale = _grasped_object(raw, path)
     drafts = [_Draft.furniture(kind, one, w, margin) for kind in FURNITURE for one, w in _tables(raw, kind, where)]
     drafts += [_Draft.body(one, path.parent, w, margin) for one, w in _tables(raw, "body", where)]
@@ -86,7 +87,7 @@ def load_scene(
     taken: set[str] = set()
     bodies = tuple(draft.finish(found, taken, where) for draft in drafts)
     try:
-        return Environment(bodies, _pose(raw["object"], f"{where}[object] "), name, obj, scale, source)
+        return Environment(bodies, _pose(raw["object"], f"{where}[object] "), name, lift, obj, scale, source)
     except GraspRefineError as error:
         raise GraspRefineError(f"{where}{error}") from None
 

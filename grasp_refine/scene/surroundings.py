@@ -104,8 +104,13 @@ class Surroundings:
     @cached_property
     def pairs(self) -> Pairs:
         """All pairs of bodies."""
-        bodies = [self.environment.bodies[index].body for index in self.chosen]
-        return Pairs(tuple(self.links[k] for k in self.link), tuple(bodies[k] for k in self.body))
+        return Pairs(tuple(self.links[k] for k in self.link), tuple(self._bodies[k] for k in self.body))
+
+    @cached_property
+    def _bodies(self) -> list[Body]:
+        """The bodies that count; where links keep margins, with what they must be clear of while they rise."""
+        around = self.environment
+        return [around.cleared(k) if self.keeps_margins else around.bodies[k].body for k in self.chosen.tolist()]
 
     @cached_property
     def _T_object_body(self) -> Float[np.ndarray, "B 4 4"]:
@@ -114,9 +119,8 @@ class Surroundings:
     @cached_property
     def _pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Boxes (P, 2, 3) of the pieces in the frames of their bodies, the first piece of each body, and how many."""
-        bodies = [self.environment.bodies[index].body for index in self.chosen]
-        count = np.array([len(body.pieces) for body in bodies], dtype=np.int64)
-        boxes = np.array([piece.bounds for body in bodies for piece in body.pieces]).reshape(-1, 2, 3)
+        count = np.array([len(body.pieces) for body in self._bodies], dtype=np.int64)
+        boxes = np.array([piece.bounds for body in self._bodies for piece in body.pieces]).reshape(-1, 2, 3)
         return boxes, np.cumsum(count) - count, count
 
     @stage("broad phase")

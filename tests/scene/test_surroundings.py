@@ -93,12 +93,17 @@ def test_the_nearest_pairs_count_where_there_are_too_many(scene: Scene) -> None:
     assert slack == pytest.approx(expected, abs=1e-9)
 
 
-def test_distances_do_not_change_when_the_whole_world_moves_or_sides_swap(scene: Scene) -> None:
-    environment = clutter(8, 0.08)
-    G = exp_se3(np.array([3.0, -2.0, 1.0, 0.5, -1.0, 2.0]))
+@pytest.mark.parametrize(("lift", "turn"), [(0.0, [0.5, -1.0, 2.0]), (0.1, [0.0, 0.0, 2.0])])
+def test_distances_do_not_change_when_the_whole_world_moves_or_sides_swap(
+    scene: Scene, lift: float, turn: list[float]
+) -> None:
+    """With any motion, or, where the object is lifted, with one that leaves up where it is."""
+    environment = replace(clutter(8, 0.08), lift=lift)
+    G = exp_se3(np.array([3.0, -2.0, 1.0, *turn]))
     moved = [replace(body, T_world_body=G @ body.T_world_body) for body in environment.bodies]
     (of, T), (there, _) = (
-        surroundings(scene, one) for one in (environment, Environment(tuple(moved), G @ environment.T_world_object))
+        surroundings(scene, one)
+        for one in (environment, Environment(tuple(moved), G @ environment.T_world_object, lift=lift))
     )
     first, second = of.near(T, REACH), there.near(T, REACH)
     assert (first.column == second.column).all()
@@ -109,6 +114,33 @@ def test_distances_do_not_change_when_the_whole_world_moves_or_sides_swap(scene:
     row, place = np.nonzero(first.column >= 0)
     found = first.witness.distance[row, place]
     assert found == pytest.approx(swapped[row, first.column[row, place]], abs=1e-9)
+
+
+def test_what_hangs_above_is_as_far_as_it_comes_while_hands_rise(scene: Scene) -> None:
+    """Against dense sampling of the way up; pieces of all shapes, whose rounding is told."""
+    environment = replace(clutter(9, 0.1), lift=0.05)
+    of, T = surroundings(scene, environment)
+    heights = np.linspace(0.0, 0.05, 41)
+    pairs = Pairs(of.pairs.a, tuple(environment.bodies[k].body for k in of.body))
+    T_b = np.broadcast_to(environment.T_object_body[of.body], (len(T), len(of.body), 4, 4))
+    rising = np.array([query(pairs, raised(T, h * environment.up)[:, of.link], T_b).distance for h in heights])
+    expected, found = rising.min(axis=0), brute_force(of, T)
+    hanging = [environment.cleared(k) is not one.body for k, one in enumerate(environment.bodies)]
+    assert any(hanging) and not all(hanging)
+    rests = ~np.array(hanging)[of.body]
+    assert found[:, rests] == pytest.approx(rising[0][:, rests], abs=1e-9)
+    # Where only some of the pieces of a body hang, the others are not swept.
+    whole = np.array([len(one.body.pieces) == 1 for one in environment.bodies])[of.body] & ~rests
+    clear = (expected > 0) & whole
+    assert clear.sum() > 10
+    assert found[clear] == pytest.approx(expected[clear], abs=1e-3)
+    assert (found <= rising[0] + 1e-9).all()
+
+
+def raised(T: np.ndarray, way: np.ndarray) -> np.ndarray:
+    moved = T.copy()
+    moved[..., :3, 3] += way
+    return moved
 
 
 def test_grasps_that_are_not_finite_have_nothing_near_and_leave_others_alone(scene: Scene) -> None:
