@@ -22,7 +22,7 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, run_python, section
 
-BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "hold", "evidence", "--gate"))
+BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "hold", "grippers", "evidence", "--gate"))
 
 
 def test_the_example_in_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

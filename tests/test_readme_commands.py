@@ -42,7 +42,6 @@ OTHERS = {
     ".venv/bin/ruff": ".ci/run runs it",
     ".venv/bin/mkdocs": ".ci/run builds the documentation",
     ".venv/bin/refine-grasp run": "likewise",
-    "python -m grasp_refine_apps.bench.evidence.grippers": "it measures for minutes, on objects of others",
     "dask ": "tests/dask_cluster.py starts such a cluster",
     "parts=$(sbatch": "no scheduler is here; what it runs is read below",
 }

@@ -234,8 +234,10 @@ def read_objects(assets: Path) -> list[ObjectCase]:
     """Return the objects of objects.csv.
 
     Raises:
-        GraspRefineError: a column, a mesh or a number is missing; names the line.
+        GraspRefineError: a column, a mesh or a number is missing, and names the line; or the folder of meshes.
     """
+    if not (assets / "objects").is_dir():
+        raise GraspRefineError(f"{assets}: has no objects; it needs objects and objects.csv")
     path = assets / "objects.csv"
     meshes = {file.stem: file for file in sorted((assets / "objects").iterdir()) if file.suffix.lower() in SUFFIXES}
     try:

@@ -19,7 +19,7 @@ from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.motion import Motion, closing_motion
-from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of
@@ -93,8 +93,8 @@ class GroupTask:
     model: HandModel
     """The hand for simulation."""
     methods: tuple[Method, ...]
-    protocols: tuple[str, ...]
-    """Names of the protocols of the simulation, or TOML files."""
+    protocols: Mapping[str, Protocol]
+    """Protocols of the simulation by the name in results."""
     width: int
     """Largest number of grasps that are refined at once."""
     seed: int
@@ -106,7 +106,8 @@ class GroupTask:
         with one_thread():
             scene = self.scene
             worlds: dict[str, World] = {
-                name: build_world(self.model, scene.object, load_protocol(name), scene.table) for name in self.protocols
+                name: build_world(self.model, scene.object, protocol, scene.table)
+                for name, protocol in self.protocols.items()
             }
             # Caches built once for a hand and an object are not timed.
             configs = (method.config(self.seed, self.width) for method in self.methods)

@@ -14,6 +14,7 @@ from grasp_refine.core.array_records import join
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
+from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
@@ -61,7 +62,8 @@ class HoldStudy:
             notes.append("the grasps have no pregrasps and squeezes: the grasps as given get ours")
         for note in notes:
             say(f"note: {note}")
-        rest = model, methods(self.starts, stages=stages), self.protocols, self.width, self.seed, self.threads
+        protocols = {name: load_protocol(name) for name in self.protocols}
+        rest = model, methods(self.starts, stages=stages), protocols, self.width, self.seed, self.threads
         jobs = []
         for group in problem.groups:
             rows = np.arange(len(group.rows))[: self.count]

@@ -12,6 +12,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.urdf_model import urdf_model
 from grasp_refine_apps.bench.hold.measure import GroupResult, GroupTask, Method, contact_gap, methods
@@ -69,9 +70,8 @@ def results(hand: Hand) -> list[GroupResult]:
     came.q[:] = 0.0
     shares: list[float] = []
     model = urdf_model(hand)
-    found = GroupTask("ball", grasps, came, model, methods((1,), stages=True), ("dexgraspbench",), 4, 0, 1).run(
-        shares.append
-    )
+    settings = methods((1,), stages=True), {"dexgraspbench": DEXGRASPBENCH}, 4, 0, 1
+    found = GroupTask("ball", grasps, came, model, *settings).run(shares.append)
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
     assert [one.method.label for one in found] == ["input grasps", "own stages", "geometry only", "1 start"]
     return found
