@@ -74,7 +74,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         upper=np.concatenate([arm.upper, hand.upper]),
         rest=np.concatenate([arm.rest, hand.rest]),
         notes=tuple(dict.fromkeys((*_arm_notes(arm), *hand.notes))),
-        actuator=_both(arm.actuator, hand.actuator),
+        actuator=both(arm.actuator, hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),
         yielding=renamed.yielding | hand.yielding,
@@ -200,7 +200,8 @@ def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
     return (*(arm.excluded or ()), *(hand.excluded or ()))
 
 
-def _both(arm: Actuator, hand: Actuator) -> Actuator:
+def both(arm: Actuator, hand: Actuator) -> Actuator:
+    """Return the actuators of an arm, then those of a hand."""
     if arm.set_points is None and hand.set_points is None:
         return join(arm, hand)
     return join(*map(_with_set_points, (arm, hand)))

@@ -23,6 +23,12 @@ SPACING_M = 0.004
 TOUCHING_M = 2e-4
 """Depth in metres up to which two bodies only touch."""
 
+SELF_TOUCHING_M = 5e-4
+"""The same for two links, which a refined grasp may leave in each other by that much."""
+
+Overlaps = tuple[np.ndarray, float, np.ndarray, tuple[str, ...], tuple[str, ...]]
+"""Depths (K, P) of pairs in metres, what is allowed of them, places (K, P, 3), and the names of both sides (P,)."""
+
 
 @dataclass(frozen=True)
 class Obstruction:
@@ -76,31 +82,29 @@ class Sweep:
         T = self.prepared.chain(path.T_world_root[-1:], path.q[-1:]).T_world_link
         return float(np.max(-self._against_object(T).distance, initial=0.0))
 
-    def _parts(
-        self, path: HandPath, T: np.ndarray, allowed: float | None, carries: bool
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, tuple[str, ...], tuple[str, ...]]]:
-        """Yield depths beyond what is allowed (K, P), places (K, P, 3), and the names of each pair."""
+    def _parts(self, path: HandPath, T: np.ndarray, allowed: float | None, carries: bool) -> Iterator[Overlaps]:
+        """Yield the overlaps of each kind of pair."""
         scene, links = self.scene, self.scene.links
         if allowed is not None:
             w = self._against_object(T)
-            yield _depths(w) - allowed, w.point_a, links, (scene.object.name,) * len(links)
+            yield _depths(w), allowed, w.point_a, links, (scene.object.name,) * len(links)
         if self.prepared.self_collision_pairs is not None:
             first, second = self.prepared.self_collision_links
             w = query(self.prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0)
             names = tuple(tuple(links[k] for k in side) for side in (first, second))
-            yield _depths(w) - TOUCHING_M, w.point_a, names[0], names[1]
+            yield _depths(w), SELF_TOUCHING_M, w.point_a, names[0], names[1]
         if scene.table is not None:
             lowest = transform_points(T, scene.table.lowest(self.prepared.bodies, T))
             depth = scene.table.offset - lowest @ np.asarray(scene.table.normal)
             moving = moving_links(scene.hand, links)
             depth = depth if moving is None else np.where(moving, depth, -np.inf)
-            yield depth - TOUCHING_M, lowest, links, ("table",) * len(links)
+            yield depth, TOUCHING_M, lowest, links, ("table",) * len(links)
         yield from self._in_scene(self._links_around, T, links)
         if carries and self._object_around is not None:
             T_palm = T[:, :1] @ np.linalg.inv(T[:1, :1])
-            for depth, place, first_names, second_names in self._in_scene(self._object_around, T_palm, ("object",)):
+            for depth, most, place, carried, bodies in self._in_scene(self._object_around, T_palm, ("object",)):
                 # What touches at the start, such as a shelf, is left.
-                yield depth - np.maximum(depth[:1].max(initial=0.0), 0.0), place, first_names, second_names
+                yield depth, most + max(float(depth[0, 0]), 0.0), place, carried, bodies
 
     def _against_object(self, T: np.ndarray) -> Witness:
         return query(self.prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=0.0)
@@ -123,9 +127,7 @@ class Sweep:
         return Surroundings(bodies, spheres, environment, every, keeps_margins=False, counts=counts)
 
     @staticmethod
-    def _in_scene(
-        around: Surroundings | None, T: np.ndarray, names: tuple[str, ...]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, tuple[str, ...], tuple[str, ...]]]:
+    def _in_scene(around: Surroundings | None, T: np.ndarray, names: tuple[str, ...]) -> Iterator[Overlaps]:
         """Yield the deepest pair of each sample in the bodies of the scene, as one column for each pair that occurs."""
         if around is None:
             return
@@ -135,13 +137,18 @@ class Sweep:
             at = column == pair
             depth = np.where(at, -w.distance[:, 0], -np.inf)[:, None]
             body = around.environment.bodies[around.chosen[around.body[pair]]].name
-            yield depth - TOUCHING_M, w.point_a[:, :1], (names[around.link[pair]],), (body,)
+            yield depth, TOUCHING_M, w.point_a[:, :1], (names[around.link[pair]],), (body,)
 
     @staticmethod
     def _earliest(
-        count: int, depth: Float[np.ndarray, "K P"], place: np.ndarray, first: tuple[str, ...], second: tuple[str, ...]
+        count: int,
+        depth: Float[np.ndarray, "K P"],
+        allowed: float,
+        place: np.ndarray,
+        first: tuple[str, ...],
+        second: tuple[str, ...],
     ) -> Obstruction | None:
-        deep = depth > 0.0
+        deep = depth > allowed
         if not deep.any():
             return None
         sample = int(deep.any(axis=1).argmax())

@@ -22,6 +22,7 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.metrics import Metrics, metrics
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.mounted_model import mounted_model
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
@@ -136,7 +137,7 @@ def model_of(hand: Hand) -> HandModel:
     """
     check_kind("hand", hand, Hand)
     if hand.collision == "mjcf" and hand.mjcf is not None:
-        return mjcf_model(hand, hand.mjcf)
+        return mounted_model(hand) if hand.parts else mjcf_model(hand, hand.mjcf)
     return urdf_model(hand)
 
 
