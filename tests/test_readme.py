@@ -11,7 +11,8 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
-from grasp_refine.hands.hand import HAND_TOML, load_hand
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.scene_file import load_scene
 from grasp_refine.validation.metrics import metrics
@@ -22,7 +23,9 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, run_python, section
 
-BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "hold", "grippers", "evidence", "--gate"))
+BENCHES = tuple(
+    f"bench {name}" for name in ("align", "queries", "stability", "grasp", "hold", "grippers", "evidence", "--gate")
+)
 
 
 def test_the_example_in_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -80,7 +83,7 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 PYTHON = ("refine(scene", "simulate(", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
 """What tells apart the blocks of Python; a test runs each."""
 
-TOML = ("rest_pose", "[[job]]", "based_on", "[[body]]")
+TOML = ("rest_pose", "mount =", "[[job]]", "based_on", "[[body]]")
 """The same of TOML."""
 
 
@@ -94,6 +97,17 @@ def test_no_block_is_left_out(language: str, marks: tuple[str, ...]):
 def test_blocks_are_of_these_languages_only(page: str):
     fences = re.findall(r"^ *```(.*)$", PAGES[page], re.MULTILINE)
     assert set(fences[::2]) <= {"python", "toml", "text", "sh", "bash"} and set(fences[1::2]) <= {""}
+
+
+def test_the_arm_toml_is_read(tmp_path: Path):
+    (block,) = (block for block in blocks("toml") if "mount =" in block)
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="my"><link name="base"/><link name="tool0"/><joint name="turn" type="revolute"><parent link="base"/>'
+        '<child link="tool0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / ARM_TOML).write_text(block)
+    arm = load_hand(tmp_path)
+    assert arm.mount == "tool0" and arm.actuator.kp.tolist() == [2000.0]
 
 
 def test_the_hand_toml_has_only_known_keys(tmp_path: Path):

@@ -10,7 +10,7 @@ from grasp_refine.validation.formulas import MeasuredRefinement
 from grasp_refine.validation.geometry import movement
 from grasp_refine.validation.measures import COMPARED, MEASURE, MEASURES, MOVEMENTS, RECORDED, VALIDATED, Measure
 
-LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration")
+LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration", "arm_dexterity")
 
 
 def test_keys_in_files_are_those_that_programs_know():
@@ -27,16 +27,16 @@ def test_keys_in_files_are_those_that_programs_know():
     }
     assert {measure.name for measure in VALIDATED} == {
         *("quality", "wrench_residual", "penetration_m", "self_penetration_m", "scene_penetration_m"),
-        *("contact_distance_m", "contact_number", "limits_violated"),
+        *("contact_distance_m", "contact_number", "limits_violated", "arm_dexterity_m"),
     }
     assert [measure.key for measure in COMPARED] == list(both)
 
 
 def test_quality_and_contacts_are_better_high_and_errors_and_costs_low():
     found = {better: {one.key for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
-    assert found["higher"] == {"quality", "contact_number"}
+    assert found["higher"] == {"quality", "contact_number", "arm_dexterity"}
     assert found[""] == {"starts", *(one.key for one in MOVEMENTS)}
-    assert len(found["lower"]) + 7 == len(MEASURES)
+    assert len(found["lower"]) + 8 == len(MEASURES)
 
 
 @pytest.mark.parametrize("measure", MEASURES, ids=lambda one: one.key)
