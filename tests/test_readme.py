@@ -102,8 +102,9 @@ def test_blocks_are_of_these_languages_only(page: str):
 def test_the_arm_toml_is_read(tmp_path: Path):
     (block,) = (block for block in blocks("toml") if "mount =" in block)
     (tmp_path / "arm.urdf").write_text(
-        '<robot name="my"><link name="base"/><link name="tool0"/><joint name="turn" type="revolute"><parent link="base"/>'
-        '<child link="tool0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+        '<robot name="my"><link name="base"/><link name="tool0"/><joint name="turn" type="revolute">'
+        '<parent link="base"/><child link="tool0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )
     (tmp_path / ARM_TOML).write_text(block)
     arm = load_hand(tmp_path)
