@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.array_records import join
@@ -14,13 +14,18 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
+from grasp_refine.hands.defaults import LEVER_POWERS, SLIDE_LEVER_M
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Actuator, Hand, Link
+from grasp_refine.hands.hand_toml import ACTUATOR
 from grasp_refine.hands.source import ON_ARM
 from grasp_refine.hands.tree import Joint
 
 MOUNT_JOINT = "mount"
 """Name of the fixed joint between the arm and the hand; with a number where that is taken."""
+
+ARM_ACTUATOR = {"kp": 5000.0, "damping": 100.0, "armature": 0.1, "frictionloss": 0.0}
+"""Settings of an arm's revolute joints where no file gives them; slides are driven as by a lever of 0.1 m on these."""
 
 
 def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.ndarray, "4 4"] | None = None) -> Hand:
@@ -74,7 +79,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         upper=np.concatenate([arm.upper, hand.upper]),
         rest=np.concatenate([arm.rest, hand.rest]),
         notes=tuple(dict.fromkeys((*_arm_notes(arm), *hand.notes))),
-        actuator=both(arm.actuator, hand.actuator),
+        actuator=both(holding(arm.actuator, arm.slides), hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),
         yielding=renamed.yielding | hand.yielding,
@@ -119,7 +124,8 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
         below |= {joint.child} if joint.parent in below else set()
     touching = tuple(contact for contact in hand.contacts if contact.link in below)
     links = frozenset(link.name for link in hand.links) - below
-    return replace(hand, contacts=touching, arm=Arm(palm, names, links, _standing(hand)))
+    driven = holding(hand.actuator, hand.slides, names)
+    return replace(hand, contacts=touching, actuator=driven, arm=Arm(palm, names, links, _standing(hand)))
 
 
 def palm_joints(hand: Hand) -> tuple[str, ...]:
@@ -198,6 +204,30 @@ def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
     if arm.excluded is None and hand.excluded is None:
         return None
     return (*(arm.excluded or ()), *(hand.excluded or ()))
+
+
+def holding(
+    actuator: Actuator, slides: Bool[np.ndarray, " n"], which: Bool[np.ndarray, " n"] | None = None
+) -> Actuator:
+    """Return actuators of which those of an arm hold their set points, where neither file gives a stiffness.
+
+    The default is for fingers, under which an arm would give way.
+
+    Args:
+        actuator: The actuators.
+        slides: Joints that slide.
+        which: Joints of the arm; None: all.
+    """
+    lever = np.where(slides, SLIDE_LEVER_M, 1.0)
+    ours = np.isclose(actuator.kp * lever ** LEVER_POWERS["kp"], float(ACTUATOR["kp"] or 0.0))
+    ours &= np.ones_like(ours) if which is None else which
+    if not ours.any():
+        return actuator
+    given = {
+        key: np.where(ours, value / lever ** LEVER_POWERS[key], getattr(actuator, key))
+        for key, value in ARM_ACTUATOR.items()
+    }
+    return replace(actuator, **given)
 
 
 def both(arm: Actuator, hand: Actuator) -> Actuator:
