@@ -170,6 +170,12 @@ def log_se3(T: Same) -> Same:
     return xp.concat([matvec(xp.linalg.inv(left), T[..., :3, 3]), w], axis=-1)
 
 
+def first_order_twist(T: Same, T_before: Same) -> Same:
+    """Spatial twist (v, w) (..., 6) that takes poses (..., 4, 4) `T_before` to `T` nearby, to first order."""
+    moved = T @ inverse(T_before)
+    return array_namespace(T).concat([moved[..., :3, 3], vee(moved[..., :3, :3])], axis=-1)
+
+
 def transform(R: Same, p: Same) -> Same:
     """Homogeneous matrix (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3)."""
     xp = array_namespace(R)

@@ -14,7 +14,6 @@ from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.array_records import choose
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, matvec, transform_points
-from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
@@ -54,9 +53,7 @@ class GraspProblem:
         clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.terms = config.weights.terms(setup, autograd=False)
-        self.meets_anywhere = goal.touching & ~goal.aimed
-        columns = self.meets_anywhere.any(axis=0)
-        self.patched = bool(columns.any() and (columns & prepared.faces.flat).any())
+        self.setup, self.patched = setup, setup.is_flat
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
         self.variables = variables(scene, config.max_move)
@@ -80,7 +77,7 @@ class GraspProblem:
         none, loss, rejected = np.zeros(count, dtype=np.int64), np.zeros(count), np.zeros(count, dtype=bool)
         no_pairs = nothing_near(np.zeros((count, 0)))
         forces, nearby = (None, None) if previous is None else (previous.forces, previous.nearby)
-        patches = LinkPatches.of(self.prepared.faces, self.meets_anywhere[member], T, witness) if self.patched else None
+        patches = self.setup.patches(member, T, witness) if self.patched else None
         state = State(
             loss, none, member, point.T, point.q, T, frames.axes, witness, no_pairs, forces, patches, nearby=nearby
         )

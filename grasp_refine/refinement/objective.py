@@ -58,6 +58,7 @@ class Objective:
         self.kinematics = Kinematics(hand, scene.links, dtype=dtype, device=config.device)
         clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
+        self.setup = setup
         self.clearance = np.broadcast_to(setup.clearance, goal.touching.shape)
         terms = config.weights.terms(setup, autograd=True)
         self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
@@ -103,7 +104,11 @@ class Objective:
         none, loss = np.zeros(count, dtype=np.int64), T[:, 0, 0] * 0.0
         no_pairs = nothing_near(np.zeros((count, 0)))
         nearby = None if previous is None else previous.nearby
-        state = State(none, none, member, T, q, T_moving, None, witness, no_pairs, T_object=T_object, nearby=nearby)
+        patches = self.setup.patches(member, T_link.detach().double().cpu().numpy(), witness.detached())
+        state = State(
+            none, none, member, T, q, T_moving, None, witness, no_pairs,
+            patches=patches, T_object=T_object, nearby=nearby,
+        )  # fmt: skip
         for weight, term in self.terms:
             state = term.complete(state, none.astype(bool), self_witness)
             loss = loss + weight * term.loss(state)

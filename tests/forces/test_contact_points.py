@@ -16,7 +16,9 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
+from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
@@ -158,6 +160,28 @@ def test_gaps_of_corners_have_the_derivative_of_their_squares(tmp_path, block: O
     assert (known.patches.faces.count > 0).sum() == 4
     gradient, differences = gradients(of, point)
     np.testing.assert_allclose(gradient, differences, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("transport", [False, True])
+def test_descent_and_adam_have_the_loss_and_the_derivative_of_corners(tmp_path, block: Object, transport: bool):
+    T, q = gripping([0.002, 0, 0, 0.03, 0.1, 0.02], [0.0, 0.0, 0.021, 0.0, -0.3, 0.05])
+    hand, member, point = jaws(tmp_path), np.arange(2), Point(T, q + 0.001)
+    parts = []
+    for patches in (True, False):
+        alone = dict(penetration=0.0, self_penetration=0.0, wrench=0.0)
+        of = problem(replace(hand, patches=patches), block, point.T, point.q, **alone)
+        known = Objective(of.scene, of.goal, replace(of.config, solver=Descent(transport=transport))).evaluate(
+            member, point, None
+        )
+        np.testing.assert_allclose(known.loss, of.evaluate(member, point, None).loss, rtol=1e-9)
+        # A body gradient has half of the derivative in rotations.
+        v, w = (T[:, :3, :3] @ known.gradient[:, part, None] for part in (slice(3), slice(3, 6)))
+        in_world = [v[..., 0], 2.0 * w[..., 0]]
+        parts.append((known.loss, np.concatenate([*in_world, known.gradient[:, 6:]], axis=1), gradients(of, point)[1]))
+    # The part of the corners: contact kinematics smooth that of witness points.
+    loss, gradient, differences = (with_patches - without for with_patches, without in zip(*parts, strict=True))
+    assert (loss > 1e-7).all()
+    np.testing.assert_allclose(gradient, differences, atol=1e-6, rtol=1e-4)
 
 
 def test_balance_at_corners_has_the_derivative_of_finite_differences(tmp_path, block: Object):

@@ -230,8 +230,6 @@ def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> No
         goal = partly(goal, 5)
     config = Config(weights=weights, margin=1e-3, clearance=2e-3)
     problem = GraspProblem(scene, goal, config)
-    # First-order solvers know no patches.
-    problem.patched = False
     objective = Objective(scene, goal, replace(config, solver=Adam()))
     rng = np.random.default_rng(10)
     for size in (0.0, 0.003, 0.02):

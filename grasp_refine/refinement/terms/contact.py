@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from grasp_refine.collision.query import Witness
-from grasp_refine.core.se3 import Array, array_namespace, matvec, transform_points
+from grasp_refine.core.se3 import Array, array_namespace, first_order_twist, matvec, transform_points
 from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.refinement.solvers.rows import LinkRows
 from grasp_refine.refinement.terms.motion import contact_curvatures, distance_covectors, target_misses, without_nan
@@ -22,11 +22,10 @@ class Contact(Term):
     def __init__(self, setup: Setup) -> None:
         """Find the links with a target, and those that should touch anywhere, in any of the grasps."""
         super().__init__(setup)
-        goal = setup.goal
-        self.anywhere = goal.touching & ~goal.aimed
+        self.anywhere = setup.anywhere
         self.gap = setup.margin + setup.clearance
         self.aimed_columns, self.gap_columns = (
-            np.flatnonzero(mask.any(axis=0)) for mask in (goal.aimed, self.anywhere)
+            np.flatnonzero(mask.any(axis=0)) for mask in (setup.goal.aimed, self.anywhere)
         )
 
     @staticmethod
@@ -52,7 +51,7 @@ class Contact(Term):
         if len(self.gap_columns):
             found.append(contact_gap(state.witness, state.like(self.anywhere[member]), state.like(self.gap)))
         if state.patches is not None:
-            found.append(self._corner_gaps(state.patches))
+            found.append(self._corner_gaps(state, state.patches))
         return tuple(found)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
@@ -81,12 +80,18 @@ class Contact(Term):
             faces, shape = patches.faces, (len(state.member), -1)
             covector = self._corner_weights(patches)[..., None] * faces.slope
             link = np.repeat(np.maximum(patches.link, 0), NUM_CORNERS, axis=1)
-            yield LinkRows(self._corner_gaps(patches).reshape(shape), covector.reshape(*shape, 6), link)
+            yield LinkRows(self._corner_gaps(state, patches).reshape(shape), covector.reshape(*shape, 6), link)
 
-    def _corner_gaps(self, patches: LinkPatches) -> np.ndarray:
+    def _corner_gaps(self, state: State, patches: LinkPatches) -> Array:
         """Return the gaps (M, S, 4) at the corners of patches, which count together as much as that of a link."""
-        wanted = np.broadcast_to(self.gap, (self.anywhere.shape[1],))[np.maximum(patches.link, 0)]
-        return self._corner_weights(patches) * (patches.faces.gap - wanted[..., None])
+        link, weight = np.maximum(patches.link, 0), self._corner_weights(patches)
+        wanted = np.broadcast_to(self.gap, (self.anywhere.shape[1],))[link]
+        gap = state.like(weight * (patches.faces.gap - wanted[..., None]))
+        if isinstance(gap, np.ndarray):
+            return gap
+        # Found without a graph; their derivative in the twists of the links is known.
+        T = state.T_link[np.arange(len(link))[:, None], link]
+        return gap + matvec(state.like(weight[..., None] * patches.faces.slope), first_order_twist(T, T.detach()))
 
     @staticmethod
     def _corner_weights(patches: LinkPatches) -> np.ndarray:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace
@@ -91,6 +91,21 @@ class Setup:
     """Gap (L,) in metres that each link without a target keeps from the object, see `clearance.clearances`."""
     surroundings: Surroundings | None = None
     """Links, and the bodies around the object that grasps could reach; None: there are none."""
+
+    @cached_property
+    def anywhere(self) -> Bool[np.ndarray, "N L"]:
+        """Mask (N, L) of the links that should touch, wherever they do."""
+        return self.goal.touching & ~self.goal.aimed
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether any of these links can meet the object face to face."""
+        columns = self.anywhere.any(axis=0)
+        return bool(columns.any() and (columns & self.prepared.faces.flat).any())
+
+    def patches(self, member: np.ndarray, T_link: np.ndarray, witness: Witness) -> LinkPatches | None:
+        """Return the patches of these links, of grasps `member` (M,) with poses (M, L, 4, 4) of the links."""
+        return LinkPatches.of(self.prepared.faces, self.anywhere[member], T_link, witness) if self.is_flat else None
 
 
 class Term(ABC):

@@ -28,8 +28,8 @@ class Weights:
     """Weights of the terms in the sum of squares, each with its term."""
 
     contact: Annotated[float, Contact] = 1.0
-    """Weight of gaps and of target misses (metres) of the links that should touch; with levenberg-marquardt, gaps at
-    the corners where flat faces meet count too."""
+    """Weight of gaps and of target misses (metres) of the links that should touch; gaps at the corners where flat faces
+    meet count too."""
     penetration: Annotated[float, Penetration] = 100.0
     """Weight of the depth of every link in the object (metres); descent and adam are faster with 10."""
     self_penetration: Annotated[float, SelfPenetration] = 100.0
