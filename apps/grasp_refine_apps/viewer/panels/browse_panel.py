@@ -216,7 +216,9 @@ class BrowsePanel:
     def go(self, where: str) -> None:
         """Open another grasp of the list."""
         with self._lock:
-            collection, listed, number = self._collection, self._listed, self._number
+            collection, listed = self._collection, self._listed
+        # Keys may come faster than states are drawn.
+        number = self._controller.state.number
         if collection is None or not len(listed):
             return
         if where == WORST:
