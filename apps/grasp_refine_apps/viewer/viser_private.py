@@ -1,4 +1,6 @@
-"""Private parts of viser 1.1 that the viewer uses, each with the reason; nothing else of the viewer touches any.
+"""Private parts of viser 1.1 that the viewer uses, each with the reason; nothing else touches any but page_head.html.
+
+page_head.html is the half that runs in the page: keys, links, placeholders, and what is drawn over everything.
 
 The upper bound of the version in pyproject.toml is there for them. In the page, viser keeps `window.__viserMutable`
 and `window.__viserSceneTree` for its own tests.

@@ -124,7 +124,7 @@ class Habits:
         state = self._controller.state
         self._controller.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
 
-    def _fit_to(self, client: viser.ClientHandle, value: str, *, first: bool) -> None:
+    def _fit_to(self, client: Any, value: str, *, first: bool) -> None:
         """Fit the camera of a page whose scene has this aspect ratio; the first time only if it is unusual."""
         try:
             aspect = float(value)
