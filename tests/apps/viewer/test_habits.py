@@ -20,7 +20,8 @@ from grasp_refine_apps.viewer.panels.habits import Habits, title  # noqa: E402
 
 
 @pytest.fixture
-def viewer() -> Iterator[Viewer]:
+def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
+    monkeypatch.chdir(tmp_path)  # where marks of the example are kept
     with Viewer(open_server("127.0.0.1", 0), controller()) as opened:
         yield opened
 
