@@ -120,21 +120,22 @@ class Lines:
     def __init__(self, scene: viser.SceneApi, name: str, thickness: float) -> None:
         """Start without segments; `thickness` in pixels."""
         self._scene, self._name, self._thickness = scene, name, thickness
-        self._node: Any = None
+        self.node: Any = None
+        """The lines; None: there are none."""
 
     def draw(self, points: Float[np.ndarray, "N 2 3"], colors: np.ndarray) -> None:
         """Draw N segments from and to points, each in its colour (N, 3), 0 to 255."""
-        if self._node is not None and not len(points):
-            self._node.remove()
-            self._node = None
+        if self.node is not None and not len(points):
+            self.node.remove()
+            self.node = None
         if len(points):
             colors = np.repeat(np.asarray(colors, dtype=np.uint8)[:, None], 2, axis=1)
-            if self._node is None:
-                self._node = self._scene.add_line_segments(
+            if self.node is None:
+                self.node = self._scene.add_line_segments(
                     self._name, points, colors, thickness=self._thickness, thickness_units="screen"
                 )
             else:
-                self._node.points, self._node.colors = points.astype(np.float32), colors
+                self.node.points, self.node.colors = points.astype(np.float32), colors
 
 
 class PointMarkers:

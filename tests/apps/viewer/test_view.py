@@ -111,17 +111,17 @@ def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Contro
 
 def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Controller) -> None:
     obj = viewer.state.scene.object
-    assert len(view.nodes.object.nodes) == 1 and view.nodes.cones is None
+    assert len(view.nodes.object.nodes) == 1 and view.nodes.cones.node is None
     prepared = view.nodes.prepared
     viewer.set_display(DisplayOptions(object="pieces", hand="collision", forces=True, frames=True, transparent=False))
     view.draw(viewer.state)
     nodes = view.nodes
     assert len(nodes.object.nodes) == len(obj.body.pieces) > 1
     assert nodes.object.nodes[0].opacity is None and nodes.prepared is prepared
-    assert nodes.cones is not None and nodes.forces.node is not None and all(node.visible for node in nodes.axes)
+    assert nodes.cones.node is not None and nodes.forces.node is not None and all(node.visible for node in nodes.axes)
     viewer.set_display(DisplayOptions(object="wireframe", forces=False))
     view.draw(viewer.state)
-    assert view.nodes.object.nodes[0].wireframe and view.nodes.cones is None
+    assert view.nodes.object.nodes[0].wireframe and view.nodes.cones.node is None
 
 
 def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
