@@ -169,3 +169,19 @@ def test_facade_places_grasps_in_memory() -> None:
         gr.problem_of(whole, box, grasps)
     with pytest.raises(GraspRefineError, match="base"):
         gr.problem_of(whole, box, grasps, base=[1.0, 2.0])
+
+
+def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:
+    """Its pose is the world's; that it stands on the table, in the margin of this, is no penetration of the scene."""
+    problem = gr.load_problem(
+        spec(object=None, table=None, scene="box-in-corner", base="-0.5,0,0.7", grasps=Path("sample:2"))
+    )
+    scene = problem.groups[0].scene
+    assert scene.environment is not None
+    T = scene.environment.T_world_object @ scene.T_world_root[0]
+    np.testing.assert_allclose(T, read_pose("-0.5,0,0.7", "--base"), atol=1e-12)
+    found = gr.evaluate(problem)
+    at = ~scene.out_of_reach
+    assert at.any() and (found.validated.metrics.scene_penetration_m[at] < 0.03).all()
+    arms = problem.hand.arm
+    assert arms is not None and arms.standing == {"base_link", "base"}
