@@ -117,12 +117,12 @@ class GrippersStudy:
         pooled, each = ([{**row, "trials": _trials(row)} for row in part] for part in parts)
         held = [Column(f"trials.{k}", name, "%", _held) for k, name in enumerate(PROTOCOLS)]
         lost = [
-            {**row, "label": f"{row['label']}, {row['object']}"}
+            {**row, "label": f"{row['label']} {row['object']}"}
             for row in each
             if any(before_not_after for *_, before_not_after in row["held"])
         ]
         first = [Column("label", "grasps"), Column("grasps", "number", form="d")]
-        tables = [Table("Held before → after refinement, and lost of those that held", [*first, *held], pooled)]
+        tables = [Table("Held before → after refinement (and lost of those that held)", [*first, *held], pooled)]
         if lost:
             tables.append(Table("Objects on which grasps are lost", [*first, *held], lost))
         scaled = [row for row in each if row["scale"] != 1.0]
@@ -142,7 +142,7 @@ def _trials(row: Row) -> dict[str, tuple[float, float, int]]:
 
 def _held(trials: tuple[float, float, int]) -> str:
     before, after, lost = trials
-    return f"{100.0 * before:.1f} → {100.0 * after:.1f}" + (f", {lost} lost" if lost else "")
+    return f"{100.0 * before:.1f} → {100.0 * after:.1f}" + (f" ({lost})" if lost else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ class GripperTask:
         counts = np.stack([before, after, before & ~after], axis=1)
         return [
             {
-                **{"hand": self.hand.name, "kind": kind, "label": f"{self.hand.name}, {kind}"},
+                **{"hand": self.hand.name, "kind": kind, "label": f"{self.hand.name} {kind}"},
                 **{"object": self.object.name, "scale": factor, "grasps": part.shape[-1]},
                 "held": part.sum(axis=-1).tolist(),
             }
