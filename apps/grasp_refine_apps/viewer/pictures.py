@@ -35,7 +35,9 @@ def save(page: Page, name: str) -> None:
     """Save a picture of the page."""
     page.wait_for_timeout(3000)
     image = Image.open(io.BytesIO(page.screenshot()))
-    image.convert("RGB").save(FOLDER / name, optimize=True)
+    image = image.convert("RGB")
+    palette = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
+    image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(FOLDER / name, optimize=True)
     print(f"wrote {FOLDER / name}")
 
 
