@@ -34,8 +34,7 @@ SLIPPING = "1.0"
 def save(page: Page, name: str) -> None:
     """Save a picture of the page."""
     page.wait_for_timeout(3000)
-    image = Image.open(io.BytesIO(page.screenshot()))
-    image = image.convert("RGB")
+    image = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     palette = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
     image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(FOLDER / name, optimize=True)
     print(f"wrote {FOLDER / name}")
