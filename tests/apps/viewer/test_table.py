@@ -134,7 +134,8 @@ def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: 
         assert {tag for tag, _ in page.tags} <= {*"style div table thead tbody tr th td small span a b br".split()}
         handlers = [name for _, attributes in page.tags for name in attributes if name.startswith("on")]
         assert handlers == (["onclick"] if "gr-table" in html else [])
-        assert {name for _, attributes in page.tags for name in attributes} <= {"class", "data-do", "title", "onclick"}
+        known = {"class", "data-do", "title", "onclick", "aria-disabled"}
+        assert {name for _, attributes in page.tags for name in attributes} <= known
     rows = Parsed(table_html(evil, Listing(), np.arange(2), 0, 0, "w")).tags
     titles = [attributes["title"] for tag, attributes in rows if tag == "tr" and "title" in attributes]
     assert titles == [f"{EVIL} 0", "mug 1"]
@@ -150,7 +151,9 @@ def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> Non
     cells = Parsed(html).cells
     rows = [tuple(cells[i : i + 3]) for i in range(0, len(cells), 3)]
     assert rows[:2] == [("", "before", "after"), ("Quality", "0.455", "0.910")]
-    assert ("Contact error, mm", "1.01", "0.01") in rows and len(rows) == 1 + len(COMPARED)
+    assert ("Contact error, mm", "1.01", "0.01") in rows
+    known = [measure for measure in COMPARED if set(measure.entries.values()) <= collection.columns.keys()]
+    assert len(rows) == 1 + len(known) >= 6
     assert not Parsed(metrics_html(replace(collection, columns={}), 13)).cells
     plain = {key: column for key, column in collection.columns.items() if key.endswith("_after")}
     assert Parsed(metrics_html(replace(collection, columns=plain), 13)).cells[:2] == ["Quality", "0.910"]
