@@ -14,14 +14,11 @@ from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, 
 from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
-from grasp_refine_apps.viewer.ground import light
+from grasp_refine_apps.viewer.ground import ABOVE, LEAST_SLANT, light
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
 """Clipping planes of the cameras, metres."""
-
-LEAST_SLANT = 1e-3
-"""Sine of the angle to the vertical below which a camera is taken as vertical."""
 
 ASPECT_RATIO = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
@@ -89,7 +86,7 @@ class View:
         back = np.array(seen.position) - np.array(seen.look_at)
         back /= max(float(np.linalg.norm(back)), 1e-9)
         if np.linalg.norm(np.cross(back, UP)) < LEAST_SLANT:
-            back = np.array([1.0, 0.0, 0.5]) / np.linalg.norm([1.0, 0.0, 0.5])
+            back = np.array(ABOVE) / np.linalg.norm(ABOVE)
         points = self._points(state, nodes)
         found = fit_camera(points, points.mean(axis=0), back, aspect)
         with client.atomic():
