@@ -31,6 +31,16 @@ def transform_from_rpy(values: Sequence[float]) -> Float[np.ndarray, "4 4"]:
     return transform(exp_so3(yaw * z) @ exp_so3(pitch * y) @ exp_so3(roll * x), np.array(numbers[:3]))
 
 
+def rpy_from_transform(T: Float[np.ndarray, "4 4"]) -> list[float]:
+    """Return x, y, z (m), roll, pitch, yaw (degrees) of a transform (4, 4), for `transform_from_rpy`."""
+    R = T[:3, :3]
+    flat = np.hypot(R[0, 0], R[1, 0])
+    yaw = np.arctan2(R[1, 0], R[0, 0]) if flat > 1e-9 else 0.0
+    roll = np.arctan2(R[2, 1], R[2, 2]) if flat > 1e-9 else np.arctan2(-R[1, 2], R[1, 1])
+    angles = np.rad2deg([roll, np.arctan2(-R[2, 0], flat), yaw])
+    return [float(value) + 0.0 for value in (*T[:3, 3], *angles)]
+
+
 def read_pose(text: str, option: str) -> Float[np.ndarray, "4 4"]:
     """Return the transform (4, 4) that a text such as "0.5,0,0.2,0,0,90" gives.
 

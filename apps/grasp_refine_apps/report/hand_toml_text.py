@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from grasp_refine.core.rpy_poses import rpy_from_transform
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.hand_toml import ACTUATOR
 from grasp_refine_apps.report.hand_table import show_value
@@ -58,6 +59,10 @@ def _head(hand: Hand, folder: Path) -> str:
             "",
             "# Whether flat faces of its links touch flat faces of objects in patches, not in points.",
             f"patches = {str(hand.patches).lower()}",
+            "",
+            "# Pose of the flange of an arm that carries it, in the frame of base_link: [x, y, z, roll, pitch, yaw],",
+            "# metres, degrees; left out, that frame. In an arm.toml, mount names the link that carries hands.",
+            *([] if hand.T_base_flange is None else [f"flange = {rpy_from_transform(hand.T_base_flange)}"]),
         ]
     )
 
