@@ -26,19 +26,26 @@ FRAME_MS, END_MS = 120, 1200
 """Milliseconds of a frame, and of the last one."""
 
 SETTLE_S = 4 * DRAW_PERIOD_S
-"""Seconds until a frame that was asked for has reached the browser."""
+"""Seconds until a frame that was drawn has reached the browser."""
 
 RENDER_TIMEOUT_S = 15.0
 """Seconds within which a browser must draw a frame."""
 
 
-def recorded_gif(controller: Controller, client: viser.ClientHandle, size: tuple[int, int], control: Control) -> bytes:
+def recorded_gif(
+    controller: Controller,
+    client: viser.ClientHandle,
+    size: tuple[int, int],
+    settle: Callable[[float], None],
+    control: Control,
+) -> bytes:
     """Show each frame, take its picture in a browser, and return the GIF; what was shown before is shown again.
 
     Args:
         controller: Shows the frames.
         client: The browser.
         size: Height and width of its scene in pixels.
+        settle: Waits until what is shown is drawn, for some seconds at most.
         control: Progress, and interruption.
 
     Raises:
@@ -55,6 +62,7 @@ def recorded_gif(controller: Controller, client: viser.ClientHandle, size: tuple
             control.report(done / len(frames), "recording a GIF")
             control.check()
             show(frame)
+            settle(RENDER_TIMEOUT_S)
             time.sleep(SETTLE_S)
             pictures.append(client.get_render(height, width, transport_format="jpeg", timeout=RENDER_TIMEOUT_S))
     except (RuntimeError, TimeoutError) as error:

@@ -43,14 +43,23 @@ class Drawer:
         """Draw the first state, then newer ones; at most one in `period` seconds."""
         self._draws, self._state, self._period = tuple(draws), first, period
         self._wanted, self._closed = threading.Event(), threading.Event()
+        self._asked, self._drawn, self._change = 1, 0, threading.Condition()
         self._wanted.set()
         self._thread = threading.Thread(target=self._run, name="viewer drawing", daemon=True)
         self._thread.start()
 
     def draw(self, state: State) -> None:
         """Draw this state, unless a newer one comes first."""
-        self._state = state
+        with self._change:
+            self._state = state
+            self._asked += 1
         self._wanted.set()
+
+    def settle(self, seconds: float) -> None:
+        """Wait until the newest state is drawn, for so many seconds at most."""
+        with self._change:
+            asked = self._asked
+            self._change.wait_for(lambda: self._drawn >= asked, seconds)
 
     def close(self) -> None:
         """Stop the thread after the present drawing."""
@@ -61,12 +70,17 @@ class Drawer:
     def _run(self) -> None:
         while self._wanted.wait() and not self._closed.is_set():
             self._wanted.clear()
-            began, state = time.monotonic(), self._state
+            began = time.monotonic()
+            with self._change:
+                asked, state = self._asked, self._state
             for draw in self._draws:
                 try:
                     draw(state)
                 except Exception:  # noqa: BLE001 - one part that cannot be drawn must not take the others with it
                     traceback.print_exc()
+            with self._change:
+                self._drawn = asked
+                self._change.notify_all()
             self._closed.wait(max(0.0, self._period - (time.monotonic() - began)))
 
 

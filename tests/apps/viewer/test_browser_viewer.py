@@ -192,7 +192,8 @@ def test_the_animation_that_is_downloaded_plays(page: ViserPage, tmp_path: Path,
         return np.ptp([pose[:3, 3] for pose in poses], axis=0).max() > 0.003
 
     until(moved, "the fingertip moves")
-    film.wait_for_scene()
+    # From where the page looked, most of the links that should touch are behind the mug.
+    until(lambda: oranges_and_blues(film.wait_for_scene())[0] > 20, "the fingertips in one of the frames")
     np.testing.assert_allclose(film.camera()[:3, 3], page.camera()[:3, 3], atol=1e-3)
     assert film.requests[0].startswith("file://") and len(film.requests) == 1
 

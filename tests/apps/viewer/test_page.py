@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -182,3 +183,17 @@ def test_a_slow_drawer_draws_once_in_its_period_and_ends_at_once() -> None:
     drawer.draw(replace(made.state, change=made.state.change + 1))
     drawer.close()
     assert drawn == [made.state.change]
+
+
+def test_a_drawer_settles_once_the_newest_state_is_drawn() -> None:
+    drawn: list[int] = []
+    made = controller()
+    made.close()
+    drawer = Drawer([lambda state: time.sleep(0.05), lambda state: drawn.append(state.change)], made.state, period=0.0)
+    for change in range(made.state.change + 1, made.state.change + 4):
+        drawer.draw(replace(made.state, change=change))
+        drawer.settle(PATIENCE_S)
+        assert drawn[-1] == change
+    drawer.close()
+    drawer.draw(made.state)
+    drawer.settle(0.01)  # never drawn: it comes back all the same

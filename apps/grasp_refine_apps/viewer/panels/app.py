@@ -101,6 +101,7 @@ class Viewer:
         )
         for drawer in self._drawers:
             controller.listen(drawer.draw)
+        panels[ExportPanel].settle = self._drawers[0].settle
         server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
         self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
         self._measuring.daemon = True

@@ -53,6 +53,8 @@ class ExportPanel:
         self._server, self._controller = server, controller
         self.uploads = Uploads()
         self._collection: Collection | None = None
+        self.settle: Callable[[float], None] = lambda seconds: None
+        """Waits until what the controller shows is drawn, for some seconds at most; set by whoever draws."""
         gui = server.gui
         self.opened = gui.add_html("")
         with gui.add_folder("Open"):
@@ -255,7 +257,8 @@ class ExportPanel:
         size = _size(client.camera)
 
         def work(control: Control) -> None:
-            self._send(client, Saved(f"{_stem(now)}.gif", recorded_gif(self._controller, client, size, control)))
+            recorded = recorded_gif(self._controller, client, size, self.settle, control)
+            self._send(client, Saved(f"{_stem(now)}.gif", recorded))
 
         self._run("export", "recording a GIF", work)
 
