@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 
 from grasp_refine.assets.manifest import KINDS, Asset, Kind, read_manifest
-from grasp_refine.core.errors import AssetError
+from grasp_refine.core.errors import AssetError, did_you_mean
 
 
 def all_assets() -> tuple[Asset, ...]:
@@ -43,8 +42,7 @@ def choose_asset(name: str) -> Asset:
     if found is not None:
         return found
     names = [asset.name for asset in all_assets()]
-    close = get_close_matches(_normalize(name), names, n=3)
-    meant = f", did you mean {' or '.join(close)}?" if close else ";"
+    meant = did_you_mean(_normalize(name), names, most=3)
     raise AssetError(f"no asset is called '{name}'{meant} `refine-grasp assets list` shows all {len(names)}")
 
 

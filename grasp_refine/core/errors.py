@@ -5,6 +5,7 @@ one line and exits with code 2. Any other exception that escapes is a bug of thi
 """
 
 import unicodedata
+from collections.abc import Iterable
 from reprlib import Repr
 
 MAX_MESSAGE_CHARACTERS = 4000
@@ -51,6 +52,14 @@ def quote_value(value: object) -> str:
         return _SHORT_REPR.repr(value)
     except ValueError:
         return "an integer of thousands of digits"
+
+
+def did_you_mean(name: str, known: Iterable[str], *, most: int = 1, otherwise: str = ";") -> str:
+    """Return the part of a message that names up to `most` similar ones of the known names, or else a punctuation."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, list(known), n=most)
+    return f", did you mean {' or '.join(close)}?" if close else otherwise
 
 
 _SHORT_REPR = Repr()

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 from grasp_refine.assets.locating import fetched
 from grasp_refine.assets.manifest import Asset, read_manifest
 from grasp_refine.assets.names import find_asset
-from grasp_refine.core.errors import AssetError, MeshError, quote_value
+from grasp_refine.core.errors import AssetError, MeshError, did_you_mean, quote_value
 from grasp_refine.core.names import exists, is_folder
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.mesh import SUFFIXES
@@ -57,8 +56,7 @@ def _asset_meant(name: str) -> Asset | None:
         return None
     asset = find_asset(name, "objects")
     if asset is None:
-        close = get_close_matches(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], n=1)
-        meant = f", did you mean {close[0]}?" if close else ":"
+        meant = did_you_mean(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], otherwise=":")
         raise AssetError(
             f"no object '{name}'{meant} embedded ones are {', '.join(EMBEDDED)}; primitives are {PRIMITIVE_FORMS}; or "
             f"give a mesh file ({', '.join(SUFFIXES)}), a folder of convex pieces, or an asset "

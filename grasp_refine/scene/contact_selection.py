@@ -1,13 +1,12 @@
 """Selection of the links that should touch the object, and of their contact points, where none are given."""
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_fields
-from grasp_refine.core.errors import GraspRefineError, HandError
+from grasp_refine.core.errors import GraspRefineError, HandError, did_you_mean
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.hands.hand import Hand
 
@@ -57,10 +56,9 @@ class ContactSelection:
         meant = [[name] if name in links else fingers.get(name, []) for name in self.links]
         unknown = [name for name, found in zip(self.links, meant, strict=True) if not found]
         if unknown:
-            close = get_close_matches(unknown[0], [*fingers, *links], n=1)
             raise HandError(
                 f"hand {hand.name} has neither a finger nor a link with collision geometry called "
-                f"{', '.join(unknown)}{f', did you mean {close[0]}?' if close else ';'} its fingers are "
+                f"{', '.join(unknown)}{did_you_mean(unknown[0], [*fingers, *links])} its fingers are "
                 f"{', '.join(fingers)}, its links {', '.join(dict.fromkeys(links))}"
             )
         return tuple(dict.fromkeys(link for found in meant for link in found))

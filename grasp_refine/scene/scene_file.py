@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.errors import GraspRefineError, quote_value
+from grasp_refine.core.errors import GraspRefineError, did_you_mean, quote_value
 from grasp_refine.core.names import exists, expand_user, is_valid
+from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import matrix_from_quaternion, transform
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.body import Body, build_body
@@ -144,9 +144,9 @@ def scene_path(source: str | Path) -> Path:
         return path
     known = list_scenes()
     if str(source) not in known:
-        close = get_close_matches(str(source), known, n=1)
-        meant = f", did you mean {close[0]}?" if close else ";"
-        raise GraspRefineError(f"no scene '{source}'{meant} there are {', '.join(known)}, or a FILE.toml")
+        raise GraspRefineError(
+            f"no scene '{source}'{did_you_mean(str(source), known)} there are {', '.join(known)}, or a FILE.toml"
+        )
     return known[str(source)]
 
 
@@ -256,16 +256,7 @@ def _pose(raw: Mapping[str, Any], where: str) -> np.ndarray:
         return transform(matrix_from_quaternion(values[3:] / length), values[:3])
     position = _numbers(raw.get("position", [0.0, 0.0, 0.0]), 3, f"{where}position", "x, y, z in metres")
     rpy = _numbers(raw.get("rpy", [0.0, 0.0, 0.0]), 3, f"{where}rpy", "angles about x, y, z in degrees", most=1e6)
-    return transform(rotation_from_rpy(np.radians(rpy)), np.array(position))
-
-
-def rotation_from_rpy(angles: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) about the fixed axes x, then y, then z by angles (3,) in radians, as in URDF."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
-    Rx = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    Ry = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
-    Rz = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    return Rz @ Ry @ Rx
+    return transform_from_rpy([*position, *rpy])
 
 
 def _source(value: Any, folder: Path, where: str) -> str:
@@ -274,11 +265,9 @@ def _source(value: Any, folder: Path, where: str) -> str:
     if text in EMBEDDED or (":" in text and not exists(folder / text)):
         return text
     if not exists(folder / text):
-        close = get_close_matches(text, EMBEDDED, n=1)
-        meant = f", did you mean {close[0]}?" if close else ";"
         raise GraspRefineError(
-            f"{where} = '{text}': no such file or folder {folder / text}{meant} embedded objects are "
-            f"{', '.join(EMBEDDED)}"
+            f"{where} = '{text}': no such file or folder {folder / text}{did_you_mean(text, EMBEDDED)} embedded "
+            f"objects are {', '.join(EMBEDDED)}"
         )
     return str(folder / text)
 
@@ -294,9 +283,7 @@ def _factor(raw: Mapping[str, Any], where: str) -> float:
 def _check_keys(raw: Mapping[str, Any], valid: Collection[str], where: str) -> None:
     for key in raw:
         if key not in valid:
-            close = get_close_matches(key, valid, n=1)
-            meant = f", did you mean {close[0]}?" if close else ";"
-            raise GraspRefineError(f"{where}no key '{key}'{meant} there are {', '.join(valid)}")
+            raise GraspRefineError(f"{where}no key '{key}'{did_you_mean(key, valid)} there are {', '.join(valid)}")
 
 
 def _tables(raw: Mapping[str, Any], key: str, where: str) -> list[tuple[Mapping[str, Any], str]]:
