@@ -9,9 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Witness, query
-from grasp_refine.core.se3 import transform_points
 from grasp_refine.motion.paths import HandPath
 from grasp_refine.scene.hand_object import HandObject, moving_links
 from grasp_refine.scene.scene import Scene
@@ -94,8 +92,8 @@ class Sweep:
             names = tuple(tuple(links[k] for k in side) for side in (first, second))
             yield _depths(w), SELF_TOUCHING_M, w.point_a, names[0], names[1]
         if scene.table is not None:
-            lowest = transform_points(T, scene.table.lowest(self.prepared.bodies, T))
-            depth = scene.table.offset - lowest @ np.asarray(scene.table.normal)
+            height, lowest = scene.table.heights(self.prepared.bodies, T)
+            depth = -height
             moving = moving_links(scene.hand, links)
             depth = depth if moving is None else np.where(moving, depth, -np.inf)
             yield depth, TOUCHING_M, lowest, links, ("table",) * len(links)
@@ -120,11 +118,7 @@ class Sweep:
 
     def _around(self, bodies: tuple, counts: np.ndarray | None) -> Surroundings | None:
         environment = self.scene.environment
-        if environment is None or not environment.bodies:
-            return None
-        spheres = np.array([bounding_sphere(body) for body in bodies])
-        every = np.arange(len(environment.bodies))
-        return Surroundings(bodies, spheres, environment, every, keeps_margins=False, counts=counts)
+        return None if environment is None else Surroundings.measured(environment, bodies, counts)
 
     @staticmethod
     def _in_scene(around: Surroundings | None, T: np.ndarray, names: tuple[str, ...]) -> Iterator[Overlaps]:

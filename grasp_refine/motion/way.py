@@ -139,7 +139,7 @@ class _Planner:
         """Return the way through the three stages of a grasp."""
         arm = self.scene.hand.arm_joints
         close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
-        allowed = max(self.sweep.depth_in_object(close), 0.0) + CLOSING_DEPTH_M
+        allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
         approach, direction, why, status = self._approach(T[0], q[0])
         legs: list[HandPath] = [approach]
         if why:
@@ -154,10 +154,9 @@ class _Planner:
         pressing = q[2] - q[1]
         legs += [HandPath(held.T_world_root, held.q + np.where(arm, 0.0, pressing))]
         if not reached:
-            height = (len(held) - 1) / max(int(np.ceil(self.options.lift / 0.01)), 1) * self.options.lift
-            return Way(
-                WayStatus.OUT_OF_REACH, f"{LEGS[3]}: the arm lifts it by {height:.2f} m only", tuple(legs), direction
-            )
+            first, last = palm_poses(self.scene.hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
+            why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ self.up:.2f} m only"
+            return Way(WayStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)
         if met is not None:
             return Way(WayStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction)

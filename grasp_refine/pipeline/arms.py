@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.rpy_poses import read_pose
-from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine.core.se3 import inverse, transform_from_pose
 from grasp_refine.grasps.on_arm import ROOM_M, ArmClearance, on_arm
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.description import read_tree
@@ -25,7 +24,7 @@ from grasp_refine.pipeline.spec import SourceSpec
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.surroundings import Surroundings
+from grasp_refine.scene.surroundings import Surroundings, scene_depths
 
 BLOCK_ARMS = 64
 """Number of arms that are measured at a time, which bounds the memory."""
@@ -142,19 +141,13 @@ def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], environment
     names = [link.name for link in hand.links if link.body is not None and link.name in hand.arm.standing]
     if not names or not environment.bodies:
         return ()
-    T_link = Chain(hand, tuple(names))(T_object_base[None], hand.rest[None]).T_world_link[0]
-    links, bodies = np.divmod(np.arange(len(names) * len(environment.bodies)), len(environment.bodies))
-    pairs = Pairs(
-        tuple(hand.links_by_name[names[link]].solid for link in links),
-        tuple(environment.bodies[body].body for body in bodies),
-    )
-    depth = -query(pairs, T_link[links][None], environment.T_object_body[bodies][None], cutoff=0.0).distance[0]
-    worst = int(depth.argmax())
-    if depth[worst] <= MAX_SUNK_M:
+    T_link = Chain(hand, tuple(names))(T_object_base[None], hand.rest[None]).T_world_link
+    found = scene_depths(environment, tuple(hand.links_by_name[name].solid for name in names), T_link)
+    depth, link, body = found.depth[0], names[found.link[0]], environment.bodies[found.body[0]].name
+    if not depth > MAX_SUNK_M:
         return ()
-    link, body = names[links[worst]], environment.bodies[bodies[worst]].name
     return (
-        f"link '{link}', on which the arm stands, is {1e3 * depth[worst]:.0f} mm inside body '{body}' of the scene: "
+        f"link '{link}', on which the arm stands, is {1e3 * depth:.0f} mm inside body '{body}' of the scene: "
         "move the base (--base)",
     )
 
@@ -167,10 +160,7 @@ def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Env
     links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
     bodies = tuple(hand.links_by_name[name].solid for name in links)
     chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
-    around = None
-    if environment is not None and environment.bodies and links:
-        spheres, every = np.array([bounding_sphere(body) for body in bodies]), np.arange(len(environment.bodies))
-        around = Surroundings(bodies, spheres, environment, every, keeps_margins=False)
+    around = None if environment is None else Surroundings.measured(environment, bodies)
 
     def clearance(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Float[np.ndarray, " M"]:
         room = np.full(len(q), ROOM_M)
@@ -180,8 +170,7 @@ def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Env
         found = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=ROOM_M)
         room = np.minimum(room, np.where(found.valid, found.distance, ROOM_M).min(axis=1))
         if table is not None:
-            lowest = transform_points(T_link, table.lowest(bodies, T_link))
-            room = np.minimum(room, (lowest @ np.asarray(table.normal) - table.offset).min(axis=1))
+            room = np.minimum(room, table.heights(bodies, T_link)[0].min(axis=1))
         if around is not None:
             for rows in np.split(np.arange(len(q)), range(BLOCK_ARMS, len(q), BLOCK_ARMS)):
                 near = around.near(T_link[rows], ROOM_M, most=1)

@@ -330,8 +330,7 @@ class _Closing:
         witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff, previous=previous)
         if self.table is None:
             return _Proximity(frames, witness, np.full(T.shape[:2], np.inf))
-        lowest = transform_points(T, self.table.lowest(prepared.bodies, T))
-        return _Proximity(frames, witness, lowest @ np.asarray(self.table.normal) - self.table.offset)
+        return _Proximity(frames, witness, self.table.heights(prepared.bodies, T)[0])
 
     def _speeds(self, frames: Frames) -> np.ndarray:
         """Greatest speed (M, L, n) of any point of each link per joint speed, in m/rad, or m/m."""

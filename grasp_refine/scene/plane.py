@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import UNIT, matvec
+from grasp_refine.core.se3 import UNIT, matvec, transform_points
 from grasp_refine.geometry.body import Body
 
 
@@ -33,6 +33,14 @@ class Plane:
         check_kind("Plane: offset", self.offset, float)
         if not abs(np.linalg.norm(normal) - 1.0) <= UNIT:
             raise GraspRefineError(f"Plane: normal must be of unit length, got {self.normal}")
+
+    def heights(self, bodies: Sequence[Body], T_world_body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances (M, L) of bodies from the plane in metres, and where (M, L, 3) they are least, object frame.
+
+        Arguments are those of `lowest`.
+        """
+        point = transform_points(T_world_body, self.lowest(bodies, T_world_body))
+        return point @ np.asarray(self.normal) - self.offset, point
 
     def lowest(self, bodies: Sequence[Body], T_world_body: np.ndarray) -> np.ndarray:
         """The point of each body that is farthest below the plane (M, L, 3), body frames, metres.

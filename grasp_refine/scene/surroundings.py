@@ -85,6 +85,16 @@ class Surroundings:
     counts: Bool[np.ndarray, " L"] | None = None
     """Mask (L,) of the links that count; None: all."""
 
+    @classmethod
+    def measured(
+        cls, environment: Environment, links: tuple[Body, ...], counts: Bool[np.ndarray, " L"] | None = None
+    ) -> Surroundings | None:
+        """Return links and all bodies of an environment, for plain distances without margins; None: there are none."""
+        if not environment.bodies or not links:
+            return None
+        spheres, every = np.array([bounding_sphere(one) for one in links]), np.arange(len(environment.bodies))
+        return cls(links, spheres, environment, every, keeps_margins=False, counts=counts)
+
     @cached_property
     def link(self) -> Int[np.ndarray, " C"]:
         """Link of each pair."""
