@@ -11,6 +11,6 @@ def whole(number: int) -> str:
     return f"{number:,}".replace(",", THIN_SPACE)
 
 
-def count_text(number: int, noun: str) -> str:
-    """Number and noun, in the plural except for 1: 1 convex piece, 2 convex pieces."""
-    return f"{whole(number)} {noun}{'' if number == 1 else 's'}"
+def count_text(number: int, noun: str, plural: str | None = None) -> str:
+    """Number and noun, in the plural, by default with an s, except for 1: 1 convex piece, 2 convex pieces."""
+    return f"{whole(number)} {noun if number == 1 else plural or f'{noun}s'}"

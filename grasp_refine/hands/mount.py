@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import LEVER_POWERS, SLIDE_LEVER_M
 from grasp_refine.hands.description import read_tree
-from grasp_refine.hands.hand import Actuator, Hand, Link
+from grasp_refine.hands.hand import Actuator, Hand
 from grasp_refine.hands.hand_toml import ACTUATOR
 from grasp_refine.hands.source import ON_ARM
 from grasp_refine.hands.tree import Joint
@@ -158,7 +158,8 @@ def _arm_notes(arm: Hand) -> list[str]:
     return [f"arm {arm.name}: {note}" for note in arm.notes if not note.startswith("contact link")]
 
 
-def _other_names(names: Sequence[str] | dict[str, Link], taken: dict[str, Link], prefix: str) -> dict[str, str]:
+def _other_names(names: Iterable[str], taken: Container[str], prefix: str) -> dict[str, str]:
+    """Return names with a prefix where they are taken, by name."""
     return {name: f"{prefix}_{name}" if name in taken else name for name in names}
 
 
@@ -170,7 +171,7 @@ def _renamed(arm: Hand, hand: Hand) -> Hand:
     """
     link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)
     theirs = hand.joints_by_name
-    joint = {name: f"{arm.name}_{name}" if name in theirs else name for name in arm.joints_by_name}
+    joint = _other_names(arm.joints_by_name, theirs, arm.name)
     for names, ours in ((link, hand.links_by_name), (joint, theirs)):
         twice = [name for name in names.values() if name in ours or list(names.values()).count(name) > 1]
         if twice:

@@ -88,8 +88,8 @@ class Environment:
 
     def __repr__(self) -> str:
         movable = sum(body.movable for body in self.bodies)
-        others = f"{count_text(len(self.bodies) - movable, 'fixed body')}, {movable} movable".replace("bodys", "bodies")
-        return f"Environment({self.name}: {others})"
+        fixed = count_text(len(self.bodies) - movable, "fixed body", "fixed bodies")
+        return f"Environment({self.name}: {fixed}, {movable} movable)"
 
     def __post_init__(self) -> None:
         """Refuse invalid values; a list of bodies becomes a tuple.

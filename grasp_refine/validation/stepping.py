@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -169,9 +170,13 @@ class Rows(Simulations):
         rise = height * self.world.up
         if self.world.root_at is None:
             T_base = transform_from_pose(np.concatenate([self._held_at[:, 0], self.batch.mocap_quat[:, 0]], axis=1))
-            self.batch.ctrl[:] = ArmLift.of(self.world).set_points(T_base, self._set_points, rise)
+            self.batch.ctrl[:] = self._arm_lift.set_points(T_base, self._set_points, rise)
         else:
             self.batch.mocap_pos[:] = self._held_at + rise
+
+    @cached_property
+    def _arm_lift(self) -> ArmLift:
+        return ArmLift.of(self.world)
 
     def push(self, wrench: np.ndarray) -> None:
         """Set force and torque (N, 6) at the objects' centres of mass, world axes."""

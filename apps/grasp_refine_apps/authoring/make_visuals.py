@@ -133,7 +133,7 @@ def _hubs(shapes: list[Placed], axis: Float[np.ndarray, " 3"]) -> list[trimesh.T
 
 
 def _is_capsule(parts: list[trimesh.Trimesh]) -> bool:
-    """Whether some round shapes fill their convex hull but for a few per cent."""
+    """Return whether some round shapes fill their convex hull but for a few per cent."""
     hull = _hull(np.concatenate([part.vertices for part in parts]))
     return trimesh.boolean.union(parts, engine="manifold").volume > 0.93 * hull.volume
 
