@@ -104,7 +104,9 @@ class Objective:
         none, loss = np.zeros(count, dtype=np.int64), T[:, 0, 0] * 0.0
         no_pairs = nothing_near(np.zeros((count, 0)))
         nearby = None if previous is None else previous.nearby
-        patches = self.setup.patches(member, T_link.detach().double().cpu().numpy(), witness.detached())
+        patches = None
+        if self.setup.is_flat:
+            patches = self.setup.patches(member, T_link.detach().double().cpu().numpy(), witness.detached())
         state = State(
             none, none, member, T, q, T_moving, None, witness, no_pairs,
             patches=patches, T_object=T_object, nearby=nearby,

@@ -104,8 +104,8 @@ class Setup:
         return bool(columns.any() and (columns & self.prepared.faces.flat).any())
 
     def patches(self, member: np.ndarray, T_link: np.ndarray, witness: Witness) -> LinkPatches | None:
-        """Return the patches of these links, of grasps `member` (M,) with poses (M, L, 4, 4) of the links."""
-        return LinkPatches.of(self.prepared.faces, self.anywhere[member], T_link, witness) if self.is_flat else None
+        """Return the patches of these links, of grasps `member` (M,) with poses (M, L, 4, 4) of the links, if any."""
+        return LinkPatches.of(self.prepared.faces, self.anywhere[member], T_link, witness)
 
 
 class Term(ABC):
