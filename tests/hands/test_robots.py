@@ -314,26 +314,29 @@ def test_pads_are_on_the_surface_and_look_the_way_the_finger_closes(name: str) -
 
 
 @pytest.mark.parametrize("name", WHOLE)
-@pytest.mark.parametrize("thing", [*(pytest.param(thing, marks=pytest.mark.slow) for thing in SLOW), "rounded_box"])
-def test_its_example_refines(name: str, thing: str) -> None:
-    hand, obj = ours(name), load_object(thing)
-    grasps = load_grasps(resource_dir("robots") / name / f"example_{thing}.npz")
-    assert (grasps.hand, grasps.base_link, set(grasps.object)) == (name, hand.base_link, {thing})
-    q, notes = match_joints(grasps, hand)
-    assert not notes and ((hand.lower <= q) & (q <= hand.upper)).all() and len(q) >= 3
-    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
-    result = refine(scene)
-    before, after = (
-        measure(hand, obj, scene.links, T, q, result.target_link, result.target_object, touching=result.touching)
-        for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
-    )
-    tips = before.distance[:, : len(hand.contacts)].max(axis=1)
-    assert (tips > 0.005).all() and (tips < 0.016).all(), "almost right"
-    assert (before.penetration > 0.001).all() and (before.penetration < 0.004).all()
-    # They were not chosen by what becomes of them: one in ten ends a little short of its last contact.
-    assert (result.status == Status.CONVERGED).mean() >= 0.75
-    assert np.nanmax(after.contact_error) < 1e-3 and after.penetration.max() < 2e-5
-    assert (metrics(hand, obj, result.T_world_root, result.q).quality >= HOLDS).all()
+@pytest.mark.parametrize("things", [pytest.param(("rounded_box", *SLOW), marks=pytest.mark.slow), ("rounded_box",)])
+def test_its_examples_refine(name: str, things: tuple[str, ...]) -> None:
+    hand, converged = ours(name), []
+    for thing in things:
+        obj = load_object(thing)
+        grasps = load_grasps(resource_dir("robots") / name / f"example_{thing}.npz")
+        assert (grasps.hand, grasps.base_link, set(grasps.object)) == (name, hand.base_link, {thing})
+        q, notes = match_joints(grasps, hand)
+        assert not notes and ((hand.lower <= q) & (q <= hand.upper)).all() and len(q) >= 3
+        scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q)
+        result = refine(scene)
+        before, after = (
+            measure(hand, obj, scene.links, T, q, result.target_link, result.target_object, touching=result.touching)
+            for T, q in ((scene.T_world_root, scene.q), (result.T_world_root, result.q))
+        )
+        tips = before.distance[:, : len(hand.contacts)].max(axis=1)
+        assert (tips > 0.005).all() and (tips < 0.016).all(), "almost right"
+        assert (before.penetration > 0.001).all() and (before.penetration < 0.004).all()
+        assert np.nanmax(after.contact_error) < 1e-3 and after.penetration.max() < 2e-5
+        assert (metrics(hand, obj, result.T_world_root, result.q).quality >= HOLDS).all()
+        converged += list(result.status == Status.CONVERGED)
+    # Of the attempts at a grasp the one that holds best is taken: one in ten ends a little short of its last contact.
+    assert np.mean(converged) >= 0.75
 
 
 # --- hands that come without a URDF
