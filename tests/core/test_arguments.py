@@ -1,6 +1,6 @@
 """What Python gives to the public functions is checked as on the command line: it works, or is a one-line error.
 
-The expressions run in a process of their own, where no checker of annotations comes before our checks.
+The expressions run in a process of their own, where a checker of annotations never comes before our checks.
 """
 
 from __future__ import annotations

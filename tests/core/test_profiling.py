@@ -189,7 +189,7 @@ def alone(): pass
 def best(call): return min(timeit.repeat(call, number=20000, repeat=7, timer=time.process_time)) / 20000
 print(best(stage("solver")(alone)) - best(alone))
 """
-    # Not here, where annotations are checked at each call.
+    # Not here, where annotations may be checked at each call.
     environment = subprocess_environment()
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
     # An iteration of a refinement takes milliseconds, and some twenty stages.

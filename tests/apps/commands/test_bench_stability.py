@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("workplace")
 
 
 def test_of_20000_queries_in_all_states_none_is_wrong():
-    """In a process of its own, where no annotations are checked, it takes half as long."""
+    """In a process of its own: with annotations checked it would take twice as long."""
     pytest.importorskip("jinja2", reason="the report needs it")
     done = call("bench", "stability", "--json", "found.json", "--html", "found.html")
     assert done.stdout.rstrip(), done.stderr
