@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from grasp_refine.collision.query import Pairs, Witness, query
-from grasp_refine.core.se3 import exp_se3, hat
+from grasp_refine.core.se3 import exp_se3, hat, log_so3
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.slip import Slip, pull_back
 
@@ -31,6 +31,21 @@ def poses_at_gap(pairs: Pairs, count: int, gap: float, seed: int) -> tuple[np.nd
     settled = np.flatnonzero(np.abs(query(pairs, T_a, T_b).distance[:, 0] - gap) < 1e-6)[:count]
     assert len(settled) == count
     return T_a[settled], T_b[settled]
+
+
+def adjoint(T: np.ndarray) -> np.ndarray:
+    """Matrices Ad(T) (..., 6, 6) that carry twists (v, w) along: T exp(xi) T^-1 = exp(Ad(T) xi)."""
+    R = T[..., :3, :3]
+    top = np.concatenate([R, hat(T[..., :3, 3]) @ R], axis=-1)
+    return np.concatenate([top, np.concatenate([np.zeros_like(R), R], axis=-1)], axis=-2)
+
+
+def log_se3(T: np.ndarray) -> np.ndarray:
+    """Twists (v, w) (..., 6) whose exponentials are T (..., 4, 4): V v = p, V by `exp_se3` column by column."""
+    w = log_so3(T[..., :3, :3])
+    columns = [exp_se3(np.concatenate([np.broadcast_to(e, w.shape), w], axis=-1))[..., :3, 3] for e in np.eye(3)]
+    v = np.linalg.solve(np.stack(columns, axis=-1), T[..., :3, 3:])[..., 0]
+    return np.concatenate([v, w], axis=-1)
 
 
 def slopes_along_twists(

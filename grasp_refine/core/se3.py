@@ -159,17 +159,6 @@ def exp_se3(twist: Same) -> Same:
     return transform(R, matvec(left, v))
 
 
-def log_se3(T: Same) -> Same:
-    """Twist (v, w) (..., 6) whose exponential is the transform T (..., 4, 4)."""
-    xp = array_namespace(T)
-    w = log_so3(T[..., :3, :3])
-    angle_squared = xp.sum(w * w, axis=-1)
-    (_, b), c = _sinc_coefficients(angle_squared), _shift_coefficient(angle_squared)
-    skew = hat(w)
-    left = _identity_like(skew) + b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
-    return xp.concat([matvec(xp.linalg.inv(left), T[..., :3, 3]), w], axis=-1)
-
-
 def first_order_twist(T: Same, T_before: Same) -> Same:
     """Spatial twist (v, w) (..., 6) that takes poses (..., 4, 4) `T_before` to `T` nearby, to first order."""
     moved = T @ inverse(T_before)
@@ -213,15 +202,6 @@ def is_rigid(T: np.ndarray) -> np.ndarray:
         off = np.abs(R - (first * second - third * fourth)).max(axis=0)
         rigid = (off <= SKEWED) & ((R[:3] ** 2).sum(axis=0) > 0.5)
     return (rigid & (entries[12:] == _LAST_ROW).all(axis=0)).reshape(T.shape[:-2])
-
-
-def adjoint(T: Same) -> Same:
-    """Matrix Ad(T) (..., 6, 6) that carries twists (v, w) along: T exp(xi) T^-1 = exp(Ad(T) xi)."""
-    xp = array_namespace(T)
-    R = T[..., :3, :3]
-    top = xp.concat([R, hat(T[..., :3, 3]) @ R], axis=-1)
-    bottom = xp.concat([xp.zeros_like(R), R], axis=-1)
-    return xp.concat([top, bottom], axis=-2)
 
 
 def transform_points(T: Same, points: Same) -> Same:

@@ -27,8 +27,8 @@ ROTATION_M_PER_RAD = 0.1
 REACHED_M, REACHED_RAD = 1e-7, 1e-6
 """Errors in metres and radians at which a pose is reached."""
 
-ITERATIONS, POLISHING = 60, 8
-"""Most iterations from a start, and most of those that make an end of those near a solution."""
+ITERATIONS = 60
+"""Most iterations from a start."""
 
 MAX_STEP_RAD = 0.4
 """Largest step of a joint, in radians, or in `Hand.per_radian` of a slide."""

@@ -128,11 +128,6 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
     return replace(hand, contacts=touching, actuator=driven, arm=Arm(palm, names, links, _standing(hand)))
 
 
-def palm_joints(hand: Hand) -> tuple[str, ...]:
-    """Return the names of the joints that a hand has without its arm, in the order of its `joint_names`."""
-    return tuple(np.array(hand.joint_names)[~hand.arm_joints].tolist())
-
-
 def _standing(hand: Hand) -> frozenset[str]:
     """Return the links that are fixed to the base."""
     fixed = {hand.base_link}

@@ -55,13 +55,13 @@ def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tup
     Args:
         near: Surface samples (S, B, K, 3), body frames.
         y: The other witness point (S, B, 3), body frames, metres.
-        tau: Temperature (S, B) in square metres; by default `temperature(near, y)`.
+        tau: Temperature (S, B) in square metres; by default the `temperature` of the scores.
 
     Returns:
         x* = sum w_j v_j (S, B, 3), and dx*/dy = (2 / tau) Cov_w(v) (S, B, 3, 3) with samples and tau held fixed.
     """
-    scores = _scores(near, y)
-    tau = _spread(near, scores) if tau is None else tau
+    scores = scores_of(near, y)
+    tau = temperature(near, scores) if tau is None else tau
     scores = np.where(near.mask, scores, -np.inf)
     weights = np.exp((scores - scores.max(axis=2, keepdims=True)) / tau[..., None])
     weights /= weights.sum(axis=2, keepdims=True)
@@ -71,18 +71,15 @@ def smooth(near: Neighbors, y: np.ndarray, tau: np.ndarray | None = None) -> tup
     return smoothed, covariance * (2.0 / tau)[..., None, None]
 
 
-def temperature(near: Neighbors, y: np.ndarray) -> np.ndarray:
-    """Tau (S, B): the standard deviation of the scores -|v_j - y|^2 over the samples, floored, in square metres."""
-    return _spread(near, _scores(near, y))
-
-
-def _spread(near: Neighbors, scores: np.ndarray) -> np.ndarray:
+def temperature(near: Neighbors, scores: np.ndarray) -> np.ndarray:
+    """Tau (S, B): the standard deviation of the scores over the samples, floored, in square metres."""
     count = near.mask.sum(axis=2)
     mean = (scores * near.mask).sum(axis=2) / count
     deviation = (scores - mean[..., None]) * near.mask
     return np.maximum(np.sqrt((deviation * deviation).sum(axis=2) / count), near.floor)
 
 
-def _scores(near: Neighbors, y: np.ndarray) -> np.ndarray:
+def scores_of(near: Neighbors, y: np.ndarray) -> np.ndarray:
+    """Scores -|v_j - y|^2 (S, B, K) of the samples, in square metres."""
     offset = near.points - y[..., None, :]
     return -np.einsum("sbki,sbki->sbk", offset, offset)

@@ -22,7 +22,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.refinement.config import Config
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.grasps.formats.reading import read_grasps
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.mesh import load_mesh
 from grasp_refine.sampling.sample import sample_grasps
@@ -120,7 +120,7 @@ REFUSED = {
     "load_hand(hand)": "Hand",
     "load_hand(None)": "None",
     "load_grasps(grasps)": "GraspSet",
-    "read_grasps(5)": "5",
+    "reading(5)": "5",
     'save_npz("x.npz", grasps)': "arrays()",
     'save_npz("x.npz", {"note": object()})': "note",
     'build_body("b", [box.mesh])': "Trimesh",

@@ -10,7 +10,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_so3, inverse, log_so3, matvec, transform
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.mount import mount, palm_joints, standing
+from grasp_refine.hands.mount import mount, standing
 from grasp_refine.hands.self_collision import touching_pairs
 
 DH = np.array(
@@ -72,7 +72,8 @@ def test_names_that_both_have_get_the_prefix_of_the_arm(arm: Hand, hand: Hand) -
     """Files of the hand's grasps name its links, so that those keep their names."""
     whole = mount(arm, hand)
     assert whole.base_link == "ur5e_base_link" and whole.palm == hand.base_link == "base_link"
-    assert whole.joint_names == (*arm.joint_names, *hand.joint_names) and palm_joints(whole) == hand.joint_names
+    assert whole.joint_names == (*arm.joint_names, *hand.joint_names)
+    assert np.flatnonzero(whole.arm_joints).tolist() == list(range(len(arm.joint_names)))
     assert whole.arm is not None and whole.arm.links.isdisjoint(hand.links_by_name)
     assert whole.contacts == hand.contacts
 

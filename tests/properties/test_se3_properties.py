@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from exact_twists import DTYPES, Long, angles, axes, exact_exp, exact_right_jacobian, generator, lengths, twists
+from exact_twists import DTYPES, Long, angles, axes, exact_exp, exact_right_jacobian, generator, twists
 from grasp_refine.core import se3
 
 dtypes = st.sampled_from(DTYPES)
@@ -49,37 +49,34 @@ def test_exp_is_the_power_series(twist: np.ndarray, dtype: str) -> None:
 
 
 @given(twists(), dtypes)
-def test_the_exponential_of_log_is_the_transform(twist: np.ndarray, dtype: str) -> None:
-    """At half a turn there are two logarithms, and either will do: both lead to the same place."""
-    T = exact_exp(twist).astype(dtype)
-    for array in (T, torch.from_numpy(T)):
-        found, w = np.asarray(se3.log_se3(array)), np.asarray(se3.log_so3(array[:3, :3]))
-        assert found.dtype == w.dtype == dtype
+def test_the_exponential_of_log_is_the_rotation(twist: np.ndarray, dtype: str) -> None:
+    """At half a turn there are two logarithms, and either will do: both lead to the same rotation."""
+    exact = exact_exp(twist)[:3, :3]
+    R = exact.astype(dtype)
+    for array in (R, torch.from_numpy(R)):
+        w = np.asarray(se3.log_so3(array))
+        assert w.dtype == dtype
         assert np.linalg.norm(w.astype(Long)) < np.pi * (1 + 2 * eps(dtype))
-        assert error(exact_exp(found), exact_exp(twist), size(twist)) < 24 * eps(dtype)
-        np.testing.assert_array_equal(w, found[3:])
+        assert np.abs(exact_exp(np.concatenate([np.zeros(3), w]))[:3, :3] - exact).max() < 24 * eps(dtype)
 
 
 @given(twists(), dtypes)
-def test_log_gives_the_twist_back_to_its_last_digits(twist: np.ndarray, dtype: str) -> None:
+def test_log_gives_the_rotation_vector_back_to_its_last_digits(twist: np.ndarray, dtype: str) -> None:
     """An angle of 1e-9 rad too is there to all its digits: sines do not cancel."""
     twist = twist.astype(dtype)
     angle = float(np.linalg.norm(twist[3:].astype(Long)))
-    found = se3.log_se3(exact_exp(twist).astype(dtype)).astype(Long)
+    found = se3.log_so3(exact_exp(twist)[:3, :3].astype(dtype)).astype(Long)
     # Rounding moves a rotation by eps, which a quarter turn before half a turn may become the other axis.
     if angle < np.pi - 1e4 * eps(dtype):
-        assert np.abs(found[3:] - twist[3:]).max() < 40 * eps(dtype) * angle + np.finfo(dtype).tiny
-        assert np.abs(found[:3] - twist[:3]).max() <= 40 * eps(dtype) * size(twist)
+        assert np.abs(found - twist[3:]).max() < 40 * eps(dtype) * angle + np.finfo(dtype).tiny
 
 
-@given(axes(), lengths(), dtypes)
-def test_half_a_turn_has_an_axis(axis: np.ndarray, length: float, dtype: str) -> None:
+@given(axes(), dtypes)
+def test_half_a_turn_has_an_axis(axis: np.ndarray, dtype: str) -> None:
     R = (2.0 * np.outer(axis, axis) - np.eye(3)).astype(dtype)
     w = se3.log_so3(R)
     assert abs(np.linalg.norm(w) - np.pi) < 8 * eps(dtype)
     assert np.abs(np.abs(w @ axis) - np.pi) < 8 * eps(dtype)
-    moved = se3.transform(R, (length * axis).astype(dtype))
-    assert error(exact_exp(se3.log_se3(moved)), moved.astype(Long), length) < 24 * eps(dtype)
 
 
 @given(twists(), dtypes)
@@ -96,16 +93,12 @@ def test_poses_and_matrices_are_the_same_places(twist: np.ndarray, dtype: str) -
         assert error(np.asarray(se3.transform_from_pose(pose)), exact_exp(twist), size(twist)) < 12 * eps(dtype)
 
 
-@given(twists(), twists(), dtypes)
-def test_inverse_and_adjoint_are_those_of_the_group(place: np.ndarray, twist: np.ndarray, dtype: str) -> None:
-    """T T^-1 = 1 and T exp(x) T^-1 = exp(Ad(T) x), the right side by the power series."""
+@given(twists(), dtypes)
+def test_inverse_is_that_of_the_group(place: np.ndarray, dtype: str) -> None:
+    """T T^-1 = 1."""
     T = exact_exp(place).astype(dtype)
-    twist = twist.astype(dtype)
-    length = size(place) + size(twist) + np.finfo(dtype).tiny
+    length = size(place) + np.finfo(dtype).tiny
     assert error(T.astype(Long) @ se3.inverse(T), np.eye(4, dtype=Long), length) < 12 * eps(dtype)
-    carried = exact_exp(se3.adjoint(T).astype(Long) @ twist)
-    exact = exact_exp(place) @ exact_exp(twist) @ exact_exp(-place)
-    assert error(carried, exact, length) < 60 * eps(dtype)
 
 
 @given(twists(), twists(), dtypes)
@@ -163,25 +156,22 @@ def test_gradients_of_exp_are_its_derivative(twist: np.ndarray, covector: np.nda
     assert (np.abs(found - exact) < 64 * eps(dtype) * scale).all()
 
 
-@example(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1e-3]), np.ones(6), "float32")
-@given(twists(), weights(6), dtypes)
+@example(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1e-3]), np.ones(3), "float32")
+@given(twists(), weights(3), dtypes)
 def test_gradients_of_log_are_its_derivative(twist: np.ndarray, covector: np.ndarray, dtype: str) -> None:
-    """Along T exp(dx) the twist changes by J^-1 dx, up to half a turn, where the logarithm jumps."""
-    T = exact_exp(twist).astype(dtype)
-    length = size(twist)
+    """Along R exp(dx) the vector changes by J^-1 dx, up to half a turn, where the logarithm jumps."""
+    R = exact_exp(twist)[:3, :3].astype(dtype)
     covector = covector.astype(dtype)
-    covector[:3] /= length or 1.0
-    leaf = torch.from_numpy(T).requires_grad_()
-    found = gradient(se3.log_se3(leaf), covector, leaf)
-    at = se3.log_se3(exact_exp(twist).astype(np.float64))  # half a turn has two, here that of the map
+    leaf = torch.from_numpy(R).requires_grad_()
+    found = gradient(se3.log_so3(leaf), covector, leaf)
+    at = se3.log_so3(exact_exp(twist)[:3, :3].astype(np.float64))  # half a turn has two, here that of the map
     if np.linalg.norm(twist[3:]) > np.pi - 1e4 * eps(dtype):
-        at = np.asarray(se3.log_se3(T), dtype=np.float64)
-    inverse = np.linalg.inv(exact_right_jacobian(at).astype(np.float64))
-    exact = covector.astype(np.float64) @ inverse
-    tangents = [T.astype(Long) @ generator(unit) for unit in np.eye(6)]
+        at = np.asarray(se3.log_so3(R), dtype=np.float64)
+    J = exact_right_jacobian(np.concatenate([np.zeros(3), at]))[3:, 3:]
+    exact = covector.astype(np.float64) @ np.linalg.inv(J.astype(np.float64))
+    tangents = [R.astype(Long) @ generator(unit)[:3, :3] for unit in np.eye(6)[3:]]
     along = np.array([(found * tangent).sum() for tangent in tangents])
-    scale = np.array([1 / length] * 3 + [1.0] * 3) if length else np.ones(6)
-    assert (np.abs(along - exact) < 300 * eps(dtype) * scale).all()
+    assert (np.abs(along - exact) < 300 * eps(dtype)).all()
 
 
 @given(twists(), weights(4, 4), dtypes)

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from exact_twists import DTYPES
 from first_order_steps import first_state, one_step
-from grasp_refine.core.se3 import exp_se3, log_se3
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.refinement.objective import limits_within
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
@@ -22,6 +22,7 @@ from grasp_refine.refinement.solvers.iterate import Minimum, Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
+from twists import log_se3
 
 FEWER, FEWEST = (
     settings(max_examples=max(least, settings().max_examples // part)) for least, part in ((12, 3), (5, 6))

@@ -9,7 +9,7 @@ from grasp_refine.core.se3 import exp_se3, inverse, matvec, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.distance import Distance, smooth, temperature
+from grasp_refine.witness.distance import Distance, scores_of, smooth, temperature
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
@@ -55,7 +55,7 @@ def test_distance_smoothing_differentiates_its_own_smoothed_point(
     layer = WitnessLayer(pairs, Distance(rule, smoothed_self=True))
     scene = WitnessScene(*layer.columns(np.array([0])), T_a, T_b, w, None, None, 0)
     sides, near = scene.neighbors(rule, 0)
-    tau = temperature(near, sides.other)
+    tau = temperature(near, scores_of(near, sides.other))
 
     # The slip matrix: the smoothed point of the body at rest, as the other point moves.
     _, slip = smooth(near, sides.other, tau)

@@ -10,7 +10,7 @@ from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.distance import Distance, smooth, temperature
+from grasp_refine.witness.distance import Distance, scores_of, smooth, temperature
 from grasp_refine.witness.neighborhood import Adaptive, Neighbors
 from grasp_refine.witness.scene import WitnessScene
 from shapes_for_tests import convex_body
@@ -43,7 +43,7 @@ def test_the_smoothed_point_is_the_softmax_of_the_definition() -> None:
             v = near.points[s, b][near.mask[s, b]]
             scores = -((v - y[s, b]) ** 2).sum(axis=1)
             tau = scores.std()
-            assert temperature(near, y)[s, b] == pytest.approx(tau, rel=1e-12)
+            assert temperature(near, scores_of(near, y))[s, b] == pytest.approx(tau, rel=1e-12)
             w = np.exp(scores / tau) / np.exp(scores / tau).sum()
             np.testing.assert_allclose(smoothed[s, b], w @ v, atol=1e-15)
             centered = v - w @ v
@@ -52,7 +52,7 @@ def test_the_smoothed_point_is_the_softmax_of_the_definition() -> None:
 
 def test_its_derivative_holds_samples_and_temperature_fixed() -> None:
     near, y = cloud(seed=1)
-    tau = 0.3 * temperature(near, y)
+    tau = 0.3 * temperature(near, scores_of(near, y))
     _, slip = smooth(near, y, tau)
     h = 1e-6
     for k in range(3):
@@ -66,7 +66,7 @@ def test_its_derivative_holds_samples_and_temperature_fixed() -> None:
 
 def test_the_temperature_has_a_floor() -> None:
     near, y = cloud(seed=2)
-    np.testing.assert_array_equal(temperature(replace(near, floor=np.full((2, 4), 9.0)), y), 9.0)
+    np.testing.assert_array_equal(temperature(replace(near, floor=np.full((2, 4), 9.0)), scores_of(near, y)), 9.0)
     # One sample has no spread: it is the smoothed point, and it does not move.
     one = np.zeros_like(near.mask)
     one[..., 0] = True

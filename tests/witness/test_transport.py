@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from grasp_refine.collision.query import Pairs
-from grasp_refine.core.se3 import adjoint, body_gradient, exp_se3, inverse
+from grasp_refine.core.se3 import body_gradient, exp_se3, inverse
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.transport import EquivalentTransport, transport
 from shapes_for_tests import convex_body
-from twists import poses_at_gap
+from twists import adjoint, poses_at_gap
 
 twists = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0))
 
@@ -99,8 +99,11 @@ def test_transported_gradients_flow_through_a_chain_to_root_and_joints(both: boo
         total = body_gradient(link, G_link) + carried
         covector = total * torch.tensor([1.0, 1, 1, 2, 2, 2])  # `body_gradient` halves rotations
         # Body twists of the link that a body twist of the root and the two joints cause.
-        of_joints = [adjoint(inverse(offsets[1] @ exp_se3(q[1] * axes[1]))) @ axes[0], axes[1]]
-        for_root = adjoint(inverse(chain)).mT @ covector
+        carried_by, of_root = (
+            torch.from_numpy(adjoint(inverse(T).numpy())) for T in (offsets[1] @ exp_se3(q[1] * axes[1]), chain)
+        )
+        of_joints = [carried_by @ axes[0], axes[1]]
+        for_root = of_root.mT @ covector
         for_q = torch.stack([twist @ covector for twist in of_joints])
         back = transport(link, T_object, body_gradient(link, G_link) * scale) / scale
         expected_object = body_gradient(T_object, G_object) + (back if both else 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,6 @@ from grasp_refine_apps.commands.options import OptionalFile
 from grasp_refine_apps.margins.charts import Side
 from grasp_refine_apps.margins.page import page
 from grasp_refine_apps.report.command_line import flag
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

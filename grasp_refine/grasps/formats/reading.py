@@ -41,21 +41,6 @@ class Reading:
     """Remarks for the user."""
 
 
-def read_grasps(
-    path: str | Path,
-    *,
-    format: str | None = None,
-    hand: Hand | None = None,
-    on_file: Callable[[int, int], None] | None = None,
-) -> GraspSet:
-    """The grasps of a file, or of all files in a folder and below it in natural order; see `reading`.
-
-    Raises:
-        GraspFileError: see `reading`.
-    """
-    return reading(path, format=format, hand=hand, on_file=on_file).grasps
-
-
 def reading(
     path: str | Path,
     *,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import mujoco
 
@@ -12,9 +12,6 @@ from grasp_refine.core.errors import GraspRefineError
 
 Cone = Literal["elliptic", "pyramidal"]
 """Friction cones of MuJoCo: elliptic, or the pyramid inscribed in it."""
-
-CONES: tuple[Cone, ...] = get_args(Cone)
-"""All cones."""
 
 
 @dataclass(frozen=True)

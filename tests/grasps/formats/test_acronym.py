@@ -21,7 +21,7 @@ from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.hdf5_files import dump_hdf5, load_hdf5
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.pickled import Refused
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -74,7 +74,7 @@ def test_a_file_of_the_dataset(tmp_path: Path):
 
 
 def test_json_with_its_keys_and_those_of_graspgen(tmp_path: Path):
-    whole = read_grasps(save(tmp_path / "a.h5", tree()))
+    whole = reading(save(tmp_path / "a.h5", tree())).grasps
     flat = {
         "transforms": T.tolist(),
         "quality_flex_object_in_gripper": [1, 0, 1, 1, 0],
@@ -98,7 +98,7 @@ def test_json_with_its_keys_and_those_of_graspgen(tmp_path: Path):
 
 
 def test_round_trips_to_the_last_digit(tmp_path: Path):
-    before = read_grasps(save(tmp_path / "a.h5", tree()))
+    before = reading(save(tmp_path / "a.h5", tree())).grasps
     before = replace(before, object=np.array(["cup", "mug", "cup", "mug", "cup"]), q=np.full((5, 1), 0.0123))
     known = format_named("acronym")
     parts, lost = known.write(before, load)

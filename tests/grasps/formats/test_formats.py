@@ -20,7 +20,7 @@ from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
 from grasp_refine.grasps.formats.folders import natural, object_folder, scale_folder
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, format_named
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, Targets
@@ -62,7 +62,7 @@ def write(grasps: GraspSet, path: Path, to: str, load: Load) -> tuple[np.ndarray
 def refusal(path: Path, **keywords) -> str:
     """The message with which a file is refused, behind its path."""
     with refused(GraspFileError) as raised:
-        read_grasps(path, **keywords)
+        reading(path, **keywords)
     return str(raised.value).removeprefix(f"{path}: ")
 
 
@@ -102,7 +102,7 @@ def test_a_wrist_is_in_the_pose_where_a_format_has_none(grasps: Callable[..., Gr
     for to in ("dexgraspbench", "bodex", "dexonomy", "dexgraspnet"):
         rows, lost = write(before, tmp_path / to, to, load)
         assert any("WRJ2, WRJ1" in line for line in lost)
-        again = read_grasps(tmp_path / to)
+        again = reading(tmp_path / to).grasps
         assert (again.base_link, len(again.joint_names)) == ("palm", 22)
         assert fingertip_distances(before.select(rows), again, partial(load, "shadow")).max() < 1e-14
 
@@ -146,7 +146,7 @@ def test_more_numbers_than_memory_should_take_are_refused(
 
 def test_the_object_pose_is_taken_into_account(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     held = bench(grasps, load, tmp_path)
-    at_origin = read_grasps(tmp_path / "seed.npy")
+    at_origin = reading(tmp_path / "seed.npy").grasps
     # The object a quarter turn about z and half a metre away: the hand moves with it.
     turn = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     held["obj_pose"] = np.array([0.5, 0, 0, *turn])
@@ -154,7 +154,7 @@ def test_the_object_pose_is_taken_into_account(grasps: Callable[..., GraspSet], 
     w, k = turn[0], turn[3]
     moved = [0.5 - y, x, z, w * qw - k * qz, w * qx - k * qy, w * qy + k * qx, w * qz + k * qw]
     held["grasp_qpos"] = np.array([*moved, *held["grasp_qpos"][7:]])
-    there = read_grasps(save(tmp_path / "moved.npy", held))
+    there = reading(save(tmp_path / "moved.npy", held)).grasps
     np.testing.assert_allclose(there.hand_pose, at_origin.hand_pose, atol=1e-12)
 
 
@@ -168,7 +168,7 @@ def test_names_of_objects_come_from_their_paths(grasps: Callable[..., GraspSet],
         ("model.v2", "model.v2"),
     ):
         held["obj_path"] = path
-        assert set(read_grasps(save(tmp_path / "g.npy", held)).object) == {name}
+        assert set(reading(save(tmp_path / "g.npy", held)).grasps.object) == {name}
     held["obj_path"] = "../.."
     assert_names(refusal(save(tmp_path / "g.npy", held)), "obj_path", "'../..'")
 
@@ -242,7 +242,7 @@ def test_stages_that_are_the_grasp_itself_are_none_beside_one_that_is_not_finite
     held |= {key: held["grasp_qpos"] for key in ("pregrasp_qpos", "squeeze_qpos")}
     save(tmp_path / "folder" / "0.npy", held)
     save(tmp_path / "folder" / "1.npy", held | {"grasp_qpos": np.full(29, np.nan)})
-    read = read_grasps(tmp_path / "folder")
+    read = reading(tmp_path / "folder").grasps
     assert read.pregrasp is None and read.squeeze is None and read.finite.tolist() == [True, False]
 
 
@@ -253,7 +253,7 @@ def test_defects_of_bodex_files(grasps: Callable[..., GraspSet], load: Load, tmp
     assert held["joint_names"][:5] == ["THJ5", "THJ4", "THJ3", "THJ2", "THJ1"]
     path = tmp_path / "g.npy"
     without = {key: value for key, value in held.items() if key != "joint_names"}
-    np.testing.assert_array_equal(read_grasps(save(path, without)).q, read_grasps(tmp_path / "seed.npy").q)
+    np.testing.assert_array_equal(reading(save(path, without)).grasps.q, reading(tmp_path / "seed.npy").grasps.q)
     lacking = refusal(save(path, {**held, "robot_pose": held["robot_pose"][:, :, :2]}))
     assert_names(lacking, "robot_pose", "(1, N, 3, 7 + joints)", "(1, 1, 2, 29)")
     assert_names(refusal(save(path, {"robot_pose": held["robot_pose"]})), "obj_pose", "scene_cfg", "scene_path")
@@ -268,9 +268,9 @@ def test_bodex_files_with_a_scene_beside_them(grasps: Callable[..., GraspSet], l
     pose = np.array([0, 0, 0.3, 1, 0, 0, 0])
     scene = {"scene": {"mug": {"pose": pose, "scale": np.full(3, 0.12)}}, "task": {"obj_name": "mug"}}
     save(tmp_path / "data" / "assets" / "scene" / "mug_on_table.npy", scene)
-    read = read_grasps(path)
+    read = reading(path).grasps
     assert (read.object[0], read.scale[0]) == ("mug", 0.12)
-    lower = read_grasps(tmp_path / "seed.npy").hand_pose[0, :3] - [0, 0, 0.3]
+    lower = reading(tmp_path / "seed.npy").grasps.hand_pose[0, :3] - [0, 0, 0.3]
     np.testing.assert_allclose(read.hand_pose[0, :3], lower, atol=1e-12)
     place = tmp_path / "data" / "assets" / "scene" / "mug_on_table.npy"
     save(place, {**scene, "task": {"obj_name": "cup"}})
@@ -310,7 +310,7 @@ def test_former_keys_of_dexonomy_are_read(grasps: Callable[..., GraspSet], load:
     for key in ("pregrasp_qpos", "grasp_qpos", "squeeze_qpos"):
         renamed[key] = renamed[key][0]
     renamed["scene_cfg"] = {"scene": held["scene_cfg"]["scene"], "interest_obj_name": "mug"}
-    one, other = read_grasps(tmp_path / "seed.npy"), read_grasps(save(tmp_path / "former.npy", renamed))
+    one, other = reading(tmp_path / "seed.npy").grasps, reading(save(tmp_path / "former.npy", renamed)).grasps
     assert other.hand == "allegro"
     for name in ("q", "hand_pose", "object", "scale"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -330,7 +330,7 @@ def test_defects_of_dexgraspnet_files(grasps: Callable[..., GraspSet], load: Loa
         spoilt = {"qpos": {**held["qpos"], **change}, "scale": 0.1}
         assert_names(refusal(save(path, np.array([spoilt], dtype=object))), *named)
     lost = {"qpos": {**held["qpos"], "WRJRz": np.nan}, "scale": 0.1}
-    assert read_grasps(save(path, np.array([held, lost, held], dtype=object))).finite.tolist() == [True, False, True]
+    assert reading(save(path, np.array([held, lost, held], dtype=object))).grasps.finite.tolist() == [True, False, True]
     lacking = {"qpos": {key: value for key, value in held["qpos"].items() if key != "WRJTy"}, "scale": 0.1}
     assert_names(refusal(save(path, np.array([lacking], dtype=object))), "qpos", "grasp 0", "WRJTy", "robot0:FFJ3")
     assert_names(refusal(save(path, np.array([{"qpos": held["qpos"]}], dtype=object))), "grasp 0", "scale")
@@ -344,7 +344,7 @@ def test_defects_of_dexgraspnet_files(grasps: Callable[..., GraspSet], load: Loa
 def test_defects_of_leap_caches(load: Load, tmp_path: Path):
     rows = np.zeros((3, 23), dtype=np.float32)
     rows[:, 22] = 1
-    read = read_grasps(save(tmp_path / "cube_s105.npy", rows))
+    read = reading(save(tmp_path / "cube_s105.npy", rows)).grasps
     assert set(read.scale) == {1.05}
     # The cube is at the world's origin, so that the palm is half a metre above it, upside down.
     np.testing.assert_allclose(read.hand_pose[0], [0, 0, 0.5, 0, 1, 0, 0], atol=1e-12)
@@ -353,7 +353,7 @@ def test_defects_of_leap_caches(load: Load, tmp_path: Path):
     rows[1, 22] = 0.9
     assert_names(refusal(save(tmp_path / "a.npy", rows)), "16 to 22", "row 1")
     rows[0, 2], rows[1, 19:], rows[2, 18] = np.nan, 0.0, np.inf
-    assert not read_grasps(save(tmp_path / "a.npy", rows)).finite.any()
+    assert not reading(save(tmp_path / "a.npy", rows)).grasps.finite.any()
     assert_names(refusal(tmp_path / "cube_s105.npy", hand=load("shadow")), "hand leap", "1, 0")
     assert_names(refusal(save(tmp_path / "b.npy", rows[:, 1:])), "leap_cache", "(N, 23)", "(3, 22)")
 

@@ -14,7 +14,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.listing import format_named
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -68,7 +68,7 @@ def test_the_pose_is_that_of_the_palm(names: list[str], hand: str, link: str, tm
     turned = record(names[::-1])
     for key in ("pregrasp_qpos", "grasp_qpos", "squeeze_qpos"):
         turned[key] = np.concatenate([turned[key][:7], record(names)[key][7:][::-1]])
-    again = read_grasps(save(tmp_path / "b.npy", turned))
+    again = reading(save(tmp_path / "b.npy", turned)).grasps
     order = [again.joint_names.index(name) for name in grasps.joint_names]
     np.testing.assert_array_equal(again.q[:, order], grasps.q)
 
@@ -120,4 +120,4 @@ def test_defects_are_named(changes: dict[str, Any], named: tuple[str, ...], tmp_
 
 def test_a_grasp_that_is_not_finite(tmp_path: Path):
     path = save(tmp_path / "a.npy", record(grasp_qpos=np.full(29, np.nan, np.float32)))
-    assert read_grasps(path).finite.tolist() == [False]
+    assert reading(path).grasps.finite.tolist() == [False]

@@ -14,7 +14,7 @@ import yaml
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
 from grasp_refine.grasps.formats.listing import format_named
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.hands.hand import Hand
@@ -101,7 +101,7 @@ def test_the_file_of_isaac_sims_documentation(tmp_path: Path):
     assert grasps.pregrasp is not None
     np.testing.assert_array_equal(grasps.pregrasp.q, [[0.04]])
     former = ISAAC_SIM.replace("_frame:", "_frame_link:")
-    check_same(grasps, read_grasps(save(tmp_path / "b.yml", former)))
+    check_same(grasps, reading(save(tmp_path / "b.yml", former)).grasps)
 
 
 def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
@@ -191,7 +191,7 @@ def test_defects_are_named(content: dict, named: tuple[str, ...], tmp_path: Path
 
 def test_a_grasp_that_is_not_finite_is_kept_apart(tmp_path: Path):
     path = save(tmp_path / "a.yaml", changed(position=[0.0, float("nan"), 0.0]))
-    assert read_grasps(path).finite.tolist() == [False, True]
+    assert reading(path).grasps.finite.tolist() == [False, True]
 
 
 def test_other_files_of_a_folder_are_left_out(tmp_path: Path):

@@ -19,7 +19,7 @@ from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.lightning_grasp import LAYOUTS
 from grasp_refine.grasps.formats.listing import format_named
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -64,7 +64,7 @@ def test_however_it_was_saved(tmp_path: Path):
     (tmp_path / "a.json").write_text(json.dumps(lists))
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(held))
     np.save(tmp_path / "a.npy", np.array(held, dtype=object))
-    sets = [read_grasps(tmp_path / f"a.{suffix}") for suffix in ("pt", "json", "pkl", "npy")]
+    sets = [reading(tmp_path / f"a.{suffix}").grasps for suffix in ("pt", "json", "pkl", "npy")]
     for other in sets[1:]:
         np.testing.assert_array_equal(other.hand_pose, sets[0].hand_pose)
 
@@ -74,7 +74,7 @@ def test_names_of_the_object(tmp_path: Path):
         ("./assets/object/ycb/013_apple/textured.obj", "013_apple"),
         (["my/cube_40mm.stl"] * 3, "cube_40mm"),
     ):
-        read = read_grasps(save(tmp_path / "x.pt", contents(22, mesh_path=path)))
+        read = reading(save(tmp_path / "x.pt", contents(22, mesh_path=path))).grasps
         assert set(read.object) == {name}
 
 
@@ -82,8 +82,8 @@ def test_allegro_and_leap_have_as_many_joints(load: Load, tmp_path: Path):
     path = save(tmp_path / "a.pt", contents(16))
     with refused(GraspFileError, path, "16", "allegro", "leap", "--hand"):
         reading(path)
-    assert read_grasps(path, hand=load("leap", "palm_lower")).hand == "leap"
-    assert read_grasps(save(path, contents(16, robot_name=["allegro"] * 3))).hand == "allegro"
+    assert reading(path, hand=load("leap", "palm_lower")).grasps.hand == "leap"
+    assert reading(save(path, contents(16, robot_name=["allegro"] * 3))).grasps.hand == "allegro"
 
 
 @pytest.mark.parametrize("hand", ["shadow", "allegro", "leap"])
@@ -122,4 +122,4 @@ def test_defects_are_named(content: dict[str, Any], named: tuple[str, ...], tmp_
 def test_a_grasp_that_is_not_finite_costs_no_other(tmp_path: Path):
     T = T_HAND_OBJECT.copy()
     T[1, 0, 3] = np.nan
-    assert read_grasps(save(tmp_path / "a.pt", contents(22, object_pose=T))).finite.tolist() == [True, False, True]
+    assert reading(save(tmp_path / "a.pt", contents(22, object_pose=T))).grasps.finite.tolist() == [True, False, True]

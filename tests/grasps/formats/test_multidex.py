@@ -18,7 +18,7 @@ from grasp_refine.core.se3 import inverse, transform_from_pose
 from grasp_refine.grasps.formats import dro, multidex
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.listing import format_named
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Chain
@@ -79,7 +79,7 @@ def test_rows_of_multidex(robot: str, tmp_path: Path):
     maps = [(torch.zeros(8, 1), row, thing, of) for row, thing, of in listed]
     short = [(row, thing) for row, thing, _ in listed]
     for number, other in enumerate((maps, short)):
-        again = read_grasps(save(tmp_path / f"{number}.pt", {"info": info, "metadata": other}), format="multidex")
+        again = reading(save(tmp_path / f"{number}.pt", {"info": info, "metadata": other}), format="multidex").grasps
         np.testing.assert_array_equal(again.q, read.grasps.q)
 
 
@@ -147,7 +147,7 @@ def test_a_right_allegro_is_no_left_one(grasps: Callable[..., GraspSet], load: L
     with refused(GraspFileError, "dro", "left", "'allegro'"):
         format_named("dro").write(grasps("allegro"), partial(load, "allegro"))
     path = save(tmp_path / "a.pt", {"metadata": metadata("allegro", angles)})
-    assert read_grasps(path).hand == "allegro_left"
+    assert reading(path).grasps.hand == "allegro_left"
     given = reading(path, hand=load("allegro", "base_link"))
     assert given.grasps.hand == "allegro" and "left" in given.notes[-1]
 

@@ -17,7 +17,7 @@ from grasp_refine.core.se3 import exp_se3, pose_from_transform
 from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.multigripper import GRIPPERS
-from grasp_refine.grasps.formats.reading import read_grasps, reading
+from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -73,7 +73,7 @@ def test_files_and_round_trips(gripper: str, tmp_path: Path):
     assert [part.path for part in parts] == [f"{gripper}-Mug.json"] and not lost
     with written(tmp_path / "b.json", known, parts):
         pass
-    again = read_grasps(tmp_path / "b.json")
+    again = reading(tmp_path / "b.json").grasps
     assert check_same(grasps, again) < 1e-15
     for labels in (grasps.labels, again.labels):
         np.testing.assert_array_equal(labels["success"], simulated["result"])
@@ -96,14 +96,14 @@ def test_our_allegro_hand_is_its_own(grasps: Callable[..., GraspSet], load: Load
 
 
 def test_one_finger_of_the_franka_hand_is_enough(tmp_path: Path):
-    both = read_grasps(save(tmp_path / "a.json", contents("franka_panda")))
+    both = reading(save(tmp_path / "a.json", contents("franka_panda"))).grasps
     one = replace(both, joint_names=both.joint_names[:1], q=both.q[:, :1])
     parts, _ = format_named("multigripper").write(one, load_none)
     assert parts[0].content["dofs"] == [[first, first] for first in both.q[:, 0]]
 
 
 def test_another_hand_with_joints_of_the_same_names(tmp_path: Path):
-    read = read_grasps(save(tmp_path / "a.json", contents("sawyer")))
+    read = reading(save(tmp_path / "a.json", contents("sawyer"))).grasps
     with refused(GraspFileError, "sawyer", "'mine'"):
         format_named("multigripper").write(replace(read, hand="mine"), load_none)
 
@@ -138,4 +138,4 @@ def test_defects_are_named(content: Any, named: tuple[str, ...], tmp_path: Path)
 def test_a_grasp_that_is_not_finite_costs_no_other(tmp_path: Path):
     held = contents("wsg_50")
     held["pose"][1][0] = float("nan")
-    assert read_grasps(save(tmp_path / "a.json", held)).finite.tolist() == [True, False, True]
+    assert reading(save(tmp_path / "a.json", held)).grasps.finite.tolist() == [True, False, True]

@@ -18,7 +18,7 @@ from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FORMATS
-from grasp_refine.grasps.formats.reading import Reading, read_grasps, reading
+from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints, save_npz
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
@@ -78,7 +78,7 @@ def test_files_of_a_folder_come_as_people_count_them(benched: Reading):
 
 
 def test_dexgraspnet_files_agree_with_the_normalised_ones(published: Path, load: Load):
-    read = read_grasps(published / "dexgraspnet_shadow")
+    read = reading(published / "dexgraspnet_shadow").grasps
     known = load_grasps(published / "normalised" / "dexgraspnet_shadow.npz")
     assert read.object.tolist() == known.object.tolist()
     np.testing.assert_array_equal(read.scale, known.scale)
@@ -86,7 +86,7 @@ def test_dexgraspnet_files_agree_with_the_normalised_ones(published: Path, load:
 
 
 def test_the_leap_cache_agrees_with_the_normalised_one(published: Path, load: Load):
-    read = read_grasps(published / "leap_cube_cache")
+    read = reading(published / "leap_cube_cache").grasps
     known = load_grasps(published / "normalised" / "leap_cube.npz")
     # Every fourth grasp was left out there.
     read = read.select([row for row in range(1024) if row % 4 != 3])
@@ -122,37 +122,37 @@ def test_contacts_of_a_dexonomy_file_are_on_the_links_that_it_names(published: P
 def test_a_file_of_no_format_is_told_what_speaks_against_each(tmp_path: Path):
     np.save(tmp_path / "g.npy", np.array({"grasp_qpos": np.zeros(29)}, dtype=object))
     with refused(GraspFileError, tmp_path / "g.npy", *(f"{known.name}: " for known in FORMATS), "--format") as caught:
-        read_grasps(tmp_path / "g.npy")
+        reading(tmp_path / "g.npy")
     assert_names(str(caught.value), ".npz", "obj_pose, obj_scale, obj_path", "robot_pose", "n_evo", "evolution_num")
     with refused(GraspFileError, tmp_path / "g.npy", "bodex", "robot_pose"):
-        read_grasps(tmp_path / "g.npy", format="bodex")
+        reading(tmp_path / "g.npy", format="bodex")
     with refused(GraspFileError, "'graspit'", ", ".join(known.name for known in FORMATS)):
-        read_grasps(tmp_path / "g.npy", format="graspit")
+        reading(tmp_path / "g.npy", format="graspit")
 
 
 def test_a_file_of_two_formats_is_ambiguous(tmp_path: Path):
     held = dict.fromkeys(("grasp_qpos", "obj_pose", "obj_scale", "obj_path", "robot_pose"), 1.0)
     np.save(tmp_path / "g.npy", np.array(held, dtype=object))
     with refused(GraspFileError, tmp_path / "g.npy", "dexgraspbench", "bodex", "--format") as caught:
-        read_grasps(tmp_path / "g.npy")
+        reading(tmp_path / "g.npy")
     assert "dexonomy" not in str(caught.value)
 
 
 def test_folders_that_cannot_be_read(tmp_path: Path, grasps: Callable[..., GraspSet]):
     with refused(GraspFileError, tmp_path, ".npz, .npy, .pickle, .pkl"):
-        read_grasps(tmp_path)
+        reading(tmp_path)
     with refused(GraspFileError, tmp_path / "none.npy"):
-        read_grasps(tmp_path / "none.npy")
+        reading(tmp_path / "none.npy")
     rows = np.zeros((3, 23), dtype=np.float32)
     rows[:, 22] = 1
     np.save(tmp_path / "b_s10.npy", rows)
     save_npz(tmp_path / "a.npz", grasps("shadow").arrays())
     with refused(GraspFileError, tmp_path / "a.npz", "ours", tmp_path / "b_s10.npy", "leap_cache"):
-        read_grasps(tmp_path)
+        reading(tmp_path)
     (tmp_path / "b_s10.npy").unlink()
     save_npz(tmp_path / "b.npz", grasps("leap").arrays())
     with refused(GraspFileError, tmp_path / "b.npz", "'leap'", "'palm_lower'", tmp_path / "a.npz", "'shadow'"):
-        read_grasps(tmp_path)
+        reading(tmp_path)
 
 
 def test_files_of_a_folder_are_one_set(tmp_path: Path, grasps: Callable[..., GraspSet], load: Load):

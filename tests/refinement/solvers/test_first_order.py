@@ -8,13 +8,14 @@ import torch
 
 from first_order_steps import Given, Known, first_state, one_step
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, inverse, log_se3
+from grasp_refine.core.se3 import exp_se3, inverse
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.first_order import FirstOrder
 from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.status import Status
 from refusals import refused
+from twists import log_se3
 
 PAPER = Descent(momentum=0.0)
 LENGTH = np.array([1e-3] * 3 + [1e-2] * 3 + [2e-2] * 5)

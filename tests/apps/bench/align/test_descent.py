@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from alignment_errors import errors_at
-from grasp_refine.core.se3 import adjoint, ambient_gradient, exp_se3, inverse, log_se3
+from grasp_refine.core.se3 import ambient_gradient, exp_se3, inverse
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Adaptive
 from grasp_refine_apps.bench.align import descent as module
@@ -23,6 +23,7 @@ from grasp_refine_apps.bench.align.descent import METRES_PER_RADIAN, _step, alig
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, aligned_poses, draw_tasks, exposed_vertices
 from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body
+from twists import adjoint, log_se3
 
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
 OTHER = BodyPair("others", "convex", normalised(convex_body(3, 40), 0.03), normalised(convex_body(4, 16), 0.12))
