@@ -20,12 +20,6 @@ def fails(ready: Callable[[], None]) -> None:
     raise ValueError("no luck")
 
 
-def dies(ready: Callable[[], None]) -> None:
-    """Ends its process."""
-    ready()
-    os._exit(7)
-
-
 def dies_early(ready: Callable[[], None]) -> None:
     """Ends its process before it is ready, without a word to those that wait."""
     os._exit(7)

@@ -101,10 +101,10 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
     return table
 
 
-def plain_table(title: str, between: int = 1) -> Table:
+def plain_table(title: str = "", between: int = 1) -> Table:
     """Return an empty table with one rule below its heads, and `between` further spaces between its columns."""
     return Table(
-        title=escape(title),
+        title=escape(title) or None,
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,

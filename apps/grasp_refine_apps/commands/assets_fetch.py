@@ -19,6 +19,7 @@ from grasp_refine.assets.names import choose_asset
 from grasp_refine.assets.origin import Origin, Upstream, chosen_origin, wanted
 from grasp_refine.core.errors import AssetError
 from grasp_refine.core.json_files import check_writable
+from grasp_refine.core.plurals import count_text
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
@@ -78,7 +79,7 @@ def _fetch(asset: Asset, origin: Origin, accepted: bool, console: Console) -> di
     path = main_path(asset, origin.layout)
     folder = asset_folder(asset, origin.layout)
     size = sum((folder / wanted(file, origin.layout).place).stat().st_size for file in asset.files)
-    count = f"{len(asset.files)} file{'' if len(asset.files) == 1 else 's'}, {size / 1e6:.2f} MB"
+    count = f"{count_text(len(asset.files), 'file')}, {size / 1e6:.2f} MB"
     console.print(f"  here:    {path}", markup=False, soft_wrap=True)
     console.print(f"           {count}{', was here before' if here else f', fetched in {seconds:.1f} s'}", markup=False)
     if isinstance(origin, Upstream) and any(file.changed for file in asset.files):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -19,6 +18,7 @@ from grasp_refine.core.errors import AssetError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.results.table import plain_table
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
@@ -116,7 +116,7 @@ def _show(assets: list[Asset], origin: Origin, console: Console) -> None:
 
 def _table(kind: str, assets: list[Asset], origin: Origin, width: int) -> Table:
     """Table of the assets of a kind; licences are cut at the end of a line, names never."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    table = plain_table()
     table.add_column(f"{kind} ({len(assets)})", overflow="fold")
     for column in HEADER[1:]:
         table.add_column(column, justify="right" if column == "MB" else "left", no_wrap=True)

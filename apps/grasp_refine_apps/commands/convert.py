@@ -17,6 +17,7 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable
+from grasp_refine.core.plurals import count_text
 from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement, check_same
 from grasp_refine.grasps.formats.format import Format, Load
 from grasp_refine.grasps.formats.listing import FormatName, format_named
@@ -189,12 +190,8 @@ def _summary(
     objects = len(np.unique(read.grasps.object))
     what, unit = ("fingertips", " m") if fingertips else ("poses and joints", "")
     return [
-        f"read   {source}: {read.format.name}, {_count(len(read.files), 'file')}",
-        f"       {_count(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {_count(objects, 'object')}",
-        f"wrote  {output}: {to.name}, {_count(files, 'file')}",
+        f"read   {source}: {read.format.name}, {count_text(len(read.files), 'file')}",
+        f"       {count_text(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {count_text(objects, 'object')}",
+        f"wrote  {output}: {to.name}, {count_text(files, 'file')}",
         f"check  read again, {what} differ by at most {difference:.2g}{unit} (limit {MAX_DIFFERENCE_M:g}{unit})",
     ]
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

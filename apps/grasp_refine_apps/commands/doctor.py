@@ -7,10 +7,8 @@ import platform
 from dataclasses import dataclass
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from grasp_refine import __version__
 from grasp_refine.assets.cache import LAYOUTS, seems_here
@@ -24,6 +22,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.versions import NAME, Requirement, requirements
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.hand import list_hands
+from grasp_refine.results.table import plain_table
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
@@ -154,7 +153,7 @@ def _assets() -> dict[str, Any]:
 def _show(found: dict[str, Any], console: Console) -> None:
     python = f"Python {platform.python_version()}"
     console.print(f"[bold]{NAME} {__version__}[/]  {python}, {found['platform']}, {found['cpu_count']} CPUs\n")
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    table = plain_table()
     for column in ("package", "installed", "needed", "state", "for"):
         table.add_column(column)
     for package in sorted(found["packages"], key=lambda package: package["extra"] or ""):

@@ -6,16 +6,17 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.hand_toml import Contact
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.tree import Joint
+from grasp_refine.results.table import plain_table
 from grasp_refine_apps.report.hand_facts import examples, licence
 
 NUMERIC_COLUMNS = ("joints", "links", "lower", "upper", "mass, g", "grasps", "effort")
@@ -50,7 +51,7 @@ def show_hand(hand: Hand, console: Console) -> None:
     followers = sum(joint.mimic is not None for joint in hand.joints)
     solid = sum(link.body is not None for link in hand.links)
     console.print(
-        f"{len(hand.joint_names)} joint{'' if len(hand.joint_names) == 1 else 's'}"
+        f"{count_text(len(hand.joint_names), 'joint')}"
         f"{f' and {followers} that mimic' if followers else ''}, {len(hand.links)} "
         f"links ({solid} with collision geometry) from {hand.base_link} on, licence: "
         f"{licence(hand.urdf) or 'not named'}\n",
@@ -120,7 +121,7 @@ def bullets(lines: Iterable[str]) -> Table:
 
 
 def _table(*columns: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    table = plain_table()
     for column in columns:
         table.add_column(
             column,

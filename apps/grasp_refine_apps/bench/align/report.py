@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine_apps.bench.align.bodies import KINDS
 from grasp_refine_apps.bench.align.stopwatch import PARTS
 from grasp_refine_apps.bench.align.tasks import CLASSES
@@ -141,7 +142,7 @@ def _printed(rows: Sequence[Row], title: str, columns: Sequence[Column]) -> Iter
             for row in its
             if row["target_class"] in ("all", "face-face")
         ]
-        pairs = f"{kind}, {its[0]['pairs']} pair{'s' if its[0]['pairs'] != 1 else ''}"
+        pairs = f"{kind}, {count_text(its[0]['pairs'], 'pair')}"
         yield Table(f"alignment, {pairs}, {title}{patch}", columns, lines, only="terminal")
 
 

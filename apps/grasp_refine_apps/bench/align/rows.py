@@ -37,12 +37,8 @@ def summary(errors: np.ndarray, weights: np.ndarray | None = None) -> dict[str, 
         return {"targets": 0, **dict.fromkeys(ERROR_LEVELS_M2), "d5": None, "d9": None}
     weights = np.ones(len(errors)) if weights is None else weights
     solved = {name: float(np.average(errors < level, weights=weights)) for name, level in ERROR_LEVELS_M2.items()}
-    return {
-        "targets": len(errors),
-        **solved,
-        "d5": _quantile(errors, weights, 0.5),
-        "d9": _quantile(errors, weights, 0.9),
-    }
+    d5, d9 = np.quantile(errors, (0.5, 0.9), weights=weights, method="inverted_cdf").tolist()
+    return {"targets": len(errors), **solved, "d5": d5, "d9": d9}
 
 
 def _of_group(
@@ -125,11 +121,3 @@ def _times(variant: Variant, group: Sequence[JobResult], targets: int) -> dict[s
         "wall_s_per_pair": wall_s / count * targets,
         "cpu_share": cpu_share([result.watch for result in results], PARTS),
     }
-
-
-def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Smallest value whose cumulative weight reaches a share of the total."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    index = np.searchsorted(reached, share * reached[-1] * (1.0 - 1e-12))
-    return float(values[order[index]])

@@ -45,6 +45,8 @@ CONVEX = 0.9
 """Smallest share of the volume of its hull that a convex object fills."""
 SIZES_M = (0.14, 0.18)
 """Diagonals of the bounding box between small and medium, and between medium and large objects, metres."""
+SIZES = ("below 14 cm", "14 to 18 cm", "above 18 cm")
+"""Classes of objects by these diagonals."""
 
 JOB_KEYS = ("name", "grasps", "hand", "urdf", "mjcf", "object", "scale")
 """Columns of the job list."""
@@ -90,9 +92,8 @@ class ObjectCase:
     def size(self) -> str:
         """Class by the diagonal, at the suggested scale."""
         small, large = SIZES_M
-        names = (f"below {100 * small:g} cm", f"{100 * small:g} to {100 * large:g} cm", f"above {100 * large:g} cm")
         at = int(self.diagonal >= small) + int(self.diagonal > large)
-        return names[at] if isfinite(self.diagonal) else "not known"
+        return SIZES[at] if isfinite(self.diagonal) else "not known"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from grasp_refine_apps.batch.page import case_entry
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.worst import Case, case_of
 from grasp_refine_apps.bench.chart import Row
-from grasp_refine_apps.bench.evidence.cases import SAMPLED, SIZES_M
+from grasp_refine_apps.bench.evidence.cases import SAMPLED, SIZES
 from grasp_refine_apps.bench.evidence.results import NOT_SIMULATED, Block, agreement, summaries, summary
 from grasp_refine_apps.bench.evidence.trials import METHODS, REFINED
 from grasp_refine_apps.bench.report import MISSING, SCALES, Column, Figures, Note, Report, Table
@@ -67,7 +67,7 @@ def tables(
         ("By hand", lambda case: case.hand.name, ()),
         ("By generator", lambda case: case.generator, (SAMPLED,)),
         ("By shape of the object", lambda case: case.object.shape, ("convex", "concave")),
-        ("By size of the object", lambda case: case.object.size, tuple(_sizes())),
+        ("By size of the object", lambda case: case.object.size, SIZES),
     )
     found += [Table(title, columns, summaries(key, blocks, protocols, first=first)) for title, key, first in ways]
     if pairs:
@@ -145,12 +145,10 @@ def _columns(protocols: Sequence[str]) -> list[Column]:
     return [
         *(Column(f"held_{name}", f"held, {name}", "", _listed("%", ".1f"), only="page") for name in protocols),
         *(Column(f"held_{name}", name, "", _listed("%", ".0f", "→"), only="terminal") for name in protocols),
-        Column(
-            "penetration_m", "penetration, mm", "", _listed("mm", ".2f"), hint="deepest of any link, mean", only="page"
+        *(
+            Column(key, head, "", _listed(unit, form), hint=hint, only="page")
+            for key, head, unit, form, hint in NUMBERS
         ),
-        Column("moved_palm_m", "palm moved, mm", "", _listed("mm", ".1f"), hint="median", only="page"),
-        Column("moved_palm_rad", "turned, °", "", _listed("°", ".1f"), hint="median", only="page"),
-        Column("cpu_s", "CPU, s", "", _listed("s", ".3f"), hint="of refining a grasp, mean", only="page"),
     ]
 
 
@@ -200,8 +198,3 @@ def _reasons(blocks: Sequence[Block], protocols: Sequence[str]) -> tuple[list[Co
     ]
     columns = [Column(name, name, "", lambda counts: ARROW.join(map(str, counts))) for name in protocols]
     return [Column("label", "grasps that"), *columns], rows
-
-
-def _sizes() -> list[str]:
-    small, large = (f"{100 * size:g}" for size in SIZES_M)
-    return [f"below {small} cm", f"{small} to {large} cm", f"above {large} cm"]

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
@@ -44,7 +45,7 @@ class Method:
     @property
     def label(self) -> str:
         """Label for people."""
-        return LABELS.get(self.name, f"{self.starts} start{'s' * (self.starts != 1)}")
+        return LABELS.get(self.name, count_text(self.starts or 0, "start"))
 
     def config(self, seed: int, width: int) -> Config | None:
         """Settings of the refinement; None where there is none."""

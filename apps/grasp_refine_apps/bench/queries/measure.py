@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -13,29 +12,15 @@ import torch
 
 from grasp_refine.collision.engine import Engine
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.derivative import Derivative
-from grasp_refine.witness.direction import Direction
-from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.derivatives import make_derivative
 from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.queries.cases import STATE_DISTANCES_M, Case, draw_poses, make_pairs, nearby
 from grasp_refine_apps.bench.queries.peers import PEERS, PeerName
 from grasp_refine_apps.bench.timing import cpu_times, one_thread
 
 MethodName = Literal["contact-kinematics", "distance", "direction", "analytical"]
-
-METHODS: Mapping[MethodName, Derivative] = MappingProxyType(
-    {
-        "contact-kinematics": ContactKinematics(),
-        "distance": Distance(),
-        "direction": Direction(),
-        "analytical": Analytical(),
-    }
-)
-"""Name -> derivative method."""
 
 MIN_POSES = 32
 """Smallest number of poses of a case: smaller batches are several calls, so that no single pose decides."""
@@ -89,9 +74,11 @@ class Measurement:
         for engine, own in pairs.items():
             runs["engine", engine, "cold"] = partial(_query_all, own, T_a, T_b, case.batch, None)
             runs["engine", engine, "warm"] = partial(_query_all, own, T_a, T_b, case.batch, before[engine])
-        runs["layer",] = partial(_forward, WitnessLayer(first, METHODS[self.methods[0]]), T_a, T_b, case.batch)
+        runs["layer",] = partial(_forward, WitnessLayer(first, make_derivative(self.methods[0])), T_a, T_b, case.batch)
         for name in self.methods:
-            runs["backward", name] = _backward(WitnessLayer(first, METHODS[name]), T_a, T_b, case.batch, self.seed)
+            runs["backward", name] = _backward(
+                WitnessLayer(first, make_derivative(name)), T_a, T_b, case.batch, self.seed
+            )
         if "native" in pairs:
             runs["bare",] = _bare(pairs["native"], T_a, T_b, case.batch)
         some = _peer_rows(count, case.piece_pairs)

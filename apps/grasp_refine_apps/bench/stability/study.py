@@ -11,6 +11,7 @@ from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
+from grasp_refine.core.plurals import count_text
 from grasp_refine_apps.bench.chart import Row, group_rows
 from grasp_refine_apps.bench.jobs import Job, Progress
 from grasp_refine_apps.bench.report import Column, Note, Report, Shade, Table
@@ -181,7 +182,7 @@ def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
         if its
     ]
     counts = (found["collapsed"], "collapsed"), (found["refused"], "refused"), (crashes, "crashed")
-    wrong = f"{found['wrong']} fault{'s' * (found['wrong'] != 1)}"
+    wrong = count_text(found["wrong"], "fault")
     if found["mujoco_queries"]:
         yield f"MuJoCo, at {found['mujoco_queries']} of the queries: {found['mujoco_wrong']} wrong"
     parts = [wrong, *(f"{count} {name}" for count, name in counts if count)]
