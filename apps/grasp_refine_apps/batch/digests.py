@@ -70,7 +70,7 @@ class Digests:
         if inputs.arm is None:
             return hand
         arm = self._robot(inputs.arm, None, None, say)
-        return f"{hand[0]}{ON_ARM}{arm[0]}", _sha256([hand[1], arm[1]])
+        return f"{hand[0]}{ON_ARM}{arm[0]}", sha256_of([hand[1], arm[1]])
 
     def _robot(self, source: str, urdf: Path | None, mjcf: Path | None, say: Callable[[str], None]) -> tuple[str, str]:
         """Name of a hand or an arm, and hash of its files."""
@@ -82,7 +82,7 @@ class Digests:
             files = dict.fromkeys(file for path in described for file in (path, *_meshes(path)))
             # Without their folders: a copy of a hand is the same hand.
             contents = [(file.name, self.file(file)["sha256"]) for file in files]
-            self._hands[key] = (toml.name or name, _sha256(contents))
+            self._hands[key] = (toml.name or name, sha256_of(contents))
         return self._hands[key]
 
     def object(self, source: ObjectSource) -> str:
@@ -98,7 +98,7 @@ class Digests:
         targets = inputs.targets
         if targets not in (AUTO, NEAREST):
             targets = self.file(Path(targets))["sha256"]
-        return _sha256(
+        return sha256_of(
             {"layout": LAYOUT_VERSION, "version": own_version(), "inputs": described, "targets": targets, **depends}
         )
 
@@ -120,5 +120,6 @@ def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
     return found
 
 
-def _sha256(value: Any) -> str:
+def sha256_of(value: Any) -> str:
+    """Return the hash of a value, as JSON writes it."""
     return hashlib.sha256(dumps(value).encode()).hexdigest()

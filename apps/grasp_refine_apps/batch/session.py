@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.batch.plan import Refused
 from grasp_refine_apps.batch.progress import Progress
-from grasp_refine_apps.batch.record import forget_failure, note_failure, noted_failure
+from grasp_refine_apps.batch.record import clean, forget_failure, note_failure, noted_failure
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.work import peak_bytes
+from grasp_refine_apps.processes.dispatch import Pool, dispatch
 from grasp_refine_apps.processes.task import Failed
 
 
@@ -55,6 +57,35 @@ class Session:
     def complete_shards(self) -> list[Shard]:
         """Shards with result files, in order."""
         return [shard for shard in self.shards if shard.number in self.complete]
+
+    @property
+    def left(self) -> list[Shard]:
+        """Shards without result files, in order."""
+        return [shard for shard in self.shards if shard.number not in self.complete]
+
+    def run(
+        self, shards: Sequence[Shard], pool: Pool, progress: Progress, *, tries: int, patience_s: float | None
+    ) -> None:
+        """Work on shards, and record the result of each.
+
+        Args:
+            shards: The shards.
+            pool: The workers.
+            progress: Display of heartbeats and results.
+            tries: Maximum attempts at a shard whose worker crashes or hangs.
+            patience_s: Time without a heartbeat, seconds, after which a worker counts as hanging; None: no limit.
+
+        Raises:
+            KeyboardInterrupt: raised again; shards complete by then are kept.
+        """
+        try:
+            for shard, result in dispatch(
+                shards, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat
+            ):
+                self.take(shard, result, progress)
+        finally:
+            # Killed workers leave partial files.
+            clean(shards)
 
     def take(self, shard: Shard, result: Done | Failed, progress: Progress) -> None:
         """Record and show the result of a shard."""

@@ -15,7 +15,6 @@ from rich.console import Console
 from tyro.conf import Positional, Suppress, arg
 
 from grasp_refine.collision.engine import chosen
-from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.plurals import count_text
@@ -41,7 +40,7 @@ from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.sharding import Sharding
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
-from grasp_refine_apps.processes.dispatch import Pool, dispatch
+from grasp_refine_apps.processes.dispatch import Pool
 from grasp_refine_apps.processes.local import LocalPool
 from grasp_refine_apps.report.command_line import invocation
 from grasp_refine_apps.report.screen import screen
@@ -252,11 +251,11 @@ class Batch:
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
-        todo = [shard for shard in session.shards if shard.number not in session.complete]
+        todo = session.left
         if not todo:
             return
         clean(todo)
-        workers = min(self.sharding.workers or usable_cores(), len(todo))
+        workers = self.sharding.num_workers(len(todo))
         simulated = work.protocol is not None
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
@@ -268,20 +267,13 @@ class Batch:
                     session.take(shard, unusable[shard.number], progress)
             usable = [shard for shard in todo if shard.number not in unusable]
             try:
-                tries, patience_s = self.sharding.tries, self.sharding.patience
                 with self._pool(work, workers) as pool:
-                    for shard, result in dispatch(
-                        usable, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat
-                    ):
-                        session.take(shard, result, progress)
+                    session.run(usable, pool, progress, tries=self.sharding.tries, patience_s=self.sharding.patience)
             except KeyboardInterrupt:
                 there = f"{len(session.complete)} of {count_text(len(session.shards), 'shard')} complete"
                 command = "without --again, the command" if self.sharding.again else "the same command"
                 progress.say(f"{there}; {command} continues from there")
                 raise
-            finally:
-                # Killed workers leave partial files.
-                clean(todo)
         session.wall_s = time.perf_counter() - began
 
 

@@ -17,14 +17,11 @@ from rich.console import Console
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen
-from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.core.json_files import check_writable, save_json, save_text
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.versions import versions
 from grasp_refine.pipeline.input_cache import InputCache
 from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.results.document import settings
 from grasp_refine.validation.engines import EngineName, check_engine
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
@@ -33,7 +30,7 @@ from grasp_refine_apps.batch.outputs import load_case
 from grasp_refine_apps.batch.pictures import draw_cases
 from grasp_refine_apps.batch.plan import Planner
 from grasp_refine_apps.batch.progress import Progress
-from grasp_refine_apps.batch.record import State, clean, state_of
+from grasp_refine_apps.batch.record import State, state_of
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.bench.chart import Row
@@ -43,14 +40,12 @@ from grasp_refine_apps.bench.evidence.results import Block, read_blocks, refinem
 from grasp_refine_apps.bench.evidence.sampling import SamplingWork
 from grasp_refine_apps.bench.evidence.trials import GEOMETRY, REFINED, Trial, TrialsWork, folder_of, trials_shards
 from grasp_refine_apps.bench.report import Table
-from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.batch import Batch, Output
+from grasp_refine_apps.commands.benchmark import benchmark_document
 from grasp_refine_apps.commands.options import NOTHING_USABLE, check_numbers
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.sharding import Sharding
-from grasp_refine_apps.processes.dispatch import dispatch
 from grasp_refine_apps.processes.local import LocalPool
-from grasp_refine_apps.report.command_line import invocation
 from grasp_refine_apps.report.screen import screen
 
 Names = Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")]
@@ -181,23 +176,15 @@ class BenchEvidence:
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
-        todo = [shard for shard in session.shards if shard.number not in session.complete]
+        todo, sharding = session.left, Sharding(workers=self.workers)
         if not todo:
             return session
-        sharding = Sharding(workers=self.workers)
-        workers = min(sharding.workers or usable_cores(), len(todo))
-        try:
-            with (
-                Progress(console, todo, workers, session.skipped, verdict=False, work=work.words) as progress,
-                closing(LocalPool(work, workers, sharding.patience)) as pool,
-            ):
-                for shard, result in dispatch(
-                    todo, pool, tries=sharding.tries, patience_s=sharding.patience, heartbeat=progress.heartbeat
-                ):
-                    session.take(shard, result, progress)
-        finally:
-            # Killed workers leave partial files.
-            clean(todo)
+        workers = sharding.num_workers(len(todo))
+        with (
+            Progress(console, todo, workers, session.skipped, verdict=False, work=work.words) as progress,
+            closing(LocalPool(work, workers, sharding.patience)) as pool,
+        ):
+            session.run(todo, pool, progress, tries=sharding.tries, patience_s=sharding.patience)
         return session
 
     def _write(
@@ -211,20 +198,15 @@ class BenchEvidence:
         """Write tables, page and document, and return the tables."""
         names = [trial.label for trial in trials]
         found = tables(blocks, failed, names, _pairs(trials))
-        document = {
-            "schema": SCHEMA,
-            "command": "bench evidence",
-            "invocation": invocation("bench evidence", self),
-            "versions": versions(),
-            "machine": machine(),
-            "engine": chosen("auto"),
-            "preset": None,
-            "config": settings(self),
-            "seed": self.seed,
-            "cpu_s": refinement_cpu_s(blocks) + sum(block.simulation_cpu_s for block in blocks),
-            "problems": [],
-            "tables": {table.title: list(table.rows) for table in found},
-        }
+        document = benchmark_document(
+            "bench evidence",
+            self,
+            preset=None,
+            seed=self.seed,
+            cpu_s=refinement_cpu_s(blocks) + sum(block.simulation_cpu_s for block in blocks),
+            problems=[],
+            tables={table.title: list(table.rows) for table in found},
+        )
         shards = {shard.number: shard for shard in refined}
         load = partial(load_case, shards, InputCache(), self.seed)
         with Progress(screen(stderr=True), (), 1) as progress:

@@ -15,7 +15,7 @@ from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import SCHEMA, check_writable, save_json
+from grasp_refine.core.json_files import check_writable, save_json
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judged, load_baseline, updated
@@ -23,6 +23,7 @@ from grasp_refine_apps.bench.gate.measures import measure
 from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.benchmark import progress_bar
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
+from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
 WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not available[/]"}
@@ -72,21 +73,9 @@ class BenchGate:
             rows, worse = [one.row() for one in verdicts], [one.ratio.name for one in verdicts if one.ok is False]
             message = f"worse than allowed: {', '.join(worse)}" if worse else "nothing is worse than allowed"
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
-        if self.json is not None:
-            document = {
-                "schema": SCHEMA,
-                "command": "bench --gate",
-                "versions": versions(),
-                "machine": machine(),
-                "engine": engine,
-                "baseline": baseline,
-                "ok": not worse,
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "rows": rows,
-            }
-            save_json(self.json, document)
-            message += f"; wrote {self.json}"
+        entries = {"machine": machine(), "engine": engine, "baseline": baseline, "ok": not worse}
+        save_document(self.json, "bench --gate", {**entries, "wall_s": wall, "cpu_s": cpu, "rows": rows})
+        message += f"; wrote {self.json}" if self.json is not None else ""
         console.print(f"{message}\n{engine} engine, {wall:.1f} s, {cpu:.1f} s of CPU", soft_wrap=True, markup=False)
         return GOT_WORSE if worse else 0
 

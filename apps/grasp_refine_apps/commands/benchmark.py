@@ -101,6 +101,20 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
+def benchmark_document(command: str, invoked: Any, **entries: Any) -> dict[str, Any]:
+    """Return the JSON document of a benchmark: how and where it ran, its settings, and other entries."""
+    return {
+        "schema": SCHEMA,
+        "command": command,
+        "invocation": invocation(command, invoked),
+        "versions": versions(),
+        "machine": machine(),
+        "engine": chosen("auto"),
+        "config": settings(invoked),
+        **entries,
+    }
+
+
 def run_benchmark(command: str, invoked: Any, study: Study) -> int:
     """Run a study, write and show its results, and return the exit code.
 
@@ -132,21 +146,16 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         done, errors, interrupted = run_jobs(todo, study.workers, progress)
     problems = [*errors, *([f"interrupted: {len(done)} of {len(todo)} jobs were done"] if interrupted else [])]
     rows = study.rows(done)
-    document = {
-        "schema": SCHEMA,
-        "command": command,
-        "invocation": invocation(command, invoked),
-        "versions": versions(),
-        "machine": machine(),
-        "engine": chosen("auto"),
-        "preset": options.preset,
-        "config": settings(invoked),
-        "seed": options.seed,
-        "wall_s": time.perf_counter() - wall,
-        "cpu_s": cpu_seconds() - cpu,
-        "problems": problems,
-        "rows": rows,
-    }
+    document = benchmark_document(
+        command,
+        invoked,
+        preset=options.preset,
+        seed=options.seed,
+        wall_s=time.perf_counter() - wall,
+        cpu_s=cpu_seconds() - cpu,
+        problems=problems,
+        rows=rows,
+    )
     console = screen()
     for problem in problems:
         screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.commands.options import check_numbers
 
@@ -38,6 +39,10 @@ class Sharding:
     """Maximum attempts at a shard whose worker crashes or hangs, before it is recorded as failed."""
     again: bool = False
     """Refine everything again, including complete results."""
+
+    def num_workers(self, shards: int) -> int:
+        """Return the number of processes for a number of shards."""
+        return min(self.workers or usable_cores(), shards)
 
     def part(self) -> tuple[int, int]:
         """Return the part to do, from 1 on, and the number of parts.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world
+from grasp_refine_apps.batch.digests import sha256_of
 from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.work import cache_of, peak_bytes, problem_of
@@ -135,7 +135,6 @@ def trials_shards(refined: Mapping[str, Sequence[Shard]], trials: Sequence[Trial
         first = shards[REFINED]
         files = {method: shard.path for method, shard in shards.items()}
         for trial in trials:
-            stamp = dumps([LAYOUT_VERSION, [shard.stamp for shard in shards.values()], settings(trial)])
             found.append(
                 Shard(
                     number=len(found),
@@ -143,7 +142,7 @@ def trials_shards(refined: Mapping[str, Sequence[Shard]], trials: Sequence[Trial
                     name=f"{first.name}, {trial.label}",
                     size=first.size,
                     path=out / trial.folder / place,
-                    stamp=hashlib.sha256(stamp.encode()).hexdigest(),
+                    stamp=sha256_of([LAYOUT_VERSION, [shard.stamp for shard in shards.values()], settings(trial)]),
                     task=TrialsTask(first.task, files, trial),
                 )
             )
