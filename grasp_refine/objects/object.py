@@ -45,6 +45,8 @@ class Object:
     """Repairs of the mesh, or faults of given pieces, for the user."""
     rough: bool = False
     """Whether `body` is only the convex hull of a mesh that is still to be cut."""
+    file: tuple[Path, float] | None = None
+    """File of the mesh, and the factor that takes it to metres; None: it is of no single file."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
@@ -65,6 +67,8 @@ class UncutObject:
     """Whether it is one convex piece, see `Object.convex`."""
     notes: tuple[str, ...]
     """Notes for the user, see `Object.notes`."""
+    file: tuple[Path, float] | None = None
+    """File of the mesh, see `Object.file`."""
 
     @property
     def takes_long(self) -> bool:
@@ -74,7 +78,7 @@ class UncutObject:
     def rough(self) -> Object:
         """Return the object with its convex hull instead of its pieces, to be shown until it is cut."""
         body = build_body(self.name, [hull(self.mesh.vertices)])
-        return Object(self.name, self.mesh, body, self.convex, self.notes, rough=True)
+        return Object(self.name, self.mesh, body, self.convex, self.notes, rough=True, file=self.file)
 
 
 def load_object(
@@ -139,6 +143,7 @@ def read_object(
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
+    file: tuple[Path, float] | None = None
     # An empty path would be the current folder.
     if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
         name = Path(os.path.abspath(text)).name
@@ -146,14 +151,14 @@ def read_object(
         mesh, more = surface(Path(text), pieces, scale)
         notes += more
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
-        name, mesh = Path(text).stem, load_mesh(text, scale)
+        name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     elif text in EMBEDDED:
         name, mesh = text, EMBEDDED[text]().apply_scale(scale)
     elif ":" in text:
         name, mesh = text, primitive(text).apply_scale(scale)
         pieces = [Piece(p.vertices * scale, p.faces, p.radius * scale) for p in primitive_pieces(text)]
     elif "/" in text or Path(text).suffix:
-        name, mesh = Path(text).stem, load_mesh(text, scale)
+        name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     else:
         raise AssetError(
             f"no object '{text}': embedded ones are {', '.join(EMBEDDED)}; "
@@ -167,7 +172,7 @@ def read_object(
         # An object's notes are printed after its name.
         notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
-    return UncutObject(name, mesh, tuple(pieces), convex, notes)
+    return UncutObject(name, mesh, tuple(pieces), convex, notes, file)
 
 
 def cut_objects(
@@ -189,6 +194,6 @@ def cut_objects(
     cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
     bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]
     return [
-        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes)
+        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes, file=uncut.file)
         for uncut, body in zip(objects, bodies, strict=True)
     ]

@@ -131,6 +131,7 @@ def group_on_arm(
         *targets,
         table=scene.table,
         environment=scene.environment,
+        regions=scene.regions,
     )
     return replace(group, scene=moved, grasps=grasps), notes
 

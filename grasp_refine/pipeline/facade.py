@@ -20,7 +20,9 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
+from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -53,6 +55,8 @@ def problem_of(
     table: float | None = None,
     scene: Environment | None = None,
     base: ArrayLike | None = None,
+    touch: Regions = (),
+    avoid: Regions = (),
 ) -> Problem:
     """Return grasps of a hand on an object as a problem, in memory.
 
@@ -65,9 +69,13 @@ def problem_of(
         base: Pose (4, 4) of the base of a hand's arm in the object's frame, or in the world of the scene; or x, y, z in
             metres, roll, pitch, yaw in degrees. Needed for grasps that give poses of its palm, which inverse kinematics
             reaches.
+        touch: Regions of the object in which links should touch it, or their specifications (`contact_regions`); none:
+            those of the scene, else everywhere.
+        avoid: Regions in which they should not touch it.
 
     Raises:
-        GraspRefineError: an argument of another type, grasps of several objects, or of other joints.
+        GraspRefineError: an argument of another type, grasps of several objects, or of other joints, or a region that
+            cannot be used.
     """
     check_kind("hand", hand, Hand)
     check_kind("object", obj, Object)
@@ -95,7 +103,16 @@ def problem_of(
     q, matched = match_joints(grasps, hand)
     rows = np.arange(len(grasps))
     targets = aim(hand, grasps.targets, rows)
-    made = Scene(hand, obj, transform_from_pose(grasps.hand_pose), q, *targets, table=plane, environment=scene)
+    made = Scene(
+        hand,
+        obj,
+        transform_from_pose(grasps.hand_pose),
+        q,
+        *targets,
+        table=plane,
+        environment=scene,
+        regions=regions_of(obj, touch, avoid, scene),
+    )
     group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), made, grasps, rows, rows, rows)
     doubts = convention_notes([made])
     all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
@@ -111,6 +128,8 @@ def refine(
     table: float | None = None,
     scene: Environment | None = None,
     base: ArrayLike | None = None,
+    touch: Regions = (),
+    avoid: Regions = (),
     listener: Listener | None = None,
 ) -> RefinedGrasps:
     """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
@@ -123,13 +142,15 @@ def refine(
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
         scene: Bodies around the object that no link may go into, as of `load_scene`.
         base: Pose of the base of an arm, as of `problem_of`.
+        touch: Regions of the object to touch, such as "box:0.04,-0.02,0,0.08,0.02,0.09", as of `problem_of`.
+        avoid: Regions not to touch, such as "above:z=0.08", as of `problem_of`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
-    problem = _problem(hand, object, grasps, table, scene, base)
+    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid)
     return refine_problem(problem, config, listener=listener)
 
 
@@ -167,6 +188,8 @@ def evaluate(
     table: float | None = None,
     scene: Environment | None = None,
     base: ArrayLike | None = None,
+    touch: Regions = (),
+    avoid: Regions = (),
 ) -> Evaluation:
     """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
 
@@ -179,11 +202,13 @@ def evaluate(
         table: Height (metres) of a table in the object's frame, z up.
         scene: Bodies around the object, as of `load_scene`.
         base: Pose of the base of an arm, as of `problem_of`.
+        touch: Regions of the object to touch, as of `problem_of`.
+        avoid: Regions not to touch, as of `problem_of`.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
-    problem = _problem(hand, object, grasps, table, scene, base)
+    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid)
     chosen = None if protocol is None else _protocol(protocol)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
@@ -322,14 +347,16 @@ def _problem(
     table: float | None,
     scene: Environment | None,
     base: ArrayLike | None,
+    touch: Regions = (),
+    avoid: Regions = (),
 ) -> Problem:
     if isinstance(hand, Problem):
-        if any(given is not None for given in (obj, grasps, table, scene, base)):
-            raise GraspRefineError("a problem has its object, grasps, table, scene and base: give it alone")
+        if any(given is not None for given in (obj, grasps, table, scene, base)) or touch or avoid:
+            raise GraspRefineError("a problem has its object, grasps, table, scene, base and regions: give it alone")
         return hand
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base)
+    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid)
 
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:

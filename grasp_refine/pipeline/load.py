@@ -24,6 +24,7 @@ from grasp_refine.hands.source import check_known
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
+from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
@@ -154,6 +155,7 @@ class Loader:
                     *points,
                     table=table,
                     environment=environment,
+                    regions=regions_of(obj, spec.touch, spec.avoid, environment),
                 )
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}

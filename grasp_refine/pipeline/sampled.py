@@ -15,6 +15,7 @@ from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.source import check_object
+from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.problem import Group, Problem, UncutGroup
 from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.scene.environment import Environment
@@ -65,7 +66,12 @@ def sampled_problem(
     table = spec.plane
     began = time.perf_counter()
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
-    grasps = sample_grasps(hand, obj, count, seed=seed, table=table, environment=environment)
+    regions = regions_of(obj, spec.touch, spec.avoid, environment)
+    wanted = () if regions is None else regions.touch
+    unwanted = () if regions is None else regions.avoid
+    grasps = sample_grasps(
+        hand, obj, count, seed=seed, table=table, environment=environment, touch=wanted, avoid=unwanted
+    )
     notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
     notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")
     if len(grasps) < count:
@@ -73,6 +79,7 @@ def sampled_problem(
     grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
     rows = choose_rows(grasps.object, object_name=None, index=spec.index or None)
     grasps = grasps.select(rows)
-    scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table, environment=environment)
+    T = transform_from_pose(grasps.hand_pose)
+    scene = Scene(hand, obj, T, grasps.q, table=table, environment=environment, regions=regions)
     group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
     return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")

@@ -13,6 +13,7 @@ from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.grasps.formats.listing import FormatName
 from grasp_refine.hands.link_geometry import HULL_LIMIT
+from grasp_refine.objects.region_spec import check_specs
 from grasp_refine.scene.plane import Plane
 
 AUTO, NEAREST = "auto", "nearest"
@@ -73,6 +74,12 @@ class SourceSpec:
     scene: str | None = None
     """Scene in which the object is grasped: a name that `refine-grasp scenes` lists, or a TOML file; none: the object
     alone, also for results that were refined in a scene."""
+    touch: tuple[str, ...] = ()
+    """Region of the object that links should touch, in its frame and metres; again for several: box:x0,y0,z0,x1,y1,z1,
+    above:z=0.05, below:z=0.05, plane:x,y,z,nx,ny,nz (the side to which the normal points), faces:FILE (numbers of faces
+    of the mesh), color:#ff0000 (of its faces or vertices). By default that of the scene, else everywhere."""
+    avoid: tuple[str, ...] = ()
+    """Region of the object that no link should touch, as --touch."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
@@ -95,6 +102,7 @@ class SourceSpec:
         if self.table is not None and self.scene not in (None, NO_SCENE):
             raise GraspRefineError("--table and --scene exclude each other: a scene has its own tables")
         check_hull_limit(self.hull_limit)
+        check_specs(self.touch, self.avoid)
 
     @property
     def plane(self) -> Plane | None:

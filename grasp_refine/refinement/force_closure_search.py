@@ -30,7 +30,7 @@ from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, mi
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.contact_selection import ContactSelection, contact_misses
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -266,6 +266,8 @@ class _Search:
         known = self.free.evaluate(rows, point, None)
         score, pinches = _judge(prepared, known.frames, self.clearance)
         score = score + self.free.other_depth(known) / DEEP
+        if scene.regions is not None:
+            score = score + contact_misses(scene.regions, known.witness).max(axis=1) / DEEP
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 

@@ -174,6 +174,9 @@ class GraspProblem:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
         cutoff = np.where(touching, np.inf, NEAR_DISTANCE_M)
+        if self.scene.regions is not None:
+            # Links keep farther from where they should not touch than out of the object.
+            bound, cutoff = bound - self.setup.reach, cutoff + self.setup.reach
         return query_near(self.prepared.pairs, bound, T, T_object, cutoff, before)
 
     @stage("broad phase")

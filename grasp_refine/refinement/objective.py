@@ -59,7 +59,7 @@ class Objective:
         clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.setup = setup
-        self.clearance = np.broadcast_to(setup.clearance, goal.touching.shape)
+        self.reach = np.broadcast_to(setup.reach, goal.touching.shape)
         terms = config.weights.terms(setup, autograd=True)
         self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
         self.layer = WitnessLayer(prepared.pairs, config.derivative)
@@ -89,7 +89,7 @@ class Objective:
         # Links that should not touch matter only where they penetrate.
         witness = self.layer(
             T_moving, T_object, *targets,
-            cutoff=np.where(self.goal.touching[member], np.inf, self.clearance[member]), key=key,
+            cutoff=np.where(self.goal.touching[member], np.inf, self.reach[member]), key=key,
             previous=None if previous is None else previous.witness,
         )  # fmt: skip
 

@@ -16,7 +16,7 @@ from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.formulas import SCENE_DEPTHS_M, MeasuredGrasps, MeasuredRefinement
+from grasp_refine.validation.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
 from grasp_refine.validation.geometry import measure, movement
 from grasp_refine.validation.measures import MEASURE, RECORDED
 from grasp_refine.validation.motion import Motion
@@ -161,7 +161,7 @@ def compare(
         margin + np.tile(np.where(aimed, 0.0, clearance), (2, 1)),
         np.concatenate([refinement.touching, refinement.touching]),
     )
-    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment)
+    grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment, scene.regions)
     hand, own = scene.hand, ~scene.hand.arm_joints
     T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
     moved = MeasuredRefinement(
@@ -208,13 +208,18 @@ def compare(
 
 
 def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
-    """Return the texts of `weaknesses`; of grasps with a link in a body of the scene, on that."""
+    """Return the texts of `weaknesses`; of grasps with a link where it should not be, on that."""
     hand, links = grasps.hand, grasps.links
     inside: dict[int, str] = {}
     if grasps.environment is not None and (found := grasps.scene_depths) is not None:
-        for i in np.flatnonzero(found.depth > SCENE_DEPTHS_M[0]).tolist():
+        for i in np.flatnonzero(found.depth > COSTLY_M[0]).tolist():
             body = grasps.environment.bodies[found.body[i]].name
             inside[i] = f"{links[found.link[i]]} is {1e3 * found.depth[i]:.1f} mm in {body}"
+    if grasps.regions is not None and (misses := grasps.contact_misses) is not None:
+        for i in np.flatnonzero(misses.max(axis=1) > COSTLY_M[0]).tolist():
+            at = int(misses[i].argmax())
+            why = f"{links[at]} touches {grasps.regions.reason(grasps.geometry.witness.point_b[i, at])}"
+            inside[i] = f"{inside[i]}; {why}" if i in inside else why
     texts = weaknesses(grasps.quality, links, hand.joint_names)
     return [inside.get(i, text) for i, text in enumerate(texts)]
 

@@ -18,6 +18,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
+from grasp_refine.validation.formulas import COSTLY_M
 from grasp_refine.validation.measures import COMPARED, MEASURE, QUALITY, Measure
 
 MAX_LISTED_GRASPS = 40
@@ -76,7 +77,7 @@ def grasp_table(
     lines = lines[::-1] if holds else lines
     if simulated is not None:
         lines = [simulation_lines(simulated, outcome.quality), *lines]
-    parts += [line for part in lines for line in part]
+    parts += [line for part in (*lines, _misplaced(outcome)) for line in part]
     return Group(*parts, *_summary_lines(outcome), *([] if simulated is None else [closings_line(simulated)]))
 
 
@@ -200,8 +201,20 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
     return lines
 
 
+def _misplaced(outcome: Outcome) -> list[Text]:
+    """Return lines on grasps that touch the object outside of the regions, where there are any."""
+    misses = outcome["region_miss"]
+    outside = outcome.usable[:, None] & (misses > COSTLY_M[0])
+    if not np.isfinite(misses).any():
+        return []
+    before, after = (len(outcome) - outside.sum(axis=0)).tolist()
+    color = "yellow" if outside[:, 1].any() else "green"
+    lines = [Text.assemble("touching where they should: ", (f"{before} → {after} of {len(outcome)}", color))]
+    return lines + _weakness_lines(outcome, outside[:, 1])
+
+
 def _weakness_lines(outcome: Outcome, slips: np.ndarray) -> list[Text]:
-    """Return a line for each of the first grasps that may slip on what makes it weak."""
+    """Return a line for each of the first of some grasps on what makes it weak."""
     rows = [row for row in np.flatnonzero(slips) if outcome.weakness[row]][:MAX_NUMBERED_GRASPS]
     names = [numbers_text(outcome.object, outcome.index, np.arange(len(outcome)) == row) for row in rows]
     return [Text(f"  grasp {name}: {outcome.weakness[row]}") for name, row in zip(names, rows, strict=True)]

@@ -58,8 +58,10 @@ def opposed_pairs(obj: Object, farthest: float) -> Int[np.ndarray, "P 2"]:
     return np.argwhere(facing & (length < farthest))
 
 
-def sample_places(obj: Object, pairs: Int[np.ndarray, "P 2"], count: int, rng: np.random.Generator) -> Places:
-    """Places (count), half of them between `opposed_pairs` pairs, if there are any, the others on the surface.
+def sample_places(
+    obj: Object, pairs: Int[np.ndarray, "P 2"], single: Int[np.ndarray, " S"], count: int, rng: np.random.Generator
+) -> Places:
+    """Places (count), half of them between `opposed_pairs` pairs, if there are any, the others at `single` points.
 
     Hands approach a place between two points from any side, and their fingers close on both; they approach a place on
     the surface nearly along its normal, at any angle about it.
@@ -68,7 +70,7 @@ def sample_places(obj: Object, pairs: Int[np.ndarray, "P 2"], count: int, rng: n
     ends = x[pairs[rng.integers(len(pairs), size=count // 2)]] if len(pairs) else np.zeros((0, 2, 3))
     across = ends[:, 1] - ends[:, 0]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    chosen = rng.integers(len(x), size=count - len(ends))
+    chosen = single[rng.integers(len(single), size=count - len(ends))]
     tilt = rng.uniform(0.0, CONE_ANGLE_RAD, (len(chosen), 1))
     way = -np.cos(tilt) * n[chosen] + np.sin(tilt) * _perpendicular(n[chosen], rng)
     return Places(

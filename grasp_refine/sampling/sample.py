@@ -19,11 +19,13 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.objects.region_spec import Regions, contact_regions
 from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
 from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
-from grasp_refine.scene.contact_selection import link_groups
+from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses, link_groups
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
@@ -39,9 +41,8 @@ BATCH_SIZE, CANDIDATES_PER_GRASP = 256, 8
 TRIES_PER_GRASP, MIN_TRIES = 32, 1024
 """Most hands that are placed per wanted grasp, and least in all, where grasps are rare."""
 
-CLEARANCE_M, STOP_DISTANCE_M, CONTACT_DISTANCE_M, MAX_DEPTH_M = 2e-3, 1e-3, 2e-3, 2e-3
-"""In metres: least distance of open hands from anything, distance at which a link stops, largest distance of a
-touching link, and largest penetration."""
+CLEARANCE_M, STOP_DISTANCE_M, MAX_DEPTH_M = 2e-3, 1e-3, 2e-3
+"""In metres: least distance of open hands from anything, distance at which a link stops, and largest penetration."""
 
 JAW_STOP_DISTANCE_M = 1e-4
 """Distance in metres at which a jaw stops: stiff servos would lose much of their force over a larger one."""
@@ -61,6 +62,10 @@ SPEED_RANGE = (0.4, 1.0)
 SINGLE_GROUP_PENALTY = 0.1
 """Penalty in a score of being held by one group of links only; for several groups it is divided by their number."""
 
+MISS_SCALE_M, TRIES_IN_REGIONS, MIN_SEEDS = 0.01, 4, 16
+"""Distance in metres of a contact from where it should be that costs a score of 1; factor of the most hands that are
+placed where only some of the object should be touched, and least number of surface points there, else the nearest."""
+
 MIN_SPACING_M, MAX_HALVINGS = 0.02, 6
 """Distance in metres below which grasps are alike, and most halvings of it where there are too few others."""
 
@@ -73,6 +78,8 @@ def sample_grasps(
     seed: int | tuple[int, ...] = 0,
     table: Plane | None = None,
     environment: Environment | None = None,
+    touch: Regions = (),
+    avoid: Regions = (),
     prepared: HandObject | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GraspSet:
@@ -95,6 +102,9 @@ def sample_grasps(
         table: A plane that no link goes through, and no hand approaches from below.
         environment: Bodies around the object; hands that are nearer to any than its margin, open or closed, are drawn
             anew, and up to `TRIES_AMONG_BODIES` times as many are tried.
+        touch: Regions of the object that hands should touch, or their specifications (`contact_regions`): hands are
+            placed there, and two groups of links at least touch in them; none: everywhere.
+        avoid: Regions that they should not touch.
         prepared: Data of this hand and object; None: built here.
         progress: Called after each batch with the number of grasps found and that of hands tried.
 
@@ -115,10 +125,12 @@ def sample_grasps(
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)
-    closing = _Closing(prepared, closure, table, None if environment is None else _around(prepared, environment))
+    around = None if environment is None else _around(prepared, environment)
+    closing = _Closing(prepared, closure, table, around, contact_regions(obj, touch, avoid))
     draw = _drawing(closing, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)
+    most *= 1 if closing.regions is None else TRIES_IN_REGIONS
     while total < CANDIDATES_PER_GRASP * count and tried < most:
         found.append(_score(closing, draw()))
         total, tried = total + len(found[-1].q), tried + BATCH_SIZE
@@ -127,6 +139,7 @@ def sample_grasps(
     if not total:
         low, high = closing.prepared.box
         among = "" if environment is None else f" in scene '{environment.name}'"
+        among += "" if closing.regions is None else f" ({closing.regions.text})"
         raise GraspRefineError(
             f"no grasp of hand '{hand.name}' on object '{obj.name}'{among} was found in {tried} tries: the object is "
             f"{' x '.join(f'{side:.2g}' for side in high - low)} m large, the hand opens {closure.opening:.2g} m wide"
@@ -148,13 +161,13 @@ def _drawing(closing: _Closing, jaws: JawFrame | None, rng: np.random.Generator)
     prepared, closure, table = closing.prepared, closing.closure, closing.table
     hand, obj = prepared.hand, prepared.object
     if jaws is not None:
-        antipodal = antipodal_pairs(obj, (jaws.width[-1], jaws.width[0] - 2.0 * CLEARANCE_M))
+        antipodal = closing.within(antipodal_pairs(obj, (jaws.width[-1], jaws.width[0] - 2.0 * CLEARANCE_M)))
         if len(antipodal):
             return lambda: closing.draw_jaws(jaws, antipodal, rng)
-    pairs = opposed_pairs(obj, closure.opening)
+    pairs = closing.within(opposed_pairs(obj, closure.opening))
 
     def draw() -> Placed:
-        places = sample_places(obj, pairs, BATCH_SIZE, rng)
+        places = sample_places(obj, pairs, closing.seeds, BATCH_SIZE, rng)
         placed = place_hands(hand, closure, places, table, rng)
         return closing.close(closing.back_off(placed, closure.opening), rng)
 
@@ -186,15 +199,18 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
         deepest = np.minimum(deepest, own.distance.min(axis=1))
     group = np.array(link_groups(prepared.hand, links))
     touching = proximity.witness.distance <= CONTACT_DISTANCE_M
+    worst = np.zeros(len(touching))
+    if closing.regions is not None:
+        miss = contact_misses(closing.regions, proximity.witness)
+        touching, worst = touching & (miss == 0.0), miss.max(axis=1)
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
     good = good[closing.is_free(proximity.frames.T_world_link[good])]
     given = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
     points = contacts(prepared.hand, prepared.object, links, *given)
     forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3])
-    hands = _Scored(
-        hands.T[good], hands.q[good], hands.way[good], forces.residual + SINGLE_GROUP_PENALTY / groups[good]
-    )
+    score = forces.residual + SINGLE_GROUP_PENALTY / groups[good] + worst[good] / MISS_SCALE_M
+    hands = _Scored(hands.T[good], hands.q[good], hands.way[good], score)
     return take(hands, forces.solved)
 
 
@@ -237,6 +253,21 @@ class _Closing:
     closure: ClosureFrame
     table: Plane | None
     around: Surroundings | None = None
+    regions: ContactRegions | None = None
+
+    @cached_property
+    def seeds(self) -> Int[np.ndarray, " S"]:
+        """Indices (S,) of the surface points where hands may touch; of the nearest ones where there are few."""
+        x = self.prepared.object.body.candidates.points
+        if self.regions is None:
+            return np.arange(len(x))
+        miss = self.regions.miss(x)
+        inside = np.flatnonzero(miss == 0.0)
+        return inside if len(inside) >= MIN_SEEDS else np.argsort(miss, kind="stable")[:MIN_SEEDS]
+
+    def within(self, pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "Q 2"]:
+        """The pairs of surface points at both of which hands may touch."""
+        return pairs if self.regions is None else pairs[np.isin(pairs, self.seeds).all(axis=1)]
 
     def draw_jaws(self, jaws: JawFrame, pairs: Int[np.ndarray, "P 2"], rng: np.random.Generator) -> Placed:
         """Jaws that closed on antipodal pairs, of those that were clear while open."""

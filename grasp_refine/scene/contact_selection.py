@@ -1,6 +1,6 @@
 """Selection of the links that should touch the object, and of their contact points, where none are given."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,10 @@ from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError, HandError, did_you_mean
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.region import ContactRegions
+
+CONTACT_DISTANCE_M = 0.002
+"""Signed distance in metres within which a link counts as touching."""
 
 PALM = "palm"
 """Group of the links that carry several fingers, or none."""
@@ -99,6 +103,28 @@ class ContactSelection:
                 touching[row, column] |= tips[column] and group[column] not in group[touching[row]]
         return touching
 
+    def choose_within(
+        self, hand: Hand, links: tuple[str, ...], witness: Witness, regions: ContactRegions | None
+    ) -> np.ndarray:
+        """Mask (N, L) as of `choose`, of links that are in the regions, or nearer to them than their reach.
+
+        Where these are of fewer than two groups, links count wherever they are.
+
+        Args:
+            hand: The hand.
+            links: As there.
+            witness: As there, in the object's frame.
+            regions: Regions in which links should touch; None: everywhere.
+        """
+        anywhere = self.choose(hand, links, witness)
+        if regions is None or self.links:
+            return anywhere
+        miss = np.where(witness.valid, regions.miss(witness.point_b), 0.0)
+        within = self.choose(hand, links, replace(witness, distance=witness.distance + miss))
+        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
+        groups = np.stack([within[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
+        return np.where((groups >= 2)[:, None], within, anywhere)
+
 
 def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
     """The group of each link: that of the one finger which it is part of, else `PALM`."""
@@ -118,6 +144,19 @@ def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
         return next(iter(fingers)) if len(fingers) == 1 else PALM
 
     return [of(link) for link in links]
+
+
+def contact_misses(regions: ContactRegions, witness: Witness) -> np.ndarray:
+    """Return how far (N, L) in metres links that touch the object do so outside of regions; 0 for others.
+
+    Args:
+        regions: Regions in which they should touch.
+        witness: Witness points (N, L) of links and object, object frame.
+    """
+    touches = witness.valid & (witness.distance <= CONTACT_DISTANCE_M)
+    found = np.zeros(touches.shape)
+    found[touches] = regions.miss(witness.point_b[touches])
+    return found
 
 
 def nearest_points(

@@ -17,6 +17,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, capsule, hull
+from grasp_refine.objects.region_spec import spec_digest
 
 DEFAULT_MARGIN_M = 0.002
 """Gap in metres that links keep from a body where none is given."""
@@ -85,6 +86,10 @@ class Environment:
     """Factor that takes the mesh of the object to metres."""
     source: str = ""
     """Scene file, or name of a scene that comes with the program; empty: made in memory."""
+    touch: tuple[str, ...] = ()
+    """Regions in which hands should touch the object, as `contact_regions` takes them; none: everywhere."""
+    avoid: tuple[str, ...] = ()
+    """Regions in which they should not touch it."""
 
     def __repr__(self) -> str:
         movable = sum(body.movable for body in self.bodies)
@@ -166,14 +171,16 @@ class Environment:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 of what the bodies are and where they are around the object, independent of their order."""
+        """sha256 of the bodies, where they are around the object, and the regions of it, independent of their order."""
         parts = []
         for one, T in zip(self.bodies, self.T_object_body, strict=True):
             pieces = sorted(_on_grid(piece.vertices) + _on_grid(piece.radius) for piece in one.body.pieces)
             fields = one.name.encode(), bytes([one.movable]), _on_grid(one.margin), _on_grid(one.mass or 0.0)
             parts.append(b"\0".join([*fields, _on_grid(T), *pieces]))
         up = _on_grid(self.up) + _on_grid(self.lift)
-        return hashlib.sha256(up + b"".join(hashlib.sha256(part).digest() for part in sorted(parts))).hexdigest()
+        regions = [f"{verb} {spec_digest(spec)}" for verb in ("touch", "avoid") for spec in getattr(self, verb)]
+        parts = [*sorted(parts), *(text.encode() for text in sorted(regions))]
+        return hashlib.sha256(up + b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def rigid_pose(name: str, T: object) -> Float[np.ndarray, "4 4"]:

@@ -66,7 +66,7 @@ def goal_of(
         none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
         return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)
-    chosen = _with_directions(touching.choose(scene.hand, scene.links, witness), scene)
+    chosen = _with_directions(touching.choose_within(scene.hand, scene.links, witness, scene.regions), scene)
     target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)
     if nearest:
         known = chosen & witness.valid

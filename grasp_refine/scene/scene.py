@@ -13,6 +13,7 @@ from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
 from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 
@@ -50,9 +51,13 @@ class Scene:
     """A plane that no link may go through."""
     environment: Environment | None = None
     """Bodies around the object that no link may go into."""
+    regions: ContactRegions | None = None
+    """Regions of the object in which links should touch it, or should not."""
 
     def __repr__(self) -> str:
-        given = [name for name in (*TARGET_FIELDS, "table", "environment") if getattr(self, name) is not None]
+        given = [
+            name for name in (*TARGET_FIELDS, "table", "environment", "regions") if getattr(self, name) is not None
+        ]
         more = f", with {', '.join(given)}" if given else ""
         return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
 
@@ -67,6 +72,7 @@ class Scene:
         check_kind("object", self.object, Object)
         check_kind("table", self.table, Plane | None)
         check_kind("environment", self.environment, Environment | None)
+        check_kind("regions", self.regions, ContactRegions | None)
         arrays: dict[str, np.ndarray] = {}
         arrays["T_world_root"], arrays["q"] = grasp_arrays(self.hand, self.T_world_root, self.q)
         count, links = len(arrays["q"]), len(self.links)

@@ -20,6 +20,7 @@ from grasp_refine.geometry.pieces import Piece, box, capsule
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.geometry.units import UNITS
 from grasp_refine.objects.object import UncutObject, cut_objects, read_object
+from grasp_refine.objects.region_spec import check_spec, resolve_spec
 from grasp_refine.scene.environment import DEFAULT_MARGIN_M, LIFT_M, Environment, EnvironmentBody
 from grasp_refine.scene.furniture import FURNITURE
 
@@ -38,7 +39,7 @@ COMMON_KEYS = ("name", *POSE_KEYS, "margin", "movable", "mass", "density")
 BODY_KEYS = (*SOURCES, "scale", "unit", *COMMON_KEYS)
 """Keys of a [[body]]."""
 
-OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", *POSE_KEYS)
+OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", "touch", "avoid", *POSE_KEYS)
 """Keys of [object]."""
 
 TOP_KEYS = ("name", "margin", "lift", "object", "body", *FURNITURE)
@@ -87,7 +88,8 @@ def load_scene(
     taken: set[str] = set()
     bodies = tuple(draft.finish(found, taken, where) for draft in drafts)
     try:
-        return Environment(bodies, _pose(raw["object"], f"{where}[object] "), name, lift, obj, scale, source)
+        pose, regions = _pose(raw["object"], f"{where}[object] "), _regions(raw["object"], path)
+        return Environment(bodies, pose, name, lift, obj, scale, source, **regions)
     except GraspRefineError as error:
         raise GraspRefineError(f"{where}{error}") from None
 
@@ -114,6 +116,18 @@ def _grasped_object(raw: Mapping[str, Any], path: Path) -> tuple[str | None, flo
         raise GraspRefineError(f"{at}has {' and '.join(sources)}: give one of them")
     obj = None if not sources else _source(grasped[sources[0]], path.parent, f"{at}{sources[0]}")
     return obj, _factor(grasped, at)
+
+
+def _regions(grasped: Mapping[str, Any], path: Path) -> dict[str, tuple[str, ...]]:
+    """Return the regions of the object by the names of their keys, files relative to that of the scene."""
+    found = {}
+    for key in ("touch", "avoid"):
+        given, where = grasped.get(key, []), f"{path}: [object] {key}"
+        specs = [_text(one, where) for one in (given if isinstance(given, list) else [given])]
+        found[key] = tuple(resolve_spec(spec, path.parent, where) for spec in specs)
+        for spec in found[key]:
+            check_spec(spec, where)
+    return found
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import moving_links
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
@@ -26,10 +28,9 @@ if TYPE_CHECKING:
 
 MAX_FINGER_DISTANCE_M = 0.01
 """Largest distance in metres of a finger from the object that counts; farther ones count as this."""
-SCENE_DEPTHS_M = (0.0005, 0.0025)
-"""Depths in metres of a link in a body of the scene up to which it costs no quality, and from which on it costs all."""
-CONTACT_DISTANCE_M = 0.002
-"""Signed distance in metres within which a link counts as touching."""
+COSTLY_M = (0.0005, 0.0025)
+"""Depth in metres of a link in a body of the scene, or distance of a contact from where it may be, up to which it costs
+no quality, and from which on it costs all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,8 @@ class MeasuredGrasps:
     """Distances, witness points and poses of the links."""
     environment: Environment | None = None
     """Bodies around the object; None: there are none."""
+    regions: ContactRegions | None = None
+    """Regions of the object in which links should touch it; None: everywhere."""
 
     @property
     def known(self) -> Bool[np.ndarray, " N"]:
@@ -72,6 +75,11 @@ class MeasuredGrasps:
             return None
         bodies = tuple(self.hand.links_by_name[name].solid for name in self.links)
         return scene_depths(self.environment, bodies, self.geometry.T_world_link, moving_links(self.hand, self.links))
+
+    @cached_property
+    def contact_misses(self) -> Float[np.ndarray, "N L"] | None:
+        """Distances (N, L) in metres of contacts outside of the regions, 0 for other links; None: there are none."""
+        return None if self.regions is None else contact_misses(self.regions, self.geometry.witness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +108,12 @@ def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     return np.full(len(grasps.q), np.nan) if found is None else found.depth
 
 
+def region_miss(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the largest distance (N,) of a contact from where hands may touch, metres; NaN without regions."""
+    found = grasps.contact_misses
+    return np.full(len(grasps.q), np.nan) if found is None else np.where(grasps.known, found.max(axis=1), np.nan)
+
+
 def arm_dexterity(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Smallest singular value (N,) of the palm's Jacobian in the arm's joints, m/rad; NaN without an arm."""
     if grasps.hand.arm is None:
@@ -116,15 +130,16 @@ def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
-    """Return `Quality.value` (N,), less where a link is in a body of the scene; NaN where it is not `known`.
+    """Return `Quality.value` (N,), less where links are in a body of the scene or touch where they should not.
 
-    Up to `SCENE_DEPTHS_M[0]` a depth costs nothing, from `SCENE_DEPTHS_M[1]` on the quality is 0.
+    Up to `COSTLY_M[0]` that costs nothing, from `COSTLY_M[1]` on the quality is 0; NaN where it is not `known`.
     """
-    value, inside = np.where(grasps.known, grasps.quality.value, np.nan), grasps.scene_depths
-    if inside is None:
-        return value
-    least, most = SCENE_DEPTHS_M
-    return value * np.clip((most - inside.depth) / (most - least), 0.0, 1.0)
+    value, (least, most) = np.where(grasps.known, grasps.quality.value, np.nan), COSTLY_M
+    wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]
+    wrong += [] if grasps.regions is None else [region_miss(grasps)]
+    for metres in wrong:
+        value = value * np.clip((most - metres) / (most - least), 0.0, 1.0)
+    return value
 
 
 def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

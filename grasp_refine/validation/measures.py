@@ -12,13 +12,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.validation.formulas import (
-    CONTACT_DISTANCE_M,
     MAX_FINGER_DISTANCE_M,
     arm_dexterity,
     contact_distance,
     contact_number,
     quality_value,
+    region_miss,
     scene_penetration,
     self_penetration_depth,
     wrench_residual,
@@ -182,6 +183,13 @@ MEASURES = (
         hint="the deepest penetration of any link into a body of the scene; none where no scene is given",
         unit=METRE,
         formula=scene_penetration,
+    ),
+    Measure(
+        key="region_miss",
+        title="contacts outside",
+        hint="the largest distance of a contact from where hands should touch; none where no regions are given",
+        unit=METRE,
+        formula=region_miss,
     ),
     Measure(
         key="contact_distance",

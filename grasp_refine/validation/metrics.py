@@ -13,6 +13,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import spread
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.formulas import MeasuredGrasps
@@ -60,7 +61,12 @@ class Metrics:
 
 
 def metrics(
-    hand: Hand, obj: Object, T_world_root: np.ndarray, q: np.ndarray, environment: Environment | None = None
+    hand: Hand,
+    obj: Object,
+    T_world_root: np.ndarray,
+    q: np.ndarray,
+    environment: Environment | None = None,
+    regions: ContactRegions | None = None,
 ) -> Metrics:
     """Measure penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the origin.
 
@@ -70,6 +76,7 @@ def metrics(
         T_world_root: Poses (N, 4, 4) of the base link in the object's frame; otherwise as in `Scene`.
         q: Joint values (N, n).
         environment: Bodies around the object.
+        regions: Regions of the object in which links should touch it.
 
     Returns:
         Measures, NaN for invalid poses (`Scene.posed`).
@@ -83,5 +90,5 @@ def metrics(
     links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points appears several times
     no_target = np.full((len(q), len(links), 3), np.nan)
     geometry = measure(hand, obj, links, T_world_root, q, no_target, no_target)
-    grasps = MeasuredGrasps(hand, obj, links, T_world_root, q, geometry, environment)
+    grasps = MeasuredGrasps(hand, obj, links, T_world_root, q, geometry, environment, regions)
     return Metrics({one.name: np.where(grasps.known, one.formula(grasps), np.nan) for one in VALIDATED})

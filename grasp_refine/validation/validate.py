@@ -183,7 +183,7 @@ def validate(
         "scale": np.full(count, scale),
         "row": rows,
         "index": index,
-        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q, scene.environment),
+        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q, scene.environment, scene.regions),
     }
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))

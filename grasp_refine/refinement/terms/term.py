@@ -21,6 +21,7 @@ from grasp_refine.collision.query import Witness
 from grasp_refine.core.se3 import Array, array_namespace
 from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.equilibrium import Balance
+from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.hands.chain import Frames
 from grasp_refine.refinement.solvers.rows import JointRows, LinkRows
 from grasp_refine.refinement.terms.scales import Scales
@@ -91,6 +92,16 @@ class Setup:
     """Gap (L,) in metres that each link without a target keeps from the object, see `clearance.clearances`."""
     surroundings: Surroundings | None = None
     """Links, and the bodies around the object that grasps could reach; None: there are none."""
+
+    @cached_property
+    def reach(self) -> Float[np.ndarray, " L"]:
+        """Distance (L,) in metres within which links without a target matter, whether they should touch or not.
+
+        Where there are regions in which they should not touch, they keep out of the reach of contacts there.
+        """
+        if self.scene.regions is None:
+            return self.clearance
+        return np.maximum(self.clearance, CONTACTS.cutoff(self.scene.hand, self.scene.links))
 
     @cached_property
     def anywhere(self) -> Bool[np.ndarray, "N L"]:

@@ -16,6 +16,7 @@ from grasp_refine.refinement.terms.direction import Direction
 from grasp_refine.refinement.terms.environment import Clearance
 from grasp_refine.refinement.terms.joint_limits import JointLimits
 from grasp_refine.refinement.terms.penetration import Penetration
+from grasp_refine.refinement.terms.region import InRegion
 from grasp_refine.refinement.terms.self_penetration import SelfPenetration
 from grasp_refine.refinement.terms.stay_near import StayNear
 from grasp_refine.refinement.terms.table import Table
@@ -38,6 +39,9 @@ class Weights:
     """Weight of the depth of every link below the table, where there is one (metres)."""
     environment: Annotated[float, Clearance] = 100.0
     """Weight of the depth of every link in a body of the scene, or in its margin (metres)."""
+    region: Annotated[float, InRegion] = 1.0
+    """Weight of the distance of contacts from where hands should touch, or of their depth where they should not
+    (metres)."""
     joint_limits: Annotated[float, JointLimits] = 0.01
     """Weight of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
     levenberg-marquardt, limits hold exactly and it has no effect."""

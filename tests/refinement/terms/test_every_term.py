@@ -11,6 +11,7 @@ from grasp_refine.core.se3 import exp_se3, matvec
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.hands.chain import integrate
+from grasp_refine.objects.region import Box, ContactRegions, HalfSpace
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.objective import Objective
@@ -35,11 +36,17 @@ WEIGHT = 0.7
 STEP = 1e-6
 """Step of finite differences, in m and rad."""
 
-EXACT, TOLERANCES = 1e-5, {"contact": 0.02, "wrench": 0.06, "direction": 0.02}
+EXACT, TOLERANCES = 1e-5, {"contact": 0.02, "wrench": 0.06, "direction": 0.02, "region": 0.02}
 """Largest relative error of a gradient; curvatures at edges and vertices are those of small radii."""
 
 SMALLEST_GRADIENT = 1e-5
 """Gradients below this, in m, count as zero."""
+
+REGIONS = ContactRegions(
+    (Box("right", np.array([0.004, -1.0, -1.0]), np.array([1.0, 0.006, 1.0])), HalfSpace("low", -np.eye(3)[2], 0.02)),
+    (HalfSpace("tilted", np.array([0.6, 0.0, 0.8]), 0.018),),
+)
+"""Regions whose borders are all over the objects."""
 
 CASES = [
     (name, way)
@@ -54,7 +61,7 @@ def many(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     """Hands around an object, of spheres, boxes or meshes."""
     hand = sliding_gripper(tmp_path_factory.mktemp(request.param), request.param, candidates=1024)
     scene = around_object(hand, 600, 1, OBJECTS[request.param], table=True)
-    return replace(scene, environment=beside(0.004))
+    return replace(scene, environment=beside(0.004), regions=REGIONS)
 
 
 def beside(margin: float) -> Environment:
