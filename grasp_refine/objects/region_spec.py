@@ -97,6 +97,15 @@ def check_spec(spec: str, option: str) -> None:
         _space(kind, rest, spec, where)
 
 
+def is_spec(spec: object) -> bool:
+    """Return whether this is a specification that can be used, its file there."""
+    try:
+        check_spec(spec if isinstance(spec, str) else "", "")
+    except GraspRefineError:
+        return False
+    return True
+
+
 def _regions(obj: Object, given: Regions, option: str) -> tuple[Region, ...]:
     """Return regions, those of specifications made for an object."""
     several = (given,) if isinstance(given, str | Region) else given

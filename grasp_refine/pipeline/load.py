@@ -29,7 +29,7 @@ from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
 from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
-from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_scene
+from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
 from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
 from grasp_refine.scene.convention_check import convention_notes
@@ -114,6 +114,9 @@ class Loader:
         check_arm(spec)
         if spec.scene is None and of_files is not None:
             return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
+        if not (spec.touch or spec.avoid):
+            touch, avoid = recorded_regions(read.files)
+            spec = replace(spec, touch=touch, avoid=avoid)
         environment = self.environment()
         if of_files is not None and spec.scene != NO_SCENE:
             check_scene(of_files, environment, other=spec.other_object)

@@ -13,12 +13,17 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.objects.region_spec import is_spec
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.results.result_files import read_provenance
 from grasp_refine.scene.environment import Environment
 
 if TYPE_CHECKING:
     import trimesh
+
+REGION_VERBS = ("touch", "avoid")
+"""Kinds of regions of an object."""
 
 GRID_M = 1e-9
 """Grid in metres on which coordinates are compared: far below any mesh, far above rounding."""
@@ -60,6 +65,27 @@ class RecordedScene:
 def scene_entry(environment: Environment) -> dict[str, str]:
     """Return the entry for provenance of the bodies around the object."""
     return {"name": environment.name, "source": environment.source, "sha256": environment.digest}
+
+
+def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
+    """Return the entry for provenance of the regions in which hands should touch an object, or not."""
+    return {verb: [region.spec for region in getattr(regions, verb)] for verb in REGION_VERBS}
+
+
+def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the regions, wanted and to avoid, of the refinement of grasps in result files; none where they differ.
+
+    Those that cannot be read any more, or were made in Python, are left out.
+    """
+    found, none = None, ((), ())
+    for file in files:
+        entry = read_provenance(file).get("regions")
+        lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in REGION_VERBS]
+        touch, avoid = (tuple(filter(is_spec, specs)) if isinstance(specs, list) else () for specs in lists)
+        if found not in (None, (touch, avoid)):
+            return none
+        found = touch, avoid
+    return found or none
 
 
 def recorded_scene(files: Iterable[Path]) -> RecordedScene | None:

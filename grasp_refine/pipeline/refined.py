@@ -16,7 +16,7 @@ from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.pipeline.problem import Problem
-from grasp_refine.pipeline.recorded_objects import object_entries, scene_entry
+from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry, scene_entry
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.console import html_of, text_of
@@ -129,6 +129,8 @@ class RefinedGrasps:
         }
         environment = problem.groups[0].scene.environment
         common |= {} if environment is None else {"scene": scene_entry(environment)}
+        regions = problem.groups[0].scene.regions
+        common |= {} if regions is None else {"regions": regions_entry(regions)}
         for name, path in paths.items():
             rows = np.flatnonzero(self.outcome.object == name)
             of_object = common | {"objects": object_entries(group for group in problem.groups if group.object == name)}

@@ -46,6 +46,9 @@ grasps hardly tell which of them holds."""
 SHORTFALL_WEIGHT = 0.2
 """Score of a grasp whose set points allow no pressure at all."""
 
+MISS_SCALE_M = 0.0025
+"""Distance in metres of a contact from where it should be that costs a score of 1."""
+
 START_ROTATION_RAD, START_TRANSLATION_M, START_JOINTS_RAD = 0.25, 0.008, 0.1
 """Standard deviations of further starts: rotation about each axis through the contacts, translation, joint values."""
 
@@ -267,7 +270,7 @@ class _Search:
         score, pinches = _judge(prepared, known.frames, self.clearance)
         score = score + self.free.other_depth(known) / DEEP
         if scene.regions is not None:
-            score = score + contact_misses(scene.regions, known.witness).max(axis=1) / DEEP
+            score = score + contact_misses(scene.regions, known.witness).max(axis=1) / MISS_SCALE_M
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 

@@ -12,13 +12,20 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from grasp_refine.core.plurals import count_text
+from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
-from grasp_refine.results.verdict import estimate_line, made_to_hold, should_hold, slip_advice, status_advice
-from grasp_refine.validation.formulas import COSTLY_M
+from grasp_refine.results.verdict import (
+    REGION_ADVICE,
+    estimate_line,
+    made_to_hold,
+    should_hold,
+    slip_advice,
+    status_advice,
+    touches_outside,
+)
 from grasp_refine.validation.measures import COMPARED, MEASURE, QUALITY, Measure
 
 MAX_LISTED_GRASPS = 40
@@ -161,6 +168,8 @@ def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> 
         before, after = ("yes" if each else "no" for each in held[i])
         return Text.assemble(f"{before:>3} → ", (after, "green" if held[i, 1] else "red"))
     if holds and outcome.usable[i]:
+        if touches_outside(outcome)[i, 1]:
+            return Text("outside", "yellow")
         good = should_hold(outcome.quality[i])[1]
         return Text("should hold", "green") if good else Text("may slip", "yellow")
     return Text(status.label, _COLORS.get(status, ""))
@@ -186,7 +195,8 @@ def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
 def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[Text]:
     """Return lines on the estimate by quality, where nothing was simulated, and advice on grasps that may slip."""
     before, after = (should_hold(quality) for quality in outcome.quality.T)
-    slips, how = outcome.usable & ~after, "may slip"
+    # Those that touch elsewhere are told apart.
+    slips, how = outcome.usable & ~after & ~touches_outside(outcome)[:, 1], "may slip"
     lines = []
     if held is None:
         lines.append(estimate_line(int(after.sum()), int(before.sum()), len(outcome)))
@@ -203,13 +213,15 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
 
 def _misplaced(outcome: Outcome) -> list[Text]:
     """Return lines on grasps that touch the object outside of the regions, where there are any."""
-    misses = outcome["region_miss"]
-    outside = outcome.usable[:, None] & (misses > COSTLY_M[0])
-    if not np.isfinite(misses).any():
+    if not np.isfinite(outcome["region_miss"]).any():
         return []
-    before, after = (len(outcome) - outside.sum(axis=0)).tolist()
+    outside = touches_outside(outcome)
+    before, after = (whole(int(count)) for count in (outcome.usable[:, None] & ~outside).sum(axis=0))
     color = "yellow" if outside[:, 1].any() else "green"
-    lines = [Text.assemble("touching where they should: ", (f"{before} → {after} of {len(outcome)}", color))]
+    lines = [Text.assemble("touch only where they should: ", (f"{before} → {after} of {whole(len(outcome))}", color))]
+    if outside[:, 1].any():
+        numbers, how = _numbers_in_brackets(outcome, outside[:, 1]), f"{outside[:, 1].sum()} touch elsewhere"
+        lines.append(Text.assemble((how, "yellow"), f"{numbers}: {REGION_ADVICE}"))
     return lines + _weakness_lines(outcome, outside[:, 1])
 
 

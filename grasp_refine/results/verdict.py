@@ -15,12 +15,17 @@ from grasp_refine.refinement.force_closure_search import CLOSE
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.validation.formulas import COSTLY_M
 
 HOLDS = 0.9
 """Quality, the estimated probability of holding, from which on a grasp should hold."""
 
 BAR = f"{HOLDS:g} or more"
 """`HOLDS` in words."""
+
+
+REGION_ADVICE = "sample grasps there (--grasps sample:N), try more --starts, or widen the region"
+"""Advice on grasps that touch where they should not."""
 
 
 def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
@@ -31,6 +36,11 @@ def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
 def made_to_hold(outcome: Outcome, config: Config) -> bool:
     """Return True if the refinement was to make grasps hold, and not only to touch, or to reach targets."""
     return config.holds and not outcome.aimed.any()
+
+
+def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
+    """Return True where a grasp touches the object outside of the regions, before and after (N, 2)."""
+    return outcome.usable[:, None] & (outcome["region_miss"] > COSTLY_M[0])
 
 
 def slip_advice(outcome: Outcome, config: Config) -> str:
@@ -63,10 +73,13 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
 def advice(outcome: Outcome, config: Config) -> list[str]:
     """Return advice on each of N grasps."""
     slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & made_to_hold(outcome, config)
+    outside = touches_outside(outcome)[:, 1]
     texts = []
-    for status, slip, weakness in zip(outcome.status, slips, outcome.weakness.tolist(), strict=True):
+    for status, slip, miss, weakness in zip(outcome.status, slips, outside, outcome.weakness.tolist(), strict=True):
         parts = [status_advice(Status(status), outcome, config)]
-        if slip:
+        if miss:
+            parts.append(f"{weakness}: {REGION_ADVICE}")
+        elif slip:
             why = f" ({weakness})" if weakness else ""
             parts.append(f"may slip{why}: {slip_advice(outcome, config)}")
         texts.append("; ".join(filter(None, parts)))

@@ -33,7 +33,7 @@ QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
 """A run on the one embedded object that needs no decomposition."""
 GRASP_KEYS = {
     "index", "row", "object", "status", "advice", "starts", "iterations", "queries", "wall_s", "cpu_s", "quality",
-    "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m", "arm_dexterity_m",
+    "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m", "region_miss_m", "arm_dexterity_m",
     "wrench_residual", "limits_violated", "loss_m2", "moved",
     "simulation",
 }  # fmt: skip

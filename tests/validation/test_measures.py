@@ -10,7 +10,7 @@ from grasp_refine.validation.formulas import MeasuredRefinement
 from grasp_refine.validation.geometry import movement
 from grasp_refine.validation.measures import COMPARED, MEASURE, MEASURES, MOVEMENTS, RECORDED, VALIDATED, Measure
 
-LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration", "arm_dexterity")
+LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration", "region_miss", "arm_dexterity")
 
 
 def test_keys_in_files_are_those_that_programs_know():
@@ -27,7 +27,7 @@ def test_keys_in_files_are_those_that_programs_know():
     }
     assert {measure.name for measure in VALIDATED} == {
         *("quality", "wrench_residual", "penetration_m", "self_penetration_m", "scene_penetration_m"),
-        *("contact_distance_m", "contact_number", "limits_violated", "arm_dexterity_m"),
+        *("region_miss_m", "contact_distance_m", "contact_number", "limits_violated", "arm_dexterity_m"),
     }
     assert [measure.key for measure in COMPARED] == list(both)
 

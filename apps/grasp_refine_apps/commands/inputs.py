@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import DisallowNone, arg
+from tyro.conf import DisallowNone, UseAppendAction, arg
 
 from grasp_refine.geometry.units import Unit
 from grasp_refine.grasps.formats.listing import FormatName
@@ -37,6 +37,10 @@ class Sources(SourceSpec):
     format: Annotated[DisallowNone[FormatName | None], arg(help_behavior_hint="(default: detected)")] = None
     index: Annotated[tuple[int, ...], INDICES, arg(help_behavior_hint="(default: all)")] = ()
     scene: Annotated[DisallowNone[str | None], arg(metavar="NAME|FILE", help_behavior_hint="(default: none)")] = None
+    touch: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(metavar="REGION", help_behavior_hint="(default: anywhere)")
+    ] = ()
+    avoid: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="REGION", help_behavior_hint="(default: none)")] = ()
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     other_object: Annotated[bool, arg(help_behavior_hint="")] = False
 

@@ -92,6 +92,8 @@ class Run:
             raise GraspRefineError("--weights.table needs a --table")
         if self.inputs.scene in (None, NO_SCENE) and config.weights.environment != Weights.environment:
             raise GraspRefineError("--weights.environment needs a --scene")
+        if not self._has_regions() and config.weights.region != Weights.region:
+            raise GraspRefineError("--weights.region needs a region: give --touch or --avoid")
         described = {
             "inputs": settings(self.inputs),
             "refine": settings(config),
@@ -147,6 +149,10 @@ class Run:
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
         return self._show_result(paths) if self.output.view else 0
+
+    def _has_regions(self) -> bool:
+        """Return whether regions are given, or may be by a scene or the results of an earlier refinement."""
+        return bool(self.inputs.touch or self.inputs.avoid or self.inputs.scene not in (None, NO_SCENE))
 
     def _way_options(self) -> WayOptions | None:
         """Return the lengths of the ways; None where none are planned.

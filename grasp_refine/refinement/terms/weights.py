@@ -39,7 +39,7 @@ class Weights:
     """Weight of the depth of every link below the table, where there is one (metres)."""
     environment: Annotated[float, Clearance] = 100.0
     """Weight of the depth of every link in a body of the scene, or in its margin (metres)."""
-    region: Annotated[float, InRegion] = 1.0
+    region: Annotated[float, InRegion] = 10.0
     """Weight of the distance of contacts from where hands should touch, or of their depth where they should not
     (metres)."""
     joint_limits: Annotated[float, JointLimits] = 0.01

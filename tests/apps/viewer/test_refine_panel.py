@@ -218,6 +218,6 @@ def test_the_outcome_is_told_with_advice(shown: Shown):
     assert_names(head, "**Budget**", "3 iterations")
     assert "iterations" in advice
     for measure in COMPARED:
-        # Measures of scenes and arms are left out where there is none.
-        without = measure.key in ("scene_penetration", "arm_dexterity")
+        # Measures of scenes, regions and arms are left out where there is none.
+        without = measure.key in ("scene_penetration", "region_miss", "arm_dexterity")
         assert (f"| {measure.headline} |" in table) != without
