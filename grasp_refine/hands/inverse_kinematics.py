@@ -27,8 +27,8 @@ ROTATION_M_PER_RAD = 0.1
 REACHED_M, REACHED_RAD = 1e-7, 1e-6
 """Errors in metres and radians at which a pose is reached."""
 
-ITERATIONS = 60
-"""Most iterations from a start."""
+ITERATIONS, POLISHING = 60, 2
+"""Most iterations from a start, and those that bring what is reached nearer still."""
 
 MAX_STEP_RAD = 0.4
 """Largest step of a joint, in radians, or in `Hand.per_radian` of a slide."""
@@ -147,6 +147,20 @@ class ArmKinematics:
             values = q[active][:, self.joints] + self._step(q[active][:, self.joints], error, J)
             q[active[:, None], self.joints] = np.clip(values, self.lower, self.upper)
         return q, reached
+
+    def polished(
+        self,
+        T_world_base: Float[np.ndarray, "N 4 4"],
+        q: Float[np.ndarray, "N n"],
+        T_world_palm: Float[np.ndarray, "N 4 4"],
+    ) -> Float[np.ndarray, "N n"]:
+        """Return joint values (N, n) that are reached, nearer still to poses of the palm: to 1e-9 away from singular."""
+        q = q.copy()
+        for _ in range(POLISHING):
+            T, J = self.jacobian(T_world_base, q)
+            values = q[:, self.joints] + self._step(q[:, self.joints], _error(T, T_world_palm), J)
+            q[:, self.joints] = np.clip(values, self.lower, self.upper)
+        return q
 
     def solve(
         self,

@@ -7,7 +7,7 @@ fingers close to the grasp and press; the palm goes straight up with the object.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import inf
 
@@ -18,6 +18,7 @@ from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import tangents
 from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.inverse_kinematics import SAME_RAD, ArmKinematics
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import TOUCHING_M, Sweep
@@ -36,6 +37,10 @@ CLOSING_DEPTH_M = 1e-3
 
 TILT_RAD = 0.6
 """Angle in radians by which approaches are tilted where the palm's own direction is not free."""
+
+OPENING_WIDER = 2.0
+"""Share of the opening from the grasp to the pregrasp by which fingers open wider for the approach where they are in its
+way."""
 
 UP = (0.0, 0.0, 1.0)
 """Direction of the lift in the object's frame, where neither a scene nor a table tells what is up."""
@@ -88,6 +93,9 @@ class Way:
     """Paths of `LEGS`, as set points; those up to the first that is not free, none where there is no grasp."""
     direction: tuple[float, float, float] | None = None
     """Unit vector from the pregrasp to the start of the approach, in the object's frame."""
+    other_arm: bool = False
+    """Whether the arm reaches the poses of the palm in another configuration than that of the grasp, whose way is not
+    free; the fingers are the same."""
 
     __repr__ = brief
 
@@ -122,7 +130,7 @@ def ways(
     none = Way(WayStatus.NO_GRASP, "there is no grasp", ())
     known = scene.posed & np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
     return tuple(
-        planner.way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
+        planner.free_way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
         for row, out_of_reach in enumerate(scene.out_of_reach)
     )
 
@@ -135,12 +143,42 @@ class _Planner:
         self.sweep = Sweep(scene, prepared)
         self.tips = [scene.links.index(contact.link) for contact in scene.hand.contacts]
 
+    def free_way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
+        """Return the way through the three stages of a grasp, in the first configuration of its arm in which it is free.
+
+        That of the grasp comes first; its way is returned where none is free.
+        """
+        own = self.way(T, q)
+        if own.free or self.scene.hand.arm is None:
+            return own
+        others = (self.way(T, values) for values in self._other_configurations(T, q))
+        free = next((way for way in others if way.free), None)
+        return own if free is None else replace(free, other_arm=True)
+
+    def _other_configurations(
+        self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]
+    ) -> Iterator[Float[np.ndarray, "3 n"]]:
+        """Yield joint values of the three stages with the same poses of the palm, in which the hand can close."""
+        kinematics, arm = ArmKinematics(self.scene.hand), self.scene.hand.arm_joints
+        T_palm = kinematics.palm(T, q)
+        solutions = kinematics.solve(T[1:2], q[1:2, ~arm], T_palm[1:2])
+        for values in solutions.q[0, solutions.free[0]]:
+            stages = np.where(arm, values, q)
+            stages, reached = kinematics.follow(T, stages, T_palm)
+            stages = kinematics.polished(T, stages, T_palm)
+            own = (np.abs(stages - q) < SAME_RAD * self.scene.hand.per_radian).all()
+            if own or not reached.all():
+                continue
+            close = HandPath(T[:2], stages[:2])
+            if self.sweep.obstruction(close, allowed=self.sweep.depth_in_object(close) + CLOSING_DEPTH_M) is None:
+                yield stages
+
     def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
         """Return the way through the three stages of a grasp."""
         arm = self.scene.hand.arm_joints
         close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
-        approach, direction, why, status = self._approach(T[0], q[0])
+        approach, direction, why, status = self._approach(T[0], q[0], q[0] - q[1])
         legs: list[HandPath] = [approach]
         if why:
             return Way(status, why, tuple(legs), direction)
@@ -171,20 +209,28 @@ class _Planner:
         return np.asarray(UP if scene.table is None else scene.table.normal)
 
     def _approach(
-        self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]
+        self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"], opening: Float[np.ndarray, " n"]
     ) -> tuple[HandPath, tuple[float, float, float], str, WayStatus]:
-        """Return the approach to a pregrasp, its direction, and what is in the way of all of them."""
-        first: tuple[HandPath, tuple[float, float, float], str, WayStatus] | None = None
-        for direction in self._directions(T, q):
-            path, reached = straight(self.scene.hand, T, q, self.options.approach * direction)
-            path, toward = path.reversed(), tuple(direction.tolist())
-            met = self.sweep.obstruction(path, allowed=TOUCHING_M)
-            if met is None and reached:
-                return path, toward, "", WayStatus.FREE
-            if first is None:
-                blocked = met is not None
-                why = f"{LEGS[0]}: {met}" if blocked else f"{LEGS[0]}: the arm does not reach all of it"
-                first = path, toward, why, WayStatus.BLOCKED if blocked else WayStatus.OUT_OF_REACH
+        """Return the approach to a pregrasp, its direction, and what is in the way of all of them.
+
+        Where fingers that are open as at the pregrasp are in the way, they come open wider, by their `opening` (n,) from
+        the grasp to the pregrasp once more, and close to the pregrasp in place.
+        """
+        hand, first = self.scene.hand, None
+        open_wide = np.clip(q + np.where(hand.arm_joints, 0.0, OPENING_WIDER * opening), hand.lower, hand.upper)
+        for fingers in (q, open_wide):
+            for direction in self._directions(T, q):
+                path, reached = straight(hand, T, fingers, self.options.approach * direction)
+                path, toward = path.reversed(), tuple(direction.tolist())
+                if fingers is not q:
+                    path = HandPath(np.concatenate([path.T_world_root, T[None]]), np.concatenate([path.q, q[None]]))
+                met = self.sweep.obstruction(path, allowed=TOUCHING_M)
+                if met is None and reached:
+                    return path, toward, "", WayStatus.FREE
+                if first is None:
+                    blocked = met is not None
+                    why = f"{LEGS[0]}: {met}" if blocked else f"{LEGS[0]}: the arm does not reach all of it"
+                    first = path, toward, why, WayStatus.BLOCKED if blocked else WayStatus.OUT_OF_REACH
         assert first is not None
         return first
 
