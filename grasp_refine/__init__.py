@@ -115,6 +115,7 @@ if TYPE_CHECKING:
     from grasp_refine.pipeline.refine import refine_problem as refine_problem
     from grasp_refine.pipeline.refined import RefinedGrasps as RefinedGrasps
     from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
+    from grasp_refine.pipeline.ways import follow_ways as follow_ways
     from grasp_refine.pipeline.ways import plan_ways as plan_ways
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
@@ -141,7 +142,7 @@ _HOMES = {
     "pipeline.refine": ("refine_problem",),
     "pipeline.refined": ("RefinedGrasps",),
     "pipeline.spec": ("ProblemSpec",),
-    "pipeline.ways": ("plan_ways",),
+    "pipeline.ways": ("follow_ways", "plan_ways"),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
     "scene.environment": ("Environment",),

@@ -154,7 +154,7 @@ class ArmKinematics:
         q: Float[np.ndarray, "N n"],
         T_world_palm: Float[np.ndarray, "N 4 4"],
     ) -> Float[np.ndarray, "N n"]:
-        """Return joint values (N, n) that are reached, nearer still to poses of the palm: to 1e-9 away from singular."""
+        """Return joint values (N, n) still nearer to poses of the palm that `q` reaches: to 1e-9 away from singular."""
         q = q.copy()
         for _ in range(POLISHING):
             T, J = self.jacobian(T_world_base, q)

@@ -39,8 +39,7 @@ TILT_RAD = 0.6
 """Angle in radians by which approaches are tilted where the palm's own direction is not free."""
 
 OPENING_WIDER = 2.0
-"""Share of the opening from the grasp to the pregrasp by which fingers open wider for the approach where they are in its
-way."""
+"""Share of the opening from the grasp to the pregrasp, by which fingers in the way of the approach open wider."""
 
 UP = (0.0, 0.0, 1.0)
 """Direction of the lift in the object's frame, where neither a scene nor a table tells what is up."""
@@ -144,9 +143,9 @@ class _Planner:
         self.tips = [scene.links.index(contact.link) for contact in scene.hand.contacts]
 
     def free_way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp, in the first configuration of its arm in which it is free.
+        """Return the way through the three stages of a grasp, with the first configuration of its arm that is free.
 
-        That of the grasp comes first; its way is returned where none is free.
+        That of the grasp comes first; its way is returned where none is.
         """
         own = self.way(T, q)
         if own.free or self.scene.hand.arm is None:
@@ -213,8 +212,8 @@ class _Planner:
     ) -> tuple[HandPath, tuple[float, float, float], str, WayStatus]:
         """Return the approach to a pregrasp, its direction, and what is in the way of all of them.
 
-        Where fingers that are open as at the pregrasp are in the way, they come open wider, by their `opening` (n,) from
-        the grasp to the pregrasp once more, and close to the pregrasp in place.
+        Where fingers as at the pregrasp are in the way, they come open wider, by `OPENING_WIDER` of their `opening`
+        (n,) from the grasp to the pregrasp, and close to the pregrasp in place.
         """
         hand, first = self.scene.hand, None
         open_wide = np.clip(q + np.where(hand.arm_joints, 0.0, OPENING_WIDER * opening), hand.lower, hand.upper)

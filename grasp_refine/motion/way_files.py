@@ -16,6 +16,7 @@ from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.executions import Executions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
 from grasp_refine.motion.way import LEGS, WAYPOINTS, Way
 
@@ -38,6 +39,8 @@ class PlannedWays:
     """Rows of the grasps (N,) in their file."""
     ways: tuple[Way, ...]
     """The ways."""
+    executions: Executions | None = None
+    """The free ones as they were followed in simulation; None: they were not."""
 
     __repr__ = brief
 
@@ -56,10 +59,13 @@ class PlannedWays:
 
     def lines(self, most: int = 5) -> list[str]:
         """Return lines for people: how many ways are free, and what is in the others, `most` of them."""
-        lines = [f"the whole way is free in {int(self.free.sum())} of {len(self)}"]
+        other = sum(way.other_arm for way in self.ways)
+        beside = f", in {other} of them with the arm in another configuration than the grasp's" if other else ""
+        lines = [f"the whole way is free in {int(self.free.sum())} of {len(self)}{beside}"]
         others = [(number, way) for number, way in enumerate(self.ways) if not way.free]
         lines += [f"way of grasp {number} {way.status.label}: {way.why}" for number, way in others[:most]]
-        return lines + ([f"and {len(others) - most} more"] if len(others) > most else [])
+        lines += [f"and {len(others) - most} more"] if len(others) > most else []
+        return lines if self.executions is None else lines + self.executions.lines(most)
 
     def save(self, path: str | Path) -> None:
         """Write them: .npz with arrays of all grasps, or .json with an entry for each.
@@ -94,6 +100,8 @@ class PlannedWays:
                     "row": int(row),
                     "status": way.status.label,
                     "why": way.why,
+                    "other_arm_configuration": way.other_arm,
+                    **({} if self.executions is None else {"followed": self.executions.document(number)}),
                     "waypoints": _waypoints(hand, timed),
                     "trajectory": {
                         "time_s": timed.time.tolist(),
@@ -101,7 +109,9 @@ class PlannedWays:
                         "q": timed.q.tolist(),
                     },
                 }
-                for name, row, way, timed in zip(self.object, self.row, self.ways, self.trajectories(), strict=True)
+                for number, (name, row, way, timed) in enumerate(
+                    zip(self.object, self.row, self.ways, self.trajectories(), strict=True)
+                )
             ],
         }
 
@@ -133,6 +143,7 @@ class PlannedWays:
             "row": np.asarray(self.row),
             "status": np.array([way.status.label for way in self.ways]),
             "why": np.array([way.why for way in self.ways]),
+            "other_arm_configuration": np.array([way.other_arm for way in self.ways], dtype=bool),
             "time": time,
             "q": q,
             "base_pose": pose,
@@ -140,6 +151,7 @@ class PlannedWays:
             "waypoint_time": waypoint_time,
             "waypoint_q": waypoint_q,
             "waypoint_palm_pose": waypoint_palm,
+            **({} if self.executions is None else self.executions.arrays()),
         }
 
 

@@ -1,17 +1,24 @@
-"""The whole way of refined grasps: approach, pregrasp, grasp, squeeze and lift."""
+"""The whole way of refined grasps: approach, pregrasp, grasp, squeeze and lift, planned, and followed in simulation."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
 
+from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.array_records import join as rows_of_all
+from grasp_refine.core.array_records import take
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.motion.trajectory import trajectory
 from grasp_refine.motion.way import WayOptions, ways
 from grasp_refine.motion.way_files import PlannedWays, join
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.scene import SCENE
 
 
 def plan_ways(
@@ -33,3 +40,45 @@ def plan_ways(
         prepared = cache.get("prepared", (problem.hand, scene.object), partial(HandObject.of, scene))
         parts.append(PlannedWays(problem.hand, part.object, part.row, ways(after, motion, options, prepared)))
     return join(parts, problem.order)
+
+
+def follow_ways(
+    refined: RefinedGrasps,
+    planned: PlannedWays,
+    protocol: Protocol = SCENE,
+    *,
+    cache: InputCache | None = None,
+    threads: int | None = None,
+) -> PlannedWays:
+    """Return planned ways with what happened when MuJoCo followed those that are free.
+
+    Args:
+        refined: Result of `refine`.
+        planned: Its ways, of `plan_ways`.
+        protocol: Friction, masses and time step of the simulation, and when an object is lost; one that lifts.
+        cache: Keeps models and worlds.
+        threads: CPU threads; by default as many as there are.
+
+    Raises:
+        GraspRefineError: an argument of another type, ways of other grasps, a protocol that pushes, or MuJoCo cannot
+            compile the hand or the world.
+    """
+    from grasp_refine.motion.execution import execute
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    check_kind("refined", refined, RefinedGrasps)
+    check_kind("planned", planned, PlannedWays)
+    check_kind("protocol", protocol, Protocol)
+    problem, cache = refined.problem, cache or NoCache()
+    if len(planned) != len(problem):
+        raise GraspRefineError(f"there are {len(planned)} ways, and {len(problem)} grasps")
+    model = cache.get("model", problem.hand, partial(model_of, problem.hand))
+    parts = []
+    for group in problem.groups:
+        given = group.scene.object, protocol, group.scene.table, group.scene.environment
+        world = cache.get("world", (problem.hand, *given), partial(build_world, model, *given))
+        ways = [planned.ways[place] for place in group.place.tolist()]
+        timed = [trajectory(problem.hand, way) if way.free else None for way in ways]
+        parts.append(execute(world, problem.hand, timed, threads=threads))
+    return replace(planned, executions=take(rows_of_all(*parts), problem.order))

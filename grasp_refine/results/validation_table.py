@@ -173,7 +173,7 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
     if reason == Reason.OFF_CENTRE:
         assert trials.label is not None
         return Text(f" off centre, {trials.label[i]:.0%} held elsewhere", "red")
-    if reason in (Reason.IN_TABLE, Reason.NOT_FINITE) or np.isnan(trials.time_s[i, worst]):
+    if reason in (Reason.IN_TABLE, Reason.NOT_FINITE, Reason.OUT_OF_REACH) or np.isnan(trials.time_s[i, worst]):
         return Text(f" {reason.label}", "red")
     where = " ".join(trials.directions[d] for d in failed)
     if len(failed) > _MAX_DIRECTIONS:

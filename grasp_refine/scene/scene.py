@@ -103,9 +103,7 @@ class Scene:
     @property
     def out_of_reach(self) -> Bool[np.ndarray, " N"]:
         """Mask (N,) of grasps that the arm does not reach: only joint values of the arm are not finite."""
-        arm = self.hand.arm_joints
-        rest = np.isfinite(self.T_world_root).all(axis=(1, 2)) & np.isfinite(self.q[:, ~arm]).all(axis=1)
-        return rest & ~np.isfinite(self.q[:, arm]).all(axis=1)
+        return is_out_of_reach(self.hand, self.T_world_root, self.q)
 
     @property
     def posed(self) -> Bool[np.ndarray, " N"]:
@@ -142,6 +140,13 @@ class Scene:
         names = ("T_world_root", "q", *TARGET_FIELDS)
         arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in names}
         return replace(self, **arrays)
+
+
+def is_out_of_reach(hand: Hand, T_world_root: np.ndarray, q: np.ndarray) -> Bool[np.ndarray, " N"]:
+    """Return a mask (N,) of poses (N, 4, 4) and joint values (N, n) of which only those of the arm are not finite."""
+    arm = hand.arm_joints
+    rest = np.isfinite(T_world_root).all(axis=(1, 2)) & np.isfinite(q[:, ~arm]).all(axis=1)
+    return rest & ~np.isfinite(q[:, arm]).all(axis=1)
 
 
 def grasp_arrays(hand: Hand, T_world_root: Any, q: Any) -> tuple[np.ndarray, np.ndarray]:

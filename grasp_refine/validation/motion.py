@@ -65,7 +65,8 @@ def closing_motion(
     check_kind("scene", scene, Scene)
     check_kind("prepared", prepared, HandObject | None)
     prepared = prepared or HandObject.of(scene)
-    posed = scene.posed
+    # Of grasps out of reach, only the joint values of the arm are NaN.
+    posed = scene.posed | scene.out_of_reach
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = open_hand(scene, prepared, progress)
     q = np.where(posed[:, None], scene.q, np.nan)

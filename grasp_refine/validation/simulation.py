@@ -14,6 +14,7 @@ from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.scene import is_out_of_reach
 from grasp_refine.validation.motion import STAGES, Motion
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.simulations import Engine, Simulations
@@ -128,8 +129,12 @@ def close(
     protocol = world.protocol
     finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
     finite &= conditions.finite
+    grasp, arm = STAGES.index("grasp"), world.hand.on_arm
+    beyond = np.zeros(len(motion), dtype=bool)
+    if arm is not None:
+        beyond = is_out_of_reach(arm, motion.T_world_root[:, grasp], motion.q[:, grasp])
     start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
-    course = _Course.of(world, motion, finite)
+    course = Course.of(world, motion.T_world_root, motion.q, finite)
     rows = engine(world, conditions, finite, _threads(threads), on_step)
     rows.place(course.root(0, 0.0), course.joints[:, 0], pose_from_transform(start))
     start_touch = rows.touching(np.flatnonzero(finite))
@@ -153,8 +158,15 @@ def close(
         conditions=conditions,
         state=rows.state(),
         reason=np.select(
-            [~finite, deep, in_table, rows.unstable, thrown],
-            [Reason.NOT_FINITE, Reason.PENETRATES, Reason.IN_TABLE, Reason.UNSTABLE, Reason.THROWN],
+            [beyond, ~finite, deep, in_table, rows.unstable, thrown],
+            [
+                Reason.OUT_OF_REACH,
+                Reason.NOT_FINITE,
+                Reason.PENETRATES,
+                Reason.IN_TABLE,
+                Reason.UNSTABLE,
+                Reason.THROWN,
+            ],
             Reason.HELD,
         ),
         contacts_grasp=contacts[0],
@@ -288,21 +300,27 @@ def _threads(threads: int | None) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
-    """Course of the hands between their stages."""
+class Course:
+    """Course of the hands between S stages."""
 
     world: World
-    T_world_body: Float[np.ndarray, "N 3 4 4"]
-    """Poses of the hand's root body at the three stages."""
-    joints: Float[np.ndarray, "N 3 m"]
-    """Values of the hand's joints at the three stages."""
+    T_world_body: Float[np.ndarray, "N S 4 4"]
+    """Poses of the hand's root body at the stages."""
+    joints: Float[np.ndarray, "N S m"]
+    """Values of the hand's joints at the stages."""
 
     @classmethod
-    def of(cls, world: World, motion: Motion, finite: np.ndarray) -> _Course:
-        """Return the course of a motion; arbitrary where it is not finite."""
+    def of(
+        cls,
+        world: World,
+        T_world_root: Float[np.ndarray, "N S 4 4"],
+        q: Float[np.ndarray, "N S n"],
+        finite: Bool[np.ndarray, " N"],
+    ) -> Course:
+        """Return the course through poses of the base link and joint values; arbitrary where they are not finite."""
         hand = world.hand
-        T = np.where(finite[:, None, None, None], motion.T_world_root, np.eye(4)) @ hand.T_base_root
-        q = np.where(finite[:, None, None], motion.q, 0.0)
+        T = np.where(finite[:, None, None, None], T_world_root, np.eye(4)) @ hand.T_base_root
+        q = np.where(finite[:, None, None], q, 0.0)
         joints = _each(hand.matrix, q) + hand.offset
         return cls(world, T, joints if hand.curves is None else joints + hand.curves(q))
 

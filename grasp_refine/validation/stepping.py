@@ -8,7 +8,7 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch, SimulationError
 
 from grasp_refine.core.array_records import take
@@ -215,17 +215,21 @@ class Rows(Simulations):
         links = np.zeros((count, len(self.world.links)), dtype=bool)
         depth, depth_table = np.zeros(count), np.zeros(count)
         for row in rows:
-            self.batch.get_data(int(row), self._data)
-            with unlogged():
-                mujoco.mj_fwdPosition(self.world.model, self._data)
-            contact = self._data.contact
-            owners = np.sort(self.world.link_of_geom[contact.geom], axis=1)
-            by_link = (owners[:, 1] >= 0) & (contact.dist <= 0)
+            geoms, distance = self.contacts(int(row))
+            owners = np.sort(self.world.link_of_geom[geoms], axis=1)
+            by_link = (owners[:, 1] >= 0) & (distance <= 0)
             on_object, on_table = by_link & (owners[:, 0] == OBJECT_GEOM), by_link & (owners[:, 0] == OTHER_GEOM)
             links[row, owners[on_object, 1]] = True
-            depth[row] = np.max(-contact.dist[on_object], initial=0.0)
-            depth_table[row] = np.max(-contact.dist[on_table], initial=0.0)
+            depth[row] = np.max(-distance[on_object], initial=0.0)
+            depth_table[row] = np.max(-distance[on_table], initial=0.0)
         return Touch(links, depth, depth_table)
+
+    def contacts(self, row: int) -> tuple[Int[np.ndarray, "C 2"], Float[np.ndarray, " C"]]:
+        """Return the geoms (C, 2) of the contacts in one simulation, and their distances (C,), metres."""
+        self.batch.get_data(row, self._data)
+        with unlogged():
+            mujoco.mj_fwdPosition(self.world.model, self._data)
+        return self._data.contact.geom.copy(), self._data.contact.dist.copy()
 
     def pushed(self) -> Float[np.ndarray, "N V"]:
         """Return the displacements of the movable bodies around the objects, metres."""

@@ -29,6 +29,7 @@ class Reason(IntEnum):
     UNSTABLE = 6
     NOT_FINITE = 7
     OFF_CENTRE = 8
+    OUT_OF_REACH = 9
 
     @property
     def label(self) -> str:
@@ -50,6 +51,7 @@ class Reason(IntEnum):
             Reason.UNSTABLE: "the simulation diverged",
             Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or its pose is invalid: no rigid "
             "motion, or beyond 1e6 m or rad",
+            Reason.OUT_OF_REACH: "the arm does not reach the grasp: move its base, or the object",
             Reason.OFF_CENTRE: "the object stayed, but in too many of the trials with the object elsewhere it did not",
         }[self]
 

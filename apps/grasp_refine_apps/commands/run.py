@@ -22,7 +22,7 @@ from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import NEAREST, NO_SCENE
-from grasp_refine.pipeline.ways import plan_ways
+from grasp_refine.pipeline.ways import follow_ways, plan_ways
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.terms.weights import Weights
@@ -53,7 +53,8 @@ class Output:
     """Write the measures of each grasp to this file, in SI units."""
     way: OptionalFile = None
     """Plan the whole way of each grasp, approach, pregrasp, grasp, squeeze and lift, tell what is in it, and write
-    waypoints and set points over time to this file, .json or .npz."""
+    waypoints and set points over time to this file, .json or .npz. With --validate and a protocol that lifts, MuJoCo
+    follows each free way, and tells what was held, hit and pushed."""
     approach: float = WayOptions.approach
     """Length (metres) of the straight approach to the pregrasp, with --way."""
     lift: float = WayOptions.lift
@@ -118,6 +119,8 @@ class Run:
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
             refined = refine_problem(problem, config, protocol, listener=reporter)
             planned = None if way is None else plan_ways(refined, way)
+            if planned is not None and protocol is not None and protocol.tabletop:
+                planned = follow_ways(refined, planned, protocol)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome

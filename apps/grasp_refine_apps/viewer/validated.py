@@ -131,7 +131,7 @@ class TrialResult:
     @property
     def watchable(self) -> bool:
         """Whether there is a motion to be seen: the hand began to close."""
-        never = (Reason.PENETRATES, Reason.IN_TABLE, Reason.NOT_FINITE)
+        never = (Reason.PENETRATES, Reason.IN_TABLE, Reason.NOT_FINITE, Reason.OUT_OF_REACH)
         return self.before_push not in never
 
     @property
