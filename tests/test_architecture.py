@@ -48,6 +48,7 @@ ORDER = (
     "grasp_refine_apps.bench.hold",
     "grasp_refine_apps.bench.evidence",
     "grasp_refine_apps.bench.grippers",
+    "grasp_refine_apps.bench.scenes",
     "grasp_refine_apps.bench.gate",
     "grasp_refine_apps.viewer",
     "grasp_refine_apps.viewer.panels",

@@ -24,7 +24,8 @@ from grasp_refine_apps.commands.inputs import Inputs
 from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, run_python, section
 
 BENCHES = tuple(
-    f"bench {name}" for name in ("align", "queries", "stability", "grasp", "hold", "grippers", "evidence", "--gate")
+    f"bench {name}"
+    for name in ("align", "queries", "stability", "grasp", "hold", "grippers", "scenes", "evidence", "--gate")
 )
 
 

@@ -41,6 +41,7 @@ COMMANDS = {
     "bench stability": "error counts of witness queries and derivatives, by body, size, state and method",
     "bench hold": "run time against success rate of refined grasps in simulation, by method",
     "bench grippers": "grasps of grippers that hold before and after refinement, sampled and perturbed",
+    "bench scenes": "grasps of hands on an arm in scenes: reachable, free on the whole way, held and lifted",
     "bench evidence": "grasps that hold over many hands, objects, generators and protocols; resumes where it stopped",
     "bench --gate": "check for regressions: ratios of one run against a committed baseline",
     "doctor": "check the installation, missing packages, and the capabilities of this machine",

@@ -1,0 +1,168 @@
+"""The benchmark of scenes: sampled grasps of hands on an arm, before and after refinement, along their whole way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.rpy_poses import read_pose
+from grasp_refine.core.se3 import transform, transform_from_pose
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.mount import mount
+from grasp_refine.motion.execution import execute
+from grasp_refine.motion.trajectory import trajectory
+from grasp_refine.motion.way import ways
+from grasp_refine.objects.object import load_object
+from grasp_refine.pipeline.facade import problem_of
+from grasp_refine.pipeline.refine import refine_group
+from grasp_refine.refinement.config import Config
+from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.scene_file import list_scenes, load_scene
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocols.scene import SCENE
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
+from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.jobs import Job, Progress, part_of
+from grasp_refine_apps.bench.report import Column, Report, Table
+
+COUNTS = ("free", "held", "clean")
+"""Keys of rows with numbers before and after: ways that are free, objects that were held and lifted along them, and
+those of them with nothing hit."""
+
+
+@dataclass(frozen=True)
+class ScenesStudy:
+    """Settings of a run."""
+
+    scenes: tuple[str, ...] = ()
+    """Scenes, as for `load_scene`; empty: all that come with the program."""
+    hands: tuple[str, ...] = ("allegro", "shadow")
+    """Hands, as for `load_hand`."""
+    arm: str = "ur5e"
+    """Arm that carries them, as for `load_hand`."""
+    base: str = "0,-0.55,0,0,0,90"
+    """Pose x, y, z, roll, pitch, yaw of its base from the origin of the object, metres and degrees, world axes."""
+    count: int = 32
+    """Number of sampled grasps of each hand in each scene."""
+    seed: int = 0
+    workers: int = 1
+
+    def jobs(self, say: Callable[[str], None]) -> list[Job]:
+        """Return a job for each hand and scene.
+
+        Raises:
+            GraspRefineError: a hand, the arm or a scene cannot be read.
+        """
+        T_base = read_pose(self.base, "--base")
+        scenes = [load_scene(name) for name in self.scenes or list_scenes()]
+        if nameless := [scene.name for scene in scenes if scene.object is None]:
+            raise GraspRefineError(f"scene {nameless[0]} does not tell which object to grasp: name it in its file")
+        arm = load_hand(self.arm)
+        return [
+            Job(f"{hand.name} in {scene.name}", SceneTask(hand, arm, scene, T_base, self.count, self.seed).run)
+            for hand in (load_hand(name) for name in self.hands)
+            for scene in scenes
+        ]
+
+    def rows(self, done: Sequence[Sequence[Row]]) -> list[Row]:
+        """Return the rows of all scenes together, then of each, of each hand with and without knowledge of them."""
+        each = [row for rows in done for row in rows]
+        groups: dict[tuple[str, bool], list[Row]] = {}
+        for row in each:
+            groups.setdefault((row["hand"], row["known"]), []).append(row)
+        pooled = [
+            {
+                **{"hand": hand, "scene": "all", "known": known},
+                **{key: sum(row[key] for row in rows) for key in ("grasps", "reachable")},
+                **{key: np.sum([row[key] for row in rows], axis=0).tolist() for key in COUNTS},
+                "pushed_m": max(row["pushed_m"] for row in rows),
+            }
+            for (hand, known), rows in groups.items()
+        ]
+        return [*pooled, *each]
+
+    def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
+        """Return a table of grasps that know of their scene, and one of those that do not."""
+        labelled = [{**row, "label": f"{row['hand']} {row['scene']}"} for row in rows]
+        columns = [
+            Column("label", "hand and scene"),
+            Column("grasps", "grasps", form="d"),
+            Column("reachable", "reach\u00adable", form="d"),
+            Column("free", "way is free", form=_both),
+            Column("held", "held and lifted", form=_both),
+            Column("clean", "and nothing hit", form=_both),
+            Column("pushed_m", "neighbour pushed, at most", "mm", ".1f"),
+        ]
+        heads = {True: "Sampled, refined and planned in the scene", False: "The same without knowing of the scene"}
+        tables = [
+            Table(f"{head}: before → after refinement", columns, [row for row in labelled if row["known"] == known])
+            for known, head in heads.items()
+        ]
+        return Report("Grasps in scenes", tables)
+
+
+def _both(counts: tuple[int, int]) -> str:
+    return f"{counts[0]} → {counts[1]}"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTask:
+    """Grasps of a hand on an arm in a scene."""
+
+    hand: Hand
+    arm: Hand
+    scene: Environment
+    T_object_base: Float[np.ndarray, "4 4"]
+    """Pose of the base of the arm from the origin of the object, along the axes of the world."""
+    count: int
+    seed: int
+
+    def run(self, progress: Progress) -> list[Row]:
+        """Sample, refine, plan and follow in simulation; return a row with knowledge of the scene, and one without.
+
+        Either way the simulation has the whole scene. Ways are planned with what is known, so that without knowledge
+        free ones may hit something.
+
+        Raises:
+            GraspRefineError: no grasp is found, or MuJoCo cannot compile the world.
+        """
+        whole = mount(self.arm, self.hand)
+        obj = load_object(self.scene.object or "")
+        model = model_of(whole)
+        world = build_world(model, obj, SCENE, environment=self.scene)
+        T_world_base = transform(np.eye(3), self.scene.T_world_object[:3, 3]) @ self.T_object_base
+        rows = []
+        for at, known in enumerate((True, False)):
+            share = part_of(progress, at / 2, 0.5)
+            scene = self.scene if known else None
+            grasps = sample_grasps(self.hand, obj, self.count, seed=self.seed, environment=scene)
+            base = T_world_base if known else np.linalg.inv(self.scene.T_world_object) @ T_world_base
+            problem = problem_of(replace(whole, actuator=model.actuator), obj, grasps, scene=scene, base=base)
+            (group,) = problem.groups
+            outcome = refine_group(group, Config(seed=self.seed))
+            share(0.4)
+            refined = replace(group.scene, T_world_root=transform_from_pose(outcome.hand_pose), q=outcome.q)
+            after = Motion(transform_from_pose(outcome.stage_pose), outcome.stage_q)
+            counts, pushed = [], []
+            for stage, (given, motion) in enumerate([(group.scene, group.motion()), (refined, after)]):
+                planned = ways(given, motion)
+                timed = [trajectory(whole, way) if way.free else None for way in planned]
+                found = execute(world, whole, timed, threads=1)
+                counts.append([sum(way.free for way in planned), found.held.sum(), (found.held & found.clean).sum()])
+                pushed.append(np.nanmax(found.pushed_m, initial=0.0))
+                share(0.7 + 0.3 * stage)
+            rows.append(
+                {
+                    **{"hand": self.hand.name, "scene": self.scene.name, "known": known, "grasps": len(grasps)},
+                    "reachable": int((~group.scene.out_of_reach).sum()),
+                    **{key: [int(both[k]) for both in counts] for k, key in enumerate(COUNTS)},
+                    "pushed_m": float(max(pushed)),
+                }
+            )
+        return rows
