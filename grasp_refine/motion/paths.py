@@ -84,7 +84,8 @@ def straight(
         q: Joint values there, which those of the fingers keep.
         along: Vector of the movement in metres, in the frame of `T_world_root`'s world.
     """
-    count = max(int(np.ceil(np.linalg.norm(along) / KNOT_M)), 1)
+    # Rounding of a length adds no pose.
+    count = max(int(np.ceil(np.linalg.norm(along) / KNOT_M - 1e-9)), 1)
     moves = np.linspace(0.0, 1.0, count + 1)[:, None] * along
     if hand.arm is None:
         T = np.tile(T_world_root, (count + 1, 1, 1))

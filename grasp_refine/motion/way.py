@@ -236,16 +236,18 @@ class _Planner:
     def _directions(self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]) -> Iterator[np.ndarray]:
         """Yield unit vectors along which the palm may retreat: its own direction, up, between, and tilted ones."""
         hand = self.scene.hand
-        palm = palm_poses(hand, T[None], q[None])[0, :3, 3]
+        palm = palm_poses(hand, T[None], q[None])[0]
         links = self.prepared.chain(T[None], q[None]).T_world_link[0]
         tips = links[self.tips, :3, 3].mean(axis=0) if self.tips else links[:, :3, 3].mean(axis=0)
-        own, up = palm - tips, self.up
+        own, up = palm[:3, 3] - tips, self.up
         length = float(np.linalg.norm(own))
         own = up if length < 1e-6 else own / length
         yield own
         if own @ up > -0.9:
             yield (own + up) / np.linalg.norm(own + up)
         yield up
-        for side in tangents(own).T:
+        # In the frame of the palm, so that they move with it.
+        R = palm[:3, :3]
+        for side in (R @ tangents(R.T @ own)).T:
             for sign in (1.0, -1.0):
                 yield np.cos(TILT_RAD) * own + sign * np.sin(TILT_RAD) * side

@@ -11,7 +11,7 @@ import grasp_refine as gr
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import distances
+from grasp_refine.core.se3 import distances, exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -23,7 +23,7 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import Sweep
 from grasp_refine.motion.trajectory import SPEED_SHARE, speed_limits, trajectory
-from grasp_refine.motion.way import LEGS, WayOptions, WayStatus, ways
+from grasp_refine.motion.way import LEGS, Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.arms import arm_clearance
@@ -150,15 +150,83 @@ def test_object_that_is_lifted_into_a_shelf_is_named(hand: Hand, thing: Object) 
 
 
 def test_links_of_the_arm_are_swept_too(whole: Hand, thing: Object) -> None:
-    """A wall beside the forearm blocks the arm though the gripper is far from it; what its base stands in does not."""
+    """A post in the last wrist, which is where the palm has it, blocks all ways; what the base stands in does not."""
     stand = obstacle("stand", (0.2, 0.2, 0.2), (-0.5, 0.0, -0.15))
     assert ways(*grasp(whole, thing, stand))[0].free
     scene, motion = grasp(whole, thing)
-    T = Chain(whole, ["forearm_link"])(motion.T_world_root[0, :1], motion.q[0, :1]).T_world_link[0, 0]
-    x, y, z = (T @ [-0.2, 0.0, 0.007, 1.0])[:3].tolist()
-    scene, motion = grasp(whole, thing, obstacle("post", (0.02, 0.02, 0.02), (x, y, z)))
+    post = obstacle("post", (0.02, 0.02, 0.02), in_link(whole, motion, "wrist_3_link", (0.0, 0.0, -0.02)))
+    (way,) = ways(*grasp(whole, thing, post))
+    assert way.status == WayStatus.BLOCKED and "wrist_3_link and post" in way.why and not way.other_arm
+
+
+def in_link(whole: Hand, motion: Motion, link: str, point: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a point of a link at the pregrasp, object frame."""
+    T = Chain(whole, [link])(motion.T_world_root[0, :1], motion.q[0, :1]).T_world_link[0, 0]
+    x, y, z = (T @ [*point, 1.0])[:3].tolist()
+    return x, y, z
+
+
+def test_another_configuration_of_the_arm_has_the_same_palms(whole: Hand, thing: Object) -> None:
+    """A post in the forearm blocks the arm as the grasp has it; another way of the arm passes, to 1e-9 at the palm."""
+    scene, motion = grasp(whole, thing)
+    post = obstacle("post", (0.02, 0.02, 0.02), in_link(whole, motion, "forearm_link", (-0.2, 0.0, 0.007)))
+    scene, motion = grasp(whole, thing, post)
+    met = Sweep(scene, HandObject.of(scene)).obstruction(HandPath(motion.T_world_root[0], motion.q[0]), allowed=None)
+    assert met is not None and (met.first, met.second) == ("forearm_link", "post")
     (way,) = ways(scene, motion)
-    assert way.status == WayStatus.BLOCKED and "forearm_link and post" in way.why
+    assert way.free and way.other_arm
+    palms = [palm_poses(whole, T, q) for T, q in ((motion.T_world_root[0, :2], motion.q[0, :2]), legs_end(way))]
+    np.testing.assert_allclose(palms[1], palms[0], atol=1e-9)
+    np.testing.assert_array_equal(way.legs[1].q[:, ~whole.arm_joints], motion.q[0, :2, ~whole.arm_joints].T)
+    assert np.abs(way.legs[1].q - motion.q[0, :2]).max() > 0.1
+    np.testing.assert_array_equal(way.legs[2].q[:, whole.arm_joints], way.legs[1].q[[1, 1]][:, whole.arm_joints])
+
+
+def legs_end(way: Way) -> tuple[np.ndarray, np.ndarray]:
+    """Return base poses and joint values of pregrasp and grasp on a way."""
+    return way.legs[1].T_world_root, way.legs[1].q
+
+
+def test_fingers_that_are_behind_a_rim_open_wider_for_the_approach(hand: Hand, thing: Object) -> None:
+    """Open by 2 mm they do not pass a rim of 4 mm; wider they do, and close to the pregrasp in place."""
+    T_rim = np.eye(4)
+    T_rim[2, 3] = 0.055
+    rimmed = build_body("rimmed", [box([0.05, 0.05, 0.12]), box([0.05, 0.058, 0.01]).transformed(T_rim)])
+    scene, motion = grasp(hand, replace(thing, body=rimmed))
+    motion.q[0, 0] = 0.027
+    (way,) = ways(scene, motion)
+    approach = way.legs[0]
+    assert way.free and approach.q[0, 0] > 0.029
+    np.testing.assert_array_equal(approach.q[-1], motion.q[0, 0])
+    np.testing.assert_array_equal(approach.T_world_root[-2:], motion.T_world_root[0, [0, 0]])
+    motion.q[0, 0] = 0.0255
+    (way,) = ways(scene, motion)
+    assert way.status == WayStatus.BLOCKED and "approach" in way.why
+
+
+@pytest.mark.parametrize("blocked", [False, True])
+def test_ways_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: bool) -> None:
+    """Object, bodies and base moved and turned by any motion, up included: all else stays, to 1e-9."""
+    D = exp_se3(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.5]))
+    scene, motion = grasp(whole, thing)
+    place = in_link(whole, motion, "wrist_3_link" if blocked else "forearm_link", (-0.2 * (not blocked), 0.0, -0.02))
+    scene, motion = grasp(whole, thing, obstacle("post", (0.02, 0.02, 0.02), place))
+    assert scene.environment is not None
+    there = Scene(
+        whole,
+        replace(thing, body=build_body(thing.name, [piece.transformed(D) for piece in thing.body.pieces])),
+        D @ scene.T_world_root,
+        scene.q,
+        environment=Environment(scene.environment.bodies, np.linalg.inv(D)),
+    )
+    # The world stays, and the frame of the object moves in it.
+    (first,), (second,) = ways(scene, motion), ways(there, Motion(D @ motion.T_world_root, motion.q))
+    assert (first.status, first.other_arm, len(first.legs)) == (second.status, second.other_arm, len(second.legs))
+    assert blocked == (first.status == WayStatus.BLOCKED) and first.why.split(" at ")[0] == second.why.split(" at ")[0]
+    np.testing.assert_allclose(D[:3, :3] @ first.direction, second.direction, atol=1e-9)
+    for one, other in zip(first.legs, second.legs, strict=True):
+        np.testing.assert_allclose(one.q, other.q, atol=1e-9)
+        np.testing.assert_allclose(D @ one.T_world_root, other.T_world_root, atol=1e-9)
 
 
 def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Object) -> None:

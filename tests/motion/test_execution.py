@@ -1,0 +1,117 @@
+"""Ways that MuJoCo follows: what is held and lifted, hit and pushed, and how far the palm is from its set points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.grasps.on_arm import on_arm
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.mount import mount
+from grasp_refine.motion.execution import execute
+from grasp_refine.motion.executions import Executions
+from grasp_refine.motion.trajectory import Trajectory, trajectory
+from grasp_refine.motion.way import WayOptions, ways
+from grasp_refine.objects.object import load_object
+from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.scene import SCENE
+from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
+
+THING = load_object("box:0.05,0.05,0.12")
+T_BASE = transform_from_rpy([-0.5, 0.0, -0.06])
+
+
+def body(name: str, size: list[float], place: tuple[float, float, float], *, movable: bool = False) -> EnvironmentBody:
+    """Return a box of a scene whose world is the frame of the object."""
+    T = np.eye(4)
+    T[:3, 3] = place
+    return EnvironmentBody(name, build_body(name, [box(size)], candidates=16), T, movable=movable)
+
+
+TABLE = body("table", [0.6, 0.6, 0.02], (0.0, 0.0, -0.07))
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["floats", "on an arm"])
+def hand(request: pytest.FixtureRequest) -> Hand:
+    """Return a gripper, alone or on an arm."""
+    alone = load_hand("franka_hand", candidates=32)
+    return mount(load_hand("ur5e", candidates=32), alone) if request.param else alone
+
+
+@pytest.fixture(scope="module")
+def timed(hand: Hand) -> Trajectory:
+    """Return the way of a grasp of the box from above, planned above the table alone."""
+    T_palm, fingers = transform_from_rpy([0.0, 0.0, 0.1434, 180.0, 0.0, 0.0]), np.array([[0.036], [0.025], [0.0]])
+    T, q = np.tile(T_palm, (3, 1, 1)), fingers
+    if hand.arm is not None:
+        ours = GraspSet.of(hand, T_palm[None], np.zeros((1, len(hand.joint_names))))
+        placed, _ = on_arm(replace(ours, base_link=hand.palm, joint_names=hand.joint_names[-1:], q=q[:1]), hand, T_BASE)
+        q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
+        T = np.tile(T_BASE, (3, 1, 1))
+    scene = Scene(hand, THING, T[1], q[1], environment=Environment((TABLE,), np.eye(4)))
+    (way,) = ways(scene, Motion(T[None], q[None]), WayOptions(approach=0.08))
+    assert way.free, way.why
+    return trajectory(hand, way)
+
+
+def followed(
+    hand: Hand, timed: list[Trajectory | None], *bodies: EnvironmentBody, protocol: Protocol = SCENE
+) -> Executions:
+    """Return what happens on trajectories among bodies on the table."""
+    environment = Environment((TABLE, *bodies), np.eye(4))
+    return execute(build_world(model_of(hand), THING, protocol, environment=environment), hand, timed, threads=1)
+
+
+def test_free_way_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajectory) -> None:
+    """By 0.1 m within millimetres; the palm follows its set points; a grasp without a way leaves others alone."""
+    alone, found = followed(hand, [timed]), followed(hand, [None, timed])
+    assert found.followed.tolist() == [False, True] and found.held.tolist() == [False, True]
+    assert abs(found.lifted_m[1] - 0.1) < 3e-3 and found.displacement_m[1] < 5e-3
+    # It lags behind, but comes to rest: a wrong frame would be off by much more.
+    assert 0.0 < found.tracking_m[1] < 0.01 and found.tracking_rad[1] < 0.02
+    assert found.hits[1] == () and np.isnan(found.lifted_m[0]) and found.document(0) is None
+    assert (alone.lifted_m[0], alone.tracking_m[0]) == (found.lifted_m[1], found.tracking_m[1])
+
+
+def test_what_is_in_the_way_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> None:
+    """A bar that the planner did not know stops a finger as the hand comes; a board above, the box as it rises."""
+    bar = body("bar", [0.3, 0.012, 0.01], (0.0, 0.05, 0.05))
+    found = followed(hand, [timed], bar)
+    assert any(hit.startswith("approach: panda_") and hit.endswith("and bar") for hit in found.hits[0])
+    # Thin enough to pass between the fingers, as long as they are above it.
+    beam = body("beam", [0.06, 0.01, 0.01], (0.052, 0.0, 0.11))
+    found = followed(hand, [timed], beam)
+    assert any(hit.startswith("lift: ") and hit.endswith("and beam") for hit in found.hits[0])
+
+
+def test_neighbours_that_are_pushed_are_told_by_how_far(hand: Hand, timed: Trajectory) -> None:
+    """A plate between a finger and the box is taken along; a block out of the way stays."""
+    near = body("near", [0.04, 0.006, 0.12], (0.0, 0.0285, 0.0), movable=True)
+    far = body("far", [0.04, 0.04, 0.04], (0.2, 0.2, -0.04), movable=True)
+    found = followed(hand, [timed], near, far)
+    pushed = dict(zip(found.neighbours, found.pushed_m[0].tolist(), strict=True))
+    assert pushed["near"] > 0.08 and pushed["far"] < 1e-3
+    assert any("and near" in hit for hit in found.hits[0]) and "pushed near" in " ".join(found.lines())
+
+
+def test_object_that_slips_is_not_held(hand: Hand, timed: Trajectory) -> None:
+    """Without friction it stays on the table, 0.1 m from where it should be."""
+    found = followed(hand, [timed], protocol=replace(SCENE, friction=1e-3))
+    assert not found.held[0] and abs(found.lifted_m[0]) < 0.02 and found.displacement_m[0] > 0.08
+    assert "lost" in " ".join(found.lines())
+
+
+def test_protocols_that_push_are_refused(hand: Hand, timed: Trajectory) -> None:
+    """Those that lift are named."""
+    with pytest.raises(GraspRefineError, match=r"dexgraspbench.*scene"):
+        followed(hand, [timed], protocol=DEXGRASPBENCH)
