@@ -165,9 +165,14 @@ class Collection:
 
     def work(self, number: int) -> Work:
         """Return a grasp as in its file, with its simulation result if that is known."""
-        targets = targets_of(self.scene(number))
-        pose = self.pose(number)
-        return Work(pose, targets, counted=self.counted[number], trial=self.trials.get(number), of_file=pose)
+        scene, pose = self.scene(number), self.pose(number)
+        T = np.eye(4)
+        if scene.environment is not None:
+            # What is up in the scene is up in the picture.
+            T[:3, :3] = scene.environment.T_world_object[:3, :3]
+        return Work(
+            pose, targets_of(scene), T, counted=self.counted[number], trial=self.trials.get(number), of_file=pose
+        )
 
     def with_columns(self, *columns: Column) -> Collection:
         """Return the collection with additional or replaced columns."""

@@ -31,6 +31,12 @@ LEGEND_MM = ((-5.0, "5 mm inside"), (-1.0, "1 mm inside"), (0.0, "touching"), (0
 """Distances in mm and texts of the legend."""
 
 
+def tinted(own: Color, color: Color) -> Color:
+    """Return a colour tinted with another one."""
+    red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(own, color, strict=True))
+    return red, green, blue
+
+
 def distance_colors(distance: Float[np.ndarray, " K"]) -> UInt8[np.ndarray, "K 3"]:
     """Colours (K, 3) of signed distances (K,) in metres, negative inside; grey where one is NaN."""
     millimetres = 1e3 * np.asarray(distance, dtype=np.float64)

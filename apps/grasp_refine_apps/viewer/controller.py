@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.many import ManyGrasps, now
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
 from grasp_refine_apps.viewer.meter import ContactMeter
+from grasp_refine_apps.viewer.obstacles import ObstacleMeter, Overlap
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
@@ -38,6 +40,11 @@ class Controller(ManyGrasps):
         super().__init__(_first_state(collection, 0, settings))
         self.contacts = ContactMeter()
         """Contacts of the shown grasp of a state."""
+        self._obstacles = ObstacleMeter()
+
+    def overlaps(self, state: State) -> tuple[Overlap, ...]:
+        """Return the links of the shown hand that are in bodies around the object, the deepest first."""
+        return self._obstacles(state, self.contacts.prepared(state.scene))
 
     # display
 
@@ -260,7 +267,9 @@ class Controller(ManyGrasps):
 def _first_state(collection: Collection, number: int, settings: Any) -> State:
     """Return the state that shows a grasp as in its file, without anything made of any."""
     works = {number: collection.work(number)}
-    return State(collection, number, collection.scene(number), Pose(*collection.initial(number)), works, settings)
+    scene = collection.scene(number)
+    protocol = default_protocol(in_scene=scene.environment is not None).name, None
+    return State(collection, number, scene, Pose(*collection.initial(number)), works, settings, protocol)
 
 
 def _showing(state: State, collection: Collection, number: int) -> State:

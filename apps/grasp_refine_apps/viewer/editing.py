@@ -81,7 +81,7 @@ class Editor(Store):
             start = {
                 "pose": now.initial,
                 "targets": targets_of(now.scene),
-                "T_world_object": np.eye(4),
+                "T_world_object": now.collection.work(now.number).T_world_object,
                 "counted": now.collection.counted[now.number],
             }
             of_file = now.initial.same(now.collection.pose(now.number))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,15 @@ from grasp_refine.geometry.body import Body
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.camera import hand_points, surface_points
-from grasp_refine_apps.viewer.colors import distance_colors
+from grasp_refine_apps.viewer.colors import distance_colors, tinted
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.depth import DepthField, overlap_patches
+from grasp_refine_apps.viewer.environment_nodes import EnvironmentNodes
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
 from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
+from grasp_refine_apps.viewer.obstacles import TABLE
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.scene_nodes import Arrows, ColoredPatches, HandMeshes, Lines, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
@@ -66,7 +69,7 @@ class GraspNodes:
     def __init__(self, scene: viser.SceneApi, controller: Controller, state: State, before: GraspNodes | None) -> None:
         """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
         hand, obj, display = state.scene.hand, state.scene.object, state.display
-        self._contacts_of = controller.contacts
+        self._contacts_of, self._overlaps_of = controller.contacts, controller.overlaps
         self.prepared: HandObject = controller.contacts.prepared(state.scene)
         self.contacts: Contacts | None = None
         self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
@@ -113,8 +116,12 @@ class GraspNodes:
             scene.add_frame(f"{GRASP_NODE}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
             for name in ("frame_of_hand", "frame_of_object")
         ]
-        if display.table and state.scene.table is not None:
+        self._table: Any = None
+        self.environment: EnvironmentNodes | None = None
+        if display.surroundings and state.scene.table is not None:
             self._add_table(state.scene.table, 6 * size)
+        if display.surroundings and state.scene.environment is not None:
+            self.environment = EnvironmentNodes(scene, f"{GRASP_NODE}/environment", state.scene.environment, obj.body)
         self._ground: Ground | None = None
         self._shadow_of: tuple[bytes, ...] | None = None
         self.interaction = Interaction(scene, controller, self.hand, self.object, self.targets, length)
@@ -128,10 +135,14 @@ class GraspNodes:
         differs = not state.initial.same(shown)
         self.ghost.show(self._display.input_hand and differs and state.motion is None and not state.side_by_side)
         self.ghost.move(state.initial)
+        overlaps = self._overlaps_of(state) if self._display.surroundings else ()
+        blocked = [overlap.link for overlap in overlaps]
         if state.motion is not None:
             self._draw_simulated_contacts(state.motion, state.motion_frame)
+            self.hand.tint(blocked, DEEP_COLOR)
         elif shown.finite:
-            self._draw_contacts(state)
+            self._draw_contacts(state, blocked)
+        self._draw_surroundings(state, {overlap.body for overlap in overlaps})
         self._draw_push(state)
         self._draw_ground(state)
         for node, T in zip(self.axes, (shown.T_object_root, state.T_shown_object), strict=True):
@@ -149,11 +160,21 @@ class GraspNodes:
         every = max(sum(map(len, points)) // 4000, 1)
         return np.concatenate(points)[::every].astype(float)
 
-    def _draw_contacts(self, state: State) -> None:
-        """Draw witness points, lines between them, targets, and forces."""
+    def _draw_surroundings(self, state: State, blocking: Collection[str]) -> None:
+        """Draw the table and the bodies around the object, those that links are in tinted."""
+        if self._table is not None:
+            self._table.color = tinted(TABLE_COLOR, DEEP_COLOR) if TABLE in blocking else TABLE_COLOR
+        if self.environment is not None:
+            self.environment.tint(blocking, DEEP_COLOR)
+            moved = {} if state.motion is None else state.motion.T_bodies
+            self.environment.move({name: T[state.motion_frame] for name, T in moved.items()})
+
+    def _draw_contacts(self, state: State, blocked: Sequence[str]) -> None:
+        """Draw witness points, lines between them, targets, and forces; links that are `blocked` are tinted."""
         shown, on = state.shown, self._display.contacts
         found = self.contacts = self._contacts_of(state)
-        self.hand.tint([link for link, deep in zip(found.link, found.deep, strict=True) if on and deep], DEEP_COLOR)
+        inside = [link for link, deep in zip(found.link, found.deep, strict=True) if on and deep]
+        self.hand.tint([*inside, *blocked], DEEP_COLOR)
         colors = distance_colors(found.distance) if on else NO_POINTS
         on_link, on_object = (found.point_link, found.point_object) if on else (NO_POINTS, NO_POINTS)
         self._lines.draw(segments(on_link, on_object), colors)
@@ -196,7 +217,6 @@ class GraspNodes:
     def _draw_simulated_contacts(self, motion: ShownMotion, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""
         points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
-        self.hand.tint((), DEEP_COLOR)
         for markers in (self.points_link, self.targets, self._targets_link, self.picked):
             markers.draw(NO_POINTS)
         for lines in (self._lines, self._target_lines):
@@ -223,7 +243,13 @@ class GraspNodes:
         hand = hand_points(self.prepared, self.prepared.chain(shown.T_object_root[None], shown.q[None]).T_world_link[0])
         points = transform_points(T, np.concatenate([hand, obj]))
         if self._ground is None:
-            self._ground = Ground(self._scene, float(points[:, 2].min()), float(np.ptp(points, axis=0).max()))
+            height, size = float(points[:, 2].min()), float(np.ptp(points, axis=0).max())
+            floor = height
+            if self.environment is not None:
+                # The object stands on a body, which carries the shadow.
+                height = float(transform_points(T, obj)[:, 2].min())
+                floor = min(height, float(T[2, 3]) + self.environment.lowest)
+            self._ground = Ground(self._scene, floor, size, height)
         self._ground.draw(points)
 
     def _draw_forces(self, forces: Forces | None) -> None:
@@ -266,10 +292,10 @@ class GraspNodes:
         middle = np.mean(self.prepared.box, axis=0)
         below = middle + (table.offset - 0.5 * TABLE_THICKNESS_M - normal @ middle) * normal
         dimensions = (width, width, TABLE_THICKNESS_M)
-        node = self._scene.add_box(
+        self._table = self._scene.add_box(
             f"{GRASP_NODE}/table", dimensions=dimensions, color=TABLE_COLOR, opacity=0.8, cast_shadow=False
         )
-        place(node, transform(np.column_stack([tangents(normal), normal]), below))
+        place(self._table, transform(np.column_stack([tangents(normal), normal]), below))
 
     def remove(self) -> None:
         """Remove all nodes."""

@@ -41,9 +41,9 @@ SKY_COLOR, GROUND_COLOR = (255, 255, 255), (196, 202, 214)
 class Ground:
     """Ground and shadow, in the world frame."""
 
-    def __init__(self, scene: viser.SceneApi, height: float, size: float) -> None:
-        """Make the ground at a height in metres; `size` is the extent of hand and object in metres."""
-        self._scene, self._height = scene, height
+    def __init__(self, scene: viser.SceneApi, height: float, size: float, shadow_height: float) -> None:
+        """Make the ground and the shadow at heights in metres; `size` is the extent of hand and object in metres."""
+        self._scene, self._height = scene, shadow_height
         self.grid = scene.add_grid(
             "/ground/grid", infinite_grid=True, cell_size=CELL_M, section_size=4 * CELL_M, position=(0.0, 0.0, height),
             cell_color=(172, 176, 182), section_color=(150, 155, 163), cell_thickness=0.5, section_thickness=0.6,

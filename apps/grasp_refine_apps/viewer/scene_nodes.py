@@ -11,7 +11,7 @@ import viser
 from jaxtyping import Float
 
 from grasp_refine.core.se3 import pose_from_transform
-from grasp_refine_apps.viewer.colors import Color
+from grasp_refine_apps.viewer.colors import Color, tinted
 from grasp_refine_apps.viewer.depth import DepthPatch
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, Shape
@@ -101,8 +101,7 @@ class HandMeshes(Meshes):
     def tint(self, links: Collection[str], color: Color) -> None:
         """Tint some links with a colour, and show the others in their own."""
         for shape, node in zip(self.shapes, self.nodes, strict=True):
-            red, green, blue = ((2 * a + 3 * b) // 5 for a, b in zip(shape.color, color, strict=True))
-            node.color = (red, green, blue) if shape.link in links else shape.color
+            node.color = tinted(shape.color, color) if shape.link in links else shape.color
 
     def move(self, pose: Pose) -> None:
         """Put the hand at a pose in the frame of its parent."""

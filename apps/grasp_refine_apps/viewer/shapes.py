@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt32
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.visuals import load_visuals
@@ -124,6 +125,15 @@ def object_shapes(obj: Object, kind: Literal["mesh", "pieces"]) -> tuple[Shape, 
         Shape(*_arrays(piece.mesh()), PIECE_COLORS[number % len(PIECE_COLORS)])
         for number, piece in enumerate(obj.body.pieces)
     )
+
+
+def pieces_shape(pieces: Sequence[Piece], color: Color) -> Shape:
+    """Return convex pieces as one shape."""
+    import trimesh
+
+    whole = trimesh.util.concatenate([piece.mesh() for piece in pieces])
+    assert isinstance(whole, trimesh.Trimesh)
+    return Shape(*_arrays(whole), color)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import zipfile
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from math import degrees
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.replay.replay import POSE_AXES, Replay, Stage, check_replay, object_contacts
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.world import HAND
+from grasp_refine.validation.world import HAND, SCENE
 from grasp_refine_apps.viewer.pose import Pose
 
 FRAME_RATE_HZ = 50
@@ -63,6 +64,8 @@ class ShownMotion:
     """The push at the object's centre of mass (3,), newtons; zero where it is lifted."""
     contacts: tuple[Float[np.ndarray, "_ 3"], ...]
     """Points where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
+    T_bodies: Mapping[str, Float[np.ndarray, "T 4 4"]] = field(default_factory=dict)
+    """Poses (T, 4, 4) of the movable bodies around the object, by name."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -147,6 +150,7 @@ def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoc
         angle_rad=angle[frames],
         force=T_start_world[:3, :3] @ replay.force,
         contacts=() if model is None else _contacts(model, replay, frames, T_start_world),
+        T_bodies={name: T_start_world @ T[frames] for name, T in _body_poses(replay)},
     )
 
 
@@ -195,6 +199,16 @@ def _roots(hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T 4 4"]:
     """Poses of the hand's base link (T, 4, 4) in the world."""
     pose = np.stack([_column(replay, f"{HAND} {axis}") for axis in POSE_AXES], axis=1)
     return transform_from_pose(pose) @ inverse(hand_model.T_base_root)
+
+
+def _body_poses(replay: Replay) -> Iterator[tuple[str, Float[np.ndarray, "T 4 4"]]]:
+    """Yield the movable bodies around the object: name, and poses (T, 4, 4) in the world."""
+    last = f" {POSE_AXES[-1]}"
+    for name in replay.qpos_names:
+        if name.startswith(SCENE) and name.endswith(last):
+            body = name.removesuffix(last)
+            pose = np.stack([_column(replay, f"{body} {axis}") for axis in POSE_AXES], axis=1)
+            yield body.removeprefix(SCENE), transform_from_pose(pose)
 
 
 def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T n"]:

@@ -72,8 +72,8 @@ class DisplayOptions:
     """The contact forces that balance best, and friction cones."""
     frames: bool = False
     """Axes of the base link and of the object: x red, y green, z blue."""
-    table: bool = True
-    """The table, where there is one."""
+    surroundings: bool = True
+    """The table and other bodies around the object, where there are any; what is in the way is red."""
     ground: bool = True
     """The ground, with the shadow of hand and object; a cell is 5 cm wide."""
 

@@ -10,6 +10,7 @@ import viser
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
 from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
@@ -24,6 +25,10 @@ ASPECT_RATIO = 1.1
 """Width of the scene over its height, beside the panel on a common screen."""
 
 
+Drawn = tuple[Hand, Object, DisplayOptions, Environment | None]
+"""Hand, object, display options and surroundings for which nodes are made."""
+
+
 class View:
     """The 3D scene; `draw` is called by one thread."""
 
@@ -31,7 +36,7 @@ class View:
         """Start with an empty scene."""
         self.server, self._controller = server, controller
         self.nodes: GraspNodes | None = None
-        self._made: tuple[Hand, Object, DisplayOptions] | None = None
+        self._made: Drawn | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
         light(server.scene)
@@ -43,7 +48,8 @@ class View:
 
     def draw(self, state: State) -> None:
         """Update the scene to a state."""
-        made, nodes = (state.scene.hand, state.scene.object, state.display), self.nodes
+        scene, nodes = state.scene, self.nodes
+        made = scene.hand, scene.object, state.display, scene.environment
         with self.server.atomic():
             if nodes is None or self._made != made:
                 same = nodes is not None and self._made is not None and _looks_same(self._made, made)
@@ -122,6 +128,6 @@ class View:
             place.position, place.look_at = camera.position, camera.look_at
 
 
-def _looks_same(one: tuple[Hand, Object, DisplayOptions], other: tuple[Hand, Object, DisplayOptions]) -> bool:
+def _looks_same(one: Drawn, other: Drawn) -> bool:
     """Return whether hand and object are the same, apart from convex pieces that were cut meanwhile."""
     return one[0] is other[0] and one[1].mesh is other[1].mesh

@@ -14,7 +14,7 @@ from grasp_refine_apps.viewer.colors import distance_legend
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import newtons_per_centimetre
-from grasp_refine_apps.viewer.meter import ContactMeter
+from grasp_refine_apps.viewer.obstacles import overlaps_text
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
 from grasp_refine_apps.viewer.panels.browse_panel import NEXT, PREVIOUS, BrowsePanel
@@ -117,7 +117,7 @@ class Viewer:
             self.controller.end_motion()
 
     def _draw_heading(self, state: State) -> None:
-        text = _heading(state, self.controller.contacts)
+        text = _heading(state, self.controller)
         if self._heading.content != text:
             self._heading.content = text
 
@@ -171,7 +171,7 @@ class Viewer:
         close_server(self.server)
 
 
-def _heading(state: State, contacts_of: ContactMeter) -> str:
+def _heading(state: State, controller: Controller) -> str:
     """Name and measures of the shown grasp as HTML."""
     collection = state.collection
     name = f"{collection.hand.name} on {collection.label(state.number)}"
@@ -179,8 +179,10 @@ def _heading(state: State, contacts_of: ContactMeter) -> str:
     if state.motion is not None:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
     elif state.shown.finite:
-        found = contacts_of(state)
+        found = controller.contacts(state)
         lines.append(distances_text(found.contact_error, found.penetration))
+        if overlaps := overlaps_text(controller.overlaps(state)):
+            lines.append(f'<span style="color:var(--gr-bad)">{html.escape(overlaps)}</span>')
         if state.display.forces:
             total = TOTAL_PRESSURE_N if state.work.config is None else state.work.config.pressure
             scale = newtons_per_centimetre(found.prepared.object.body, total)

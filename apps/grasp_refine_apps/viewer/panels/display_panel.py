@@ -20,8 +20,9 @@ class DisplayPanel:
         """Make the widgets."""
         state = controller.state
         names = tuple(field.name for field in fields(DisplayOptions))
-        # Scenes keep their table, or have none, as long as the viewer runs.
-        left_out = () if state.scene.table is not None else ("table",)
+        # Scenes keep what is around the object, or have nothing there, as long as the viewer runs.
+        alone = state.scene.table is None and state.scene.environment is None
+        left_out = ("surroundings",) if alone else ()
         shown = [name for name in names if name not in left_out]
         self.form = Form(
             server.gui, state.display, controller.set_display, controller.notify, first=shown, left_out=left_out
@@ -37,7 +38,7 @@ class DisplayPanel:
 def _legend() -> str:
     rows = [
         ((242, 184, 102), "links that are meant to touch"),
-        ((220, 90, 80), "links that are inside the object"),
+        ((220, 90, 80), "links inside the object, and what is in the way"),
         (GHOST_COLOR, "the input hand"),
         (TARGET_COLOR, "target: where a link should touch"),
         (FORCE_COLOR, "contact forces, in their friction cones"),

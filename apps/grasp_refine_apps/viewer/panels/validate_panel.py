@@ -60,7 +60,9 @@ class ValidatePanel:
 
         gui = server.gui
         hint = "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
-        self.protocol = gui.add_dropdown("Protocol", tuple(PROTOCOLS), hint=hint)
+        self.protocol = gui.add_dropdown(
+            "Protocol", tuple(PROTOCOLS), initial_value=controller.state.protocol[0], hint=hint
+        )
         self.friction: Any = gui.add_number(
             "Friction",
             PROTOCOLS[self.protocol.value].friction,
