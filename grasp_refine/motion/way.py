@@ -21,7 +21,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.inverse_kinematics import SAME_RAD, ArmKinematics
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
-from grasp_refine.motion.sweep import TOUCHING_M, Sweep
+from grasp_refine.motion.sweep import TOUCHING_M, Obstruction, Sweep
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.motion import Motion
@@ -92,6 +92,8 @@ class Way:
     """Paths of `LEGS`, as set points; those up to the first that is not free, none where there is no grasp."""
     direction: tuple[float, float, float] | None = None
     """Unit vector from the pregrasp to the start of the approach, in the object's frame."""
+    obstruction: Obstruction | None = None
+    """What the last leg runs into; None: nothing."""
     other_arm: bool = False
     """Whether the arm reaches the poses of the palm in another configuration than that of the grasp, whose way is not
     free; the fingers are the same."""
@@ -177,14 +179,14 @@ class _Planner:
         arm = self.scene.hand.arm_joints
         close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
-        approach, direction, why, status = self._approach(T[0], q[0], q[0] - q[1])
-        legs: list[HandPath] = [approach]
-        if why:
-            return Way(status, why, tuple(legs), direction)
+        approach = self._approach(T[0], q[0], q[0] - q[1])
+        if not approach.free:
+            return approach
+        legs, direction = list(approach.legs), approach.direction
         met = self.sweep.obstruction(close, allowed=allowed)
         legs += [close]
         if met is not None:
-            return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction)
+            return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
         legs += [squeeze]
         # Fingers are where the grasp has them, however far their set points are.
         held, reached = straight(self.scene.hand, T[1], q[1], self.options.lift * self.up)
@@ -196,7 +198,7 @@ class _Planner:
             return Way(WayStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)
         if met is not None:
-            return Way(WayStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction)
+            return Way(WayStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction, met)
         return Way(WayStatus.FREE, "", tuple(legs), direction)
 
     @property
@@ -209,13 +211,14 @@ class _Planner:
 
     def _approach(
         self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"], opening: Float[np.ndarray, " n"]
-    ) -> tuple[HandPath, tuple[float, float, float], str, WayStatus]:
-        """Return the approach to a pregrasp, its direction, and what is in the way of all of them.
+    ) -> Way:
+        """Return the way as far as the pregrasp: the first that is free, or else the first of all.
 
         Where fingers as at the pregrasp are in the way, they come open wider, by `OPENING_WIDER` of their `opening`
         (n,) from the grasp to the pregrasp, and close to the pregrasp in place.
         """
-        hand, first = self.scene.hand, None
+        hand = self.scene.hand
+        first: Way | None = None
         open_wide = np.clip(q + np.where(hand.arm_joints, 0.0, OPENING_WIDER * opening), hand.lower, hand.upper)
         for fingers in (q, open_wide):
             for direction in self._directions(T, q):
@@ -225,11 +228,12 @@ class _Planner:
                     path = HandPath(np.concatenate([path.T_world_root, T[None]]), np.concatenate([path.q, q[None]]))
                 met = self.sweep.obstruction(path, allowed=TOUCHING_M)
                 if met is None and reached:
-                    return path, toward, "", WayStatus.FREE
-                if first is None:
-                    blocked = met is not None
-                    why = f"{LEGS[0]}: {met}" if blocked else f"{LEGS[0]}: the arm does not reach all of it"
-                    first = path, toward, why, WayStatus.BLOCKED if blocked else WayStatus.OUT_OF_REACH
+                    return Way(WayStatus.FREE, "", (path,), toward)
+                if first is None and met is not None:
+                    first = Way(WayStatus.BLOCKED, f"{LEGS[0]}: {met}", (path,), toward, met)
+                elif first is None:
+                    why = f"{LEGS[0]}: the arm does not reach all of it"
+                    first = Way(WayStatus.OUT_OF_REACH, why, (path,), toward)
         assert first is not None
         return first
 

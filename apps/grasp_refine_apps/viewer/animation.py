@@ -24,6 +24,7 @@ from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Lines, Meshes, place
 from grasp_refine_apps.viewer.shapes import LinkPoses, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.shown_way import ShownWay
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace, subsample
 from grasp_refine_apps.viewer.viser_private import NODE_TEXT
@@ -122,7 +123,7 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
     return Film(f"{hand.name} and {obj.name}: refinement", hand, obj, frames, first_camera_of(found[-1]))
 
 
-def motion_film(hand: Hand, obj: Object, motion: ShownMotion) -> Film:
+def motion_film(hand: Hand, obj: Object, motion: ShownMotion | ShownWay) -> Film:
     """Return the film of at most `MAX_FRAMES` frames of a simulation."""
     prepared = HandObject(hand, obj)
     size = float(np.linalg.norm(obj.mesh.extents))

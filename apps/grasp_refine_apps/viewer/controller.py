@@ -21,6 +21,7 @@ from grasp_refine_apps.viewer.obstacles import ObstacleMeter, Overlap
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.shown_way import ShownWay, plan_way
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 from grasp_refine_apps.viewer.store import Change
 from grasp_refine_apps.viewer.trace import Trace
@@ -228,11 +229,26 @@ class Controller(ManyGrasps):
                 return lambda state: state.evolve(trial=found, tested_at=now())
 
             if self.run_job("validate", "testing in MuJoCo", work):
-                # The simulated pose is the shown one, and stays shown: an earlier iteration replaces the present pose.
-                state = self._state.evolve(frame=None, motion=None)
-                if grasp.pose is not state.pose:
-                    state = self._with_step(state, "").evolve(pose=grasp.pose, **NO_RESULTS)
-                self._become(state.evolve(trial=None, tested_at=None))
+                self._pose_for_test(grasp.pose)
+                self._set(trial=None, tested_at=None)
+
+    def plan_way(self) -> None:
+        """Plan the way of the shown grasp, and show it from its start; a way that is known is shown at once."""
+        with self._lock:
+            state = self._state
+            if state.work.way is not None and state.standing is state.pose:
+                self.show_motion(state.work.way)
+                return
+            if not self.ready():
+                return
+            grasp = self._posed_grasp(state.standing)
+
+            def work(control: Control) -> Change:
+                found = plan_way(replace(grasp, prepared=self._hand_object(grasp.scene)), control)
+                return lambda state: state.evolve(way=found, motion=found, motion_frame=0)
+
+            if self.run_job("way", "planning the way", work):
+                self._pose_for_test(grasp.pose)
 
     def record(self, direction: str) -> None:
         """Simulate one direction of the trial again, recorded for replay."""
@@ -248,6 +264,13 @@ class Controller(ManyGrasps):
 
             self.run_job("replay", f"recording the push along {direction}", work)
 
+    def _pose_for_test(self, pose: Pose) -> None:
+        """Keep the pose that is tested, which is the shown one: an earlier iteration replaces the present pose."""
+        state = self._state.evolve(frame=None, motion=None)
+        if pose is not state.pose:
+            state = self._with_step(state, "").evolve(pose=pose, **NO_RESULTS)
+        self._become(state)
+
     def show_motion_frame(self, frame: int) -> None:
         """Show a frame of the simulation."""
         with self._lock:
@@ -255,8 +278,8 @@ class Controller(ManyGrasps):
             if motion is not None:
                 self._set(motion_frame=min(max(frame, 0), len(motion) - 1))
 
-    def show_motion(self, motion: ShownMotion) -> None:
-        """Show a simulation from its start."""
+    def show_motion(self, motion: ShownMotion | ShownWay) -> None:
+        """Show a simulation, or a way, from its start."""
         self._set(motion=motion, motion_frame=0)
 
     def end_motion(self) -> None:

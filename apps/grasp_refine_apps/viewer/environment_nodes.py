@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 import viser
@@ -39,6 +40,7 @@ class EnvironmentNodes:
         """Frame of each body."""
         self.meshes: list[Meshes] = []
         """Meshes of each body: of what is below the object, and of what stands beside it."""
+        self._opaque: list[list[Any]] = []
         for k, (body, T) in enumerate(zip(environment.bodies, environment.T_object_body, strict=True)):
             below: list[Piece] = []
             beside: list[Piece] = []
@@ -50,10 +52,10 @@ class EnvironmentNodes:
             shapes = [pieces_shape(pieces, color) for pieces in (below, beside) if pieces]
             self.frames.append(scene.add_frame(f"{name}/{k}", show_axes=False))
             meshes = Meshes(scene, f"{name}/{k}/mesh", shapes, opacity=OPACITY)
-            if below:
-                meshes.nodes[0].opacity = None
             self.meshes.append(meshes)
+            self._opaque.append(meshes.nodes[:1] if below else [])
         self.move({})
+        self.tint((), FIXED_COLOR)
 
     def move(self, T_object_body: Mapping[str, Float[np.ndarray, "4 4"]]) -> None:
         """Put bodies at poses (4, 4) in the object's frame, by name, and all others where the scene has them."""
@@ -65,6 +67,10 @@ class EnvironmentNodes:
         for meshes, body in zip(self.meshes, self._environment.bodies, strict=True):
             for shape, node in zip(meshes.shapes, meshes.nodes, strict=True):
                 node.color = tinted(shape.color, color) if body.name in bodies else shape.color
+        for nodes, body in zip(self._opaque, self._environment.bodies, strict=True):
+            for node in nodes:
+                # What is in a body is seen in it.
+                node.opacity = OPACITY if body.name in bodies else None
 
 
 def _heights(piece: Piece, up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " V"]:

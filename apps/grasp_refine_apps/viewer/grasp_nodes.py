@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.scene_nodes import Arrows, ColoredPatches, HandMeshes, Lines, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.shown_way import ShownWay
 from grasp_refine_apps.viewer.state import State
 
 GRASP_NODE = "/grasp"
@@ -105,6 +106,7 @@ class GraspNodes:
         self._targets_link = PointMarkers(scene, f"{GRASP_NODE}/targets/link", 1.3 * radius, TARGET_COLOR)
         self._target_lines = Lines(scene, f"{GRASP_NODE}/targets/lines", 2.0)
         self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
+        self.met = PointMarkers(scene, f"{GRASP_NODE}/met", 3.0 * radius, DEEP_COLOR)
         self.depths = ColoredPatches(scene, f"{GRASP_NODE}/depth")
         self._depths_of: Contacts | None = None
         self._depth_fields: dict[Body, DepthField] = {}
@@ -136,26 +138,42 @@ class GraspNodes:
         self.ghost.show(self._display.input_hand and differs and state.motion is None and not state.side_by_side)
         self.ghost.move(state.initial)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
-        blocked = [overlap.link for overlap in overlaps]
+        blocked, blocking = {overlap.link for overlap in overlaps}, {overlap.body for overlap in overlaps}
+        met = state.motion.obstruction_at(state.motion_frame) if isinstance(state.motion, ShownWay) else None
+        if met is not None:
+            blocked |= {met.first, met.second}
+            blocking |= blocked
+        self.met.draw(NO_POINTS if met is None else np.array([met.place]))
         if state.motion is not None:
             self._draw_simulated_contacts(state.motion, state.motion_frame)
             self.hand.tint(blocked, DEEP_COLOR)
         elif shown.finite:
             self._draw_contacts(state, blocked)
-        self._draw_surroundings(state, {overlap.body for overlap in overlaps})
+        self._draw_surroundings(state, blocking)
         self._draw_push(state)
         self._draw_ground(state)
+        if self._ground is not None:
+            self._ground.show_shadow(self.environment is None or not blocking)
         for node, T in zip(self.axes, (shown.T_object_root, state.T_shown_object), strict=True):
             node.visible = self._display.frames
             place(node, T)
         self._draw_input(state)
         self.interaction.draw(state)
 
-    def corners(self, pose: Pose) -> Float[np.ndarray, "N 3"]:
-        """Points (N, 3) on hand and object, object frame, enough to give their extent."""
+    def corners(
+        self, pose: Pose, T_object: Float[np.ndarray, "4 4"] | None = None, *, arm: bool = False
+    ) -> Float[np.ndarray, "N 3"]:
+        """Points (N, 3) on hand and object, enough to give their extent, in the frame of the pose.
+
+        Args:
+            pose: Pose of the hand.
+            T_object: Pose of the object (4, 4) in the same frame; None: it is at the origin.
+            arm: Whether the arm of a hand that is on one counts.
+        """
+        whole = arm and self.prepared.hand.arm is not None
         T = self._poses(pose.T_object_root, pose.q)
-        points = [shape.vertices for shape in self.object_shapes]
-        shown = [shape for shape in self.shapes if not shape.faded]
+        points = [transform_points(np.eye(4) if T_object is None else T_object, s.vertices) for s in self.object_shapes]
+        shown = [shape for shape in self.shapes if whole or not shape.faded]
         points += [transform_points(T[shape.link], shape.vertices.astype(float)) for shape in shown]
         every = max(sum(map(len, points)) // 4000, 1)
         return np.concatenate(points)[::every].astype(float)
@@ -169,7 +187,7 @@ class GraspNodes:
             moved = {} if state.motion is None else state.motion.T_bodies
             self.environment.move({name: T[state.motion_frame] for name, T in moved.items()})
 
-    def _draw_contacts(self, state: State, blocked: Sequence[str]) -> None:
+    def _draw_contacts(self, state: State, blocked: Collection[str]) -> None:
         """Draw witness points, lines between them, targets, and forces; links that are `blocked` are tinted."""
         shown, on = state.shown, self._display.contacts
         found = self.contacts = self._contacts_of(state)
@@ -214,7 +232,7 @@ class GraspNodes:
             self._depth_fields[body] = DepthField.of(body)
         return self._depth_fields[body]
 
-    def _draw_simulated_contacts(self, motion: ShownMotion, frame: int) -> None:
+    def _draw_simulated_contacts(self, motion: ShownMotion | ShownWay, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""
         points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
         for markers in (self.points_link, self.targets, self._targets_link, self.picked):

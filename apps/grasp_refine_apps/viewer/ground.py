@@ -66,6 +66,11 @@ class Ground:
         self._shadow.render_width = self._shadow.render_height = side
         self._shadow.position = place
 
+    def show_shadow(self, visible: bool) -> None:
+        """Show or hide the shadow, which hides what is below it in a body that is seen through."""
+        if self._shadow is not None:
+            self._shadow.visible = visible
+
     def remove(self) -> None:
         """Remove ground and shadow."""
         self.grid.remove()

@@ -118,7 +118,7 @@ class ManyGrasps(Cutter):
         """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
         counted = Counted(outcome.touching[0], config.margin)
         refined: dict[str, Any] = {"pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
-        refined |= {"config": config, "refined_at": now(), "trial": None, "tested_at": None}
+        refined |= {"config": config, "refined_at": now(), "trial": None, "tested_at": None, "way": None}
 
         def change(work: Work) -> Work:
             steps = (*work.undo_steps, *work.snapshots)[-MAX_STEPS:]

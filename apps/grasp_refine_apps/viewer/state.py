@@ -20,8 +20,9 @@ from grasp_refine_apps.viewer.work import Work, Works
 
 if TYPE_CHECKING:
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
+    from grasp_refine_apps.viewer.shown_way import ShownWay
 
-JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "replay", "export"]
+JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "way", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 
@@ -131,8 +132,8 @@ class State:
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
-    motion: ShownMotion | None = None
-    """Shown simulation."""
+    motion: ShownMotion | ShownWay | None = None
+    """Shown simulation, or way."""
     motion_frame: int = 0
     """Number of its shown frame."""
     display: DisplayOptions = DisplayOptions()

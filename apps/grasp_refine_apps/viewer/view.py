@@ -16,6 +16,8 @@ from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
 from grasp_refine_apps.viewer.ground import ABOVE, LEAST_SLANT, light
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.shown_way import ShownWay
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
@@ -39,6 +41,7 @@ class View:
         self._made: Drawn | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
+        self._motion: ShownMotion | ShownWay | None = None
         light(server.scene)
 
     @property
@@ -63,6 +66,10 @@ class View:
             if state.side_by_side != self._beside:
                 self._beside = state.side_by_side
                 self._place_cameras(state, nodes)
+            if state.motion is not self._motion:
+                self._motion = state.motion
+                if isinstance(state.motion, ShownWay):
+                    self._place_cameras(state, nodes)
             nodes.draw(state)
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
@@ -103,21 +110,24 @@ class View:
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
         """Points (N, 3) on all that is shown, world frame."""
         points = transform_points(state.T_world_object, nodes.corners(state.shown))
+        if isinstance(state.motion, ShownWay):
+            ends = [nodes.corners(state.motion.pose(k), state.motion.T_object[k], arm=True) for k in (0, -1)]
+            points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
         if not state.side_by_side:
             return points
         other = transform_points(state.T_world_object, nodes.corners(state.initial)) + nodes.input_offset(state)
         return np.concatenate([points, other])
 
     def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, or for two side by side."""
+        """Place all cameras for one grasp, for two side by side, or for a whole way."""
         camera = self._camera
         if camera is None:
             return
-        if state.side_by_side:
+        if state.side_by_side or isinstance(state.motion, ShownWay):
             back = camera.position - camera.look_at
             back /= np.linalg.norm(back)
-            both = self._points(state, nodes)
-            camera = fit_camera(both, both.mean(axis=0), back, ASPECT_RATIO)
+            points = self._points(state, nodes)
+            camera = fit_camera(points, points.mean(axis=0), back, ASPECT_RATIO)
         self.server.initial_camera.up = UP
         clients = [client.camera for client in self.server.get_clients().values()]
         for client in clients:

@@ -14,6 +14,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.pose import Pose, Target
+from grasp_refine_apps.viewer.shown_way import ShownWay
 from grasp_refine_apps.viewer.trace import Trace
 from grasp_refine_apps.viewer.validated import TrialResult
 
@@ -44,6 +45,8 @@ class Work:
     """Simulation result of `pose`."""
     tested_at: datetime | None = None
     """Time of that simulation; None: it is from a document, or there is none."""
+    way: ShownWay | None = None
+    """Way of the hand to `pose` and up with the object."""
     of_file: Pose | None = None
     """Pose in the file; None: there is no file."""
     saved: Pose | None = None
@@ -79,7 +82,7 @@ class Work:
         return self.changed and (self.saved is None or not self.saved.same(self.pose))
 
 
-NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "refined_at", "trial", "tested_at"))
+NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "refined_at", "trial", "tested_at", "way"))
 """Fields without results, which do not hold for another pose."""
 
 Works = Mapping[int, Work]

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import viser
 
+from grasp_refine.motion.way import WayStatus
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
-from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
+from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change, on_choice, on_click
 from grasp_refine_apps.viewer.shown_motion import FRAME_RATE_HZ, ShownMotion
+from grasp_refine_apps.viewer.shown_way import ShownWay
 from grasp_refine_apps.viewer.state import Job, State
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.validating import MAX_FRICTION
@@ -56,7 +58,7 @@ class ValidatePanel:
         self._server, self._controller = server, controller
         self._lock = threading.RLock()
         self._trial: TrialResult | None = None
-        self._motion: ShownMotion | None = None
+        self._motion: ShownMotion | ShownWay | None = None
 
         gui = server.gui
         hint = "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
@@ -72,10 +74,15 @@ class ValidatePanel:
             hint="Coefficient of sliding friction of all contacts; the protocol chosen above has its own",
         )
         self.test = gui.add_button("Test in MuJoCo", hint="Simulate whether the grasp that is shown holds the object")
+        self.plan = gui.add_button(
+            "Plan the way", hint="Approach, grasp and lift: tell what is in the way, and play it as far as it is known"
+        )
+        in_a_row(gui, (self.test, self.plan))
         self.bar: Any = gui.add_progress_bar(0.0, visible=False)
         self.doing = gui.add_html("", visible=False)
         self.stop = gui.add_button("Stop", visible=False, hint="End the simulation")
         self.result = gui.add_html(trial_html(None))
+        self.way = gui.add_html("", visible=False)
         self.watch = gui.add_button_group(
             "Watch", ("+x",), visible=False, hint="Play the simulation of a push along this axis of the object"
         )
@@ -88,6 +95,7 @@ class ValidatePanel:
         on_change(self.protocol, self._choose)
         on_change(self.friction, lambda friction: self._set_protocol())
         on_click(self.test, controller.run_trial)
+        on_click(self.plan, controller.plan_way)
         on_click(self.stop, controller.stop)
         on_choice(self.watch, controller.record)
         on_click(self.end, self._end)
@@ -101,6 +109,7 @@ class ValidatePanel:
         with self._lock:
             self._draw_job(state.job)
             self._draw_trial(state.trial)
+            self._draw_way(state.work.way)
             self._draw_motion(state.motion, state.motion_frame)
 
     def _choose(self, protocol: str) -> None:
@@ -117,7 +126,7 @@ class ValidatePanel:
         own, friction = PROTOCOLS[self.protocol.value].friction, float(self.friction.value)
         return None if abs(friction - own) < 1e-9 else friction
 
-    def _shown(self) -> tuple[ShownMotion | None, int]:
+    def _shown(self) -> tuple[ShownMotion | ShownWay | None, int]:
         """The simulation, and the number of its shown frame."""
         state = self._controller.state
         return state.motion, state.motion_frame
@@ -129,8 +138,8 @@ class ValidatePanel:
 
     def _draw_job(self, job: Job | None) -> None:
         """Show the progress of a simulation."""
-        ours = job is not None and job.kind in ("validate", "replay")
-        self.test.disabled = job is not None and job.kind != "measure"
+        ours = job is not None and job.kind in ("validate", "way", "replay")
+        self.test.disabled = self.plan.disabled = job is not None and job.kind != "measure"
         self.bar.visible = self.doing.visible = self.stop.visible = ours
         if ours and job is not None:
             self.bar.value = round(100.0 * (job.share or 0.0))
@@ -147,13 +156,21 @@ class ValidatePanel:
             self.watch.options = trial.directions
         self.watch.visible = trial is not None and trial.watchable
 
-    def _draw_motion(self, motion: ShownMotion | None, frame: int) -> None:
+    def _draw_way(self, way: ShownWay | None) -> None:
+        """Show what is known of the way."""
+        self.way.visible = way is not None
+        if way is not None:
+            self.way.content = motion_html(_sentence(way.summary), lost=way.status != WayStatus.FREE)
+
+    def _draw_motion(self, motion: ShownMotion | ShownWay | None, frame: int) -> None:
         """Show the text of a frame; a new motion is played at once, if a browser is connected."""
         new = motion is not self._motion
         if new:
             self._motion = motion
             self.replay.pause()
-            self.line.visible = self.end.visible = motion is not None
+            self.end.visible = motion is not None
+            # The heading tells of the frames of a way, too, and what is in the way stands above.
+            self.line.visible = isinstance(motion, ShownMotion)
             self.replay.set_visible(motion is not None)
         if motion is None:
             return
