@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
@@ -38,6 +38,7 @@ from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
     from grasp_refine.pipeline.problem import Problem
+    from grasp_refine_apps.viewer.collection import Collection
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.panels.app import Viewer
     from grasp_refine_apps.viewer.shown_motion import ShownMotion
@@ -80,6 +81,8 @@ class View:
     ] = ()
     """A grasp file or a folder of them, instead of --grasps, optionally with the `validate --json` or `run --json` file
     about it; or a replay of `validate --replays`."""
+    compare: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Draw the grasp of the same number of another grasp file as a ghost, with a line of its numbers."""
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     settings: Annotated[Settings, arg(name="")] = field(default_factory=Settings)
     serving: Annotated[Serving, arg(name="")] = field(default_factory=Serving)
@@ -127,7 +130,6 @@ class View:
     def _controller(self, tell: Callable[[str], None] = lambda what: None) -> Controller:
         """Load the grasps of the files, with the results of documents about them; `tell` is called with each step."""
         tell("reading the grasps")
-        from grasp_refine_apps.viewer.collection import Collection
         from grasp_refine_apps.viewer.controller import Controller
         from grasp_refine_apps.viewer.shown_motion import is_replay
         from grasp_refine_apps.viewer.validation_file import read_validation
@@ -154,22 +156,32 @@ class View:
                 return self._replay_controller(grasps[0], reporter)
             if documents and inputs.grasps is None:
                 inputs = replace(inputs, grasps=_grasp_file(documents[0]))
-            loader, quiet = Loader(inputs, self.settings.seed, say, wait), Loader(inputs, self.settings.seed)
-            # All objects are read and checked; of those that are not shown yet, none is cut.
-            draft = loader.draft()
-            first = next((at for at, group in enumerate(draft.groups) if 0 in group.place), 0)
-            uncut = {
-                at: partial(quiet.cut_object, group.uncut)
-                for at, group in enumerate(draft.groups)
-                if at != first and group.uncut.takes_long
-            }
-            problem = loader.cut(draft, uncut)
-            for note in problem.notes:
+            collection = self._load(inputs, say, wait)
+            compared = None
+            if self.compare is not None:
+                compared = self._load(replace(inputs, grasps=self.compare), say, wait, shown=False)
+            opened = [each for each in (collection, compared) if each is not None]
+            for note in dict.fromkeys(note for each in opened for note in each.problem.notes):
                 reporter.note(note)
-        collection = Collection.of(problem, uncut=uncut)
         for document in documents:
             collection = collection.with_trials(document.of(collection))
-        return Controller(collection, self.settings)
+        return Controller(collection, self.settings, compared)
+
+    def _load(
+        self, inputs: Inputs, say: Callable[[str], None], wait: Callable[[str], None], *, shown: bool = True
+    ) -> Collection:
+        """Load grasps; of the objects, all of which are read and checked, only that of the shown grasp is cut."""
+        from grasp_refine_apps.viewer.collection import Collection
+
+        loader, quiet = Loader(inputs, self.settings.seed, say, wait), Loader(inputs, self.settings.seed)
+        draft = loader.draft()
+        first = next((at for at, group in enumerate(draft.groups) if 0 in group.place), 0) if shown else None
+        uncut = {
+            at: partial(quiet.cut_object, group.uncut)
+            for at, group in enumerate(draft.groups)
+            if at != first and group.uncut.takes_long
+        }
+        return Collection.of(loader.cut(draft, uncut), uncut=uncut)
 
     def _replay_controller(self, path: Path, reporter: Reporter) -> Controller:
         """Load the grasp of a replay, with its motion."""

@@ -12,7 +12,9 @@ from typing import Any
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.comparison import check_comparable
 from grasp_refine_apps.viewer.counted import Counted
+from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.many import ManyGrasps, now
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
@@ -22,7 +24,7 @@ from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.shown_way import ShownWay, plan_way
-from grasp_refine_apps.viewer.state import DisplayOptions, State
+from grasp_refine_apps.viewer.state import DisplayOptions, Shelved, State
 from grasp_refine_apps.viewer.store import Change
 from grasp_refine_apps.viewer.trace import Trace
 from grasp_refine_apps.viewer.validating import protocol_of, record_direction, run_trial
@@ -36,9 +38,23 @@ MAX_SHELVED = 6
 class Controller(ManyGrasps):
     """Commands on the open grasps."""
 
-    def __init__(self, collection: Collection, settings: Any) -> None:
-        """Show the first of the open grasps; `settings` are the options of refinement (`State.settings`)."""
-        super().__init__(_first_state(collection, 0, settings))
+    def __init__(self, collection: Collection, settings: Any, compared: Collection | None = None) -> None:
+        """Show the first of the open grasps.
+
+        Args:
+            collection: The grasps.
+            settings: Options of refinement (`State.settings`).
+            compared: Grasps that they are compared with; they are on the shelf, too.
+
+        Raises:
+            GraspRefineError: the compared grasps are of another hand.
+        """
+        state = _first_state(collection, 0, settings)
+        if compared is not None:
+            check_comparable(collection, compared)
+            other = Shelved(compared, 0, {}, Listing())
+            state = replace(state, shelf=(other,), compared=other)
+        super().__init__(state)
         self.contacts = ContactMeter()
         """Contacts of the shown grasp of a state."""
         self._obstacles = ObstacleMeter()
@@ -70,19 +86,37 @@ class Controller(ManyGrasps):
     def reopen(self, at: int) -> None:
         """Show grasps of the shelf again, as they were left; those that are open take their place."""
         with self._lock:
-            shelf = self._state.shelf
+            shelf, compared = self._state.shelf, self._state.compared
             if 0 <= at < len(shelf):
                 found = shelf[at]
                 self.change_collection(found.collection, found.number)
                 others = tuple(each for each in self._state.shelf if each is not found)
                 works = {**self._state.works, **found.works}
-                self._set(works=works, listing=found.listing, shelf=others)
+                # Grasps that were compared are so with those that were open.
+                swapped = compared is not None and compared.collection.same_grasps(found.collection)
+                compared = self._state.shelf[0] if swapped else None
+                self._set(works=works, listing=found.listing, shelf=others, compared=compared)
 
     def show(self, number: int) -> None:
         """Show another grasp."""
         with self._lock:
             if 0 <= number < len(self._state.collection) and number != self._state.number:
                 self.change_collection(self._state.collection, number)
+
+    def compare(self, at: int | None) -> None:
+        """Compare the open grasps with those of this place on the shelf, number by number; None: with none."""
+        with self._lock:
+            state = self._state
+            if at is None or not 0 <= at < len(state.shelf):
+                self._set(compared=None)
+                return
+            found = state.shelf[at]
+            try:
+                check_comparable(state.collection, found.collection)
+            except GraspRefineError as error:
+                self.notify(str(error), bad=True)
+            else:
+                self._set(compared=found)
 
     def set_display(self, display: DisplayOptions) -> None:
         """Show or hide parts of the scene."""
@@ -299,8 +333,13 @@ def _showing(state: State, collection: Collection, number: int) -> State:
     """Return the state with another grasp shown; what was made of grasps of the same file stays, and so do options."""
     shown = _first_state(collection, number, state.settings)
     same = collection.same_grasps(state.collection)
-    kept = {name: getattr(state, name) for name in ("job", "gizmo", "display", "side_by_side", "notice", "protocol")}
+    kept = {
+        name: getattr(state, name)
+        for name in ("job", "gizmo", "display", "side_by_side", "compared", "notice", "protocol")
+    }
     kept["change"] = state.change
+    if not same:
+        kept["compared"] = None
     if same:
         works = {**shown.works, **state.works}
         return replace(shown, works=works, listing=state.listing, shelf=state.shelf, **kept)

@@ -16,6 +16,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine_apps.viewer.camera import hand_points, surface_points
 from grasp_refine_apps.viewer.colors import distance_colors, tinted
+from grasp_refine_apps.viewer.comparison import compared_pose
 from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.depth import DepthField, overlap_patches
@@ -34,8 +35,8 @@ from grasp_refine_apps.viewer.state import State
 GRASP_NODE = "/grasp"
 """Parent node of everything in the object's frame."""
 
-OPACITY, GHOST_OPACITY = 0.55, 0.16
-"""Opacities of the object and of the input hand."""
+OPACITY, GHOST_OPACITY, COMPARED_OPACITY = 0.55, 0.16, 0.3
+"""Opacities of the object, of the input hand and of the compared one."""
 
 GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (110, 130, 170),
@@ -44,6 +45,9 @@ GHOST_COLOR, TARGET_COLOR, FORCE_COLOR, DEEP_COLOR, PICKED_COLOR = (
     (220, 20, 40),
     (250, 130, 20),
 )
+
+COMPARED_COLOR = (30, 150, 110)
+"""Colour of the hand in the grasp that is compared."""
 
 CONE_COLOR = (110, 150, 225)
 """Colour of the outlines of friction cones."""
@@ -134,9 +138,7 @@ class GraspNodes:
         place(self.root, state.T_world_object)
         self.hand.move(shown)
         place(self.object_frame, state.T_shown_object)
-        differs = not state.initial.same(shown)
-        self.ghost.show(self._display.input_hand and differs and state.motion is None and not state.side_by_side)
-        self.ghost.move(state.initial)
+        self._draw_ghost(state)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
         blocked, blocking = {overlap.link for overlap in overlaps}, {overlap.body for overlap in overlaps}
         met = state.motion.obstruction_at(state.motion_frame) if isinstance(state.motion, ShownWay) else None
@@ -186,6 +188,17 @@ class GraspNodes:
             self.environment.tint(blocking, DEEP_COLOR)
             moved = {} if state.motion is None else state.motion.T_bodies
             self.environment.move({name: T[state.motion_frame] for name, T in moved.items()})
+
+    def _draw_ghost(self, state: State) -> None:
+        """Draw the compared grasp as a ghost, or else the input grasp, unless it is drawn beside."""
+        pose = compared_pose(state)
+        wanted = self._display.input_hand and not state.side_by_side if pose is None else True
+        color, opacity = (GHOST_COLOR, GHOST_OPACITY) if pose is None else (COMPARED_COLOR, COMPARED_OPACITY)
+        pose = state.initial if pose is None else pose
+        self.ghost.show(wanted and state.motion is None and not pose.same(state.shown))
+        self.ghost.move(pose)
+        for node in self.ghost.nodes:
+            node.color, node.opacity = color, opacity
 
     def _draw_contacts(self, state: State, blocked: Collection[str]) -> None:
         """Draw witness points, lines between them, targets, and forces; links that are `blocked` are tinted."""

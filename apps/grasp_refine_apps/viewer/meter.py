@@ -28,6 +28,7 @@ class ContactMeter:
         self._prepared: HandObject | None = None
         self._near: tuple[Pose, Counted | None] | None = None
         self._last: tuple[tuple[Any, ...], Contacts] | None = None
+        self._other: tuple[Pose, Contacts] | None = None
 
     def prepared(self, scene: Scene) -> HandObject:
         """Return hand and object of a scene; other threads may look at them, but not query them."""
@@ -53,6 +54,16 @@ class ContactMeter:
                 )
                 self._last = key, found
             return self._last[1]
+
+    def at(self, scene: Scene, pose: Pose, counted: Counted | None) -> Contacts:
+        """Return the contacts of another pose of the hand; without `counted`, those of links within reach there."""
+        with self._lock:
+            prepared = self._of(scene)
+            if self._other is None or self._other[0] is not pose or self._other[1].prepared is not prepared:
+                touching, margin = (None, 0.0) if counted is None else (counted.touching, counted.margin)
+                found = contacts_of(prepared, pose.T_object_root, pose.q, touching=touching, margin=margin)
+                self._other = pose, found
+            return self._other[1]
 
     def _of(self, scene: Scene) -> HandObject:
         known = self._prepared

@@ -124,6 +124,8 @@ class State:
     """Filters and sorting of the list of grasps."""
     shelf: tuple[Shelved, ...] = ()
     """Grasps that were open before, the last one first."""
+    compared: Shelved | None = None
+    """Grasps that are compared with the open ones, number by number."""
     job: Job | None = None
     """Running job."""
     gizmo: Gizmo = "none"

@@ -12,6 +12,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
+from grasp_refine_apps.viewer.comparison import compared_pose
 from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.grasp_nodes import GraspNodes
@@ -113,17 +114,20 @@ class View:
         if isinstance(state.motion, ShownWay):
             ends = [nodes.corners(state.motion.pose(k), state.motion.T_object[k], arm=True) for k in (0, -1)]
             points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
+        compared = compared_pose(state)
+        if compared is not None:
+            points = np.concatenate([points, transform_points(state.T_world_object, nodes.corners(compared))])
         if not state.side_by_side:
             return points
         other = transform_points(state.T_world_object, nodes.corners(state.initial)) + nodes.input_offset(state)
         return np.concatenate([points, other])
 
     def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, for two side by side, or for a whole way."""
+        """Place all cameras for one grasp, for two side by side or one over the other, or for a whole way."""
         camera = self._camera
         if camera is None:
             return
-        if state.side_by_side or isinstance(state.motion, ShownWay):
+        if state.side_by_side or isinstance(state.motion, ShownWay) or compared_pose(state) is not None:
             back = camera.position - camera.look_at
             back /= np.linalg.norm(back)
             points = self._points(state, nodes)

@@ -22,6 +22,7 @@ from grasp_refine_apps.viewer.histogram import brushed_range, histogram_html
 from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
 from grasp_refine_apps.viewer.marks import MARKS, Mark
 from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.panels.export_panel import shelf_titles
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
 from grasp_refine_apps.viewer.present import here_text, present, signature
 from grasp_refine_apps.viewer.state import Job, State
@@ -30,6 +31,8 @@ from grasp_refine_apps.viewer.viser_private import click_script
 from grasp_refine_apps.viewer.work import Work
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
+NOTHING = "nothing"
+"""Label of no comparison."""
 MEASURE = "Measure all"
 GOOD, BAD, NO = "Good", "Bad", "None"
 ALL = "all"
@@ -73,6 +76,12 @@ class BrowsePanel:
         self.beside: Any = gui.add_checkbox(
             "Before and after", False, hint="Draw the input grasp beside the one that is shown"
         )
+        self.compared: Any = gui.add_dropdown(
+            "Compare with",
+            (NOTHING,),
+            visible=False,
+            hint="Draw the grasp of the same number of other open grasps as a ghost, and tell its numbers",
+        )
         # Clicks on the table, which is HTML, arrive as values of this widget, which is hidden.
         self.clicks = gui.add_text("click", "", visible=False)
         self.table = gui.add_html("")
@@ -104,6 +113,7 @@ class BrowsePanel:
         """Show a state."""
         with self._lock:
             self._draw_job(state.job)
+            self._draw_compared(state)
             new = signature(state)
             other = self._collection is None or not self._collection.same_grasps(state.collection)
             changed = new != self._signature
@@ -134,6 +144,7 @@ class BrowsePanel:
         on_change(self.descending, lambda descending: self._list(descending=descending))
         on_change(self.measure_of, lambda title: self._choose_histogram())
         on_change(self.beside, self._controller.set_side_by_side)
+        on_change(self.compared, self._compare)
         for name, widget in self.filters.items():
             on_change(widget, partial(self._filter, name))
         on_choice(self.steps, self.go)
@@ -143,6 +154,25 @@ class BrowsePanel:
         on_click(self.test, lambda: self._controller.run_trials(self._chosen()))
         on_click(self.stop, self._controller.stop)
         self.download.on_click(self._send_marks)
+
+    def _compare(self, title: str) -> None:
+        titles = shelf_titles(self._controller.state)[1:]
+        self._controller.compare(titles.index(title) if title in titles else None)
+
+    def _draw_compared(self, state: State) -> None:
+        """Show what the open grasps can be compared with, and are."""
+        titles = (NOTHING, *shelf_titles(state)[1:])
+        if self.compared.options != titles:
+            self.compared.options = titles
+        self.compared.visible = len(titles) > 1
+        ours = (
+            ()
+            if state.compared is None
+            else [each.collection.same_grasps(state.compared.collection) for each in state.shelf]
+        )
+        wanted = titles[1 + ours.index(True)] if True in ours else NOTHING
+        if self.compared.value != wanted:
+            self.compared.value = wanted
 
     # list
 

@@ -8,7 +8,7 @@ import viser
 
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form
-from grasp_refine_apps.viewer.grasp_nodes import DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
+from grasp_refine_apps.viewer.grasp_nodes import COMPARED_COLOR, DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 from grasp_refine_apps.viewer.panels.habits import keys_html
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
@@ -40,6 +40,7 @@ def _legend() -> str:
         ((242, 184, 102), "links that are meant to touch"),
         ((220, 90, 80), "links inside the object, and what is in the way"),
         (GHOST_COLOR, "the input hand"),
+        (COMPARED_COLOR, "the hand in the grasp that is compared"),
         (TARGET_COLOR, "target: where a link should touch"),
         (FORCE_COLOR, "contact forces, in their friction cones"),
         (DEEP_COLOR, "the push in a simulation"),
