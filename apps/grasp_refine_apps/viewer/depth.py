@@ -93,8 +93,29 @@ def _depth_in_piece(
 def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], field: DepthField) -> DepthPatch | None:
     """Return the part of a shape that lies in a body; None: none does.
 
-    Triangles are halved until their edges are short. Those that cannot reach the body are left out first: depth changes
-    by no more than a point moves.
+    Triangles are halved until their edges are short.
+    """
+    fine = near_triangles(shape, T_body_shape, field, 0.0, EDGE_M)
+    return None if fine is None else clipped(*fine)
+
+
+def near_triangles(
+    shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], field: DepthField, reach: float, edge_m: float
+) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"], Float[np.ndarray, " V"]] | None:
+    """Return small triangles of a shape that are in a body or may be near it; None: there are none.
+
+    Triangles are halved until their edges are short. Those that cannot come near the body are left out first: depth
+    changes by no more than a point moves.
+
+    Args:
+        shape: The shape.
+        T_body_shape: Its pose in the frame of the body.
+        field: Depth in the body.
+        reach: Distance from the body in metres up to which triangles count.
+        edge_m: Longest edge in metres of what is returned.
+
+    Returns:
+        Vertices (V, 3) in the frame of the shape, triangles (F, 3), and the depths (V,) of the vertices in metres.
     """
     import trimesh
 
@@ -103,23 +124,29 @@ def depth_patch(shape: Shape, T_body_shape: Float[np.ndarray, "4 4"], field: Dep
         depth = field(transform_points(T_body_shape, vertices))
         corners = vertices[faces]
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        # Where all edges are short, only what lies inside is left.
-        fine = not len(edge) or edge.max() <= EDGE_M or len(faces) > MAX_FACES
-        near = depth[faces].max(axis=1) > (0.0 if fine else -edge)
-        long = edge[near] > EDGE_M
+        # Where all edges are short, only what is near is left.
+        fine = not len(edge) or edge.max() <= edge_m or len(faces) > MAX_FACES
+        near = depth[faces].max(axis=1) > (-reach if fine else -reach - edge)
+        long = edge[near] > edge_m
         used, renumbered = np.unique(faces[near], return_inverse=True)
         if not len(used):
             return None
         vertices, faces = vertices[used], renumbered.reshape(-1, 3)
         if fine:
-            return _clipped(vertices, faces, depth[used])
+            return vertices, faces, depth[used]
         vertices, faces = trimesh.remesh.subdivide(vertices, faces, face_index=np.flatnonzero(long))
 
 
-def _clipped(
+def clipped(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], depth: Float[np.ndarray, " V"]
 ) -> DepthPatch:
-    """Patch whose outer vertices are moved to where the surface enters the body, along their edges inwards."""
+    """Return the patch whose outer vertices are moved to where the depth is 0, along their edges inwards.
+
+    Args:
+        vertices: Vertices (V, 3) of a surface.
+        faces: Its triangles.
+        depth: Depths (V,), negative outside.
+    """
     ends = np.concatenate([faces[:, [a, b]] for a in range(3) for b in range(3) if a != b])
     out, into = np.unique(ends[(depth[ends[:, 0]] < 0) & (depth[ends[:, 1]] > 0)], axis=0).T
     share = depth[out] / (depth[out] - depth[into])

@@ -21,6 +21,7 @@ from grasp_refine_apps.viewer.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.depth import DepthField, overlap_patches
 from grasp_refine_apps.viewer.environment_nodes import EnvironmentNodes
+from grasp_refine_apps.viewer.gaps import GapField, gap_patch
 from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
 from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
@@ -112,7 +113,10 @@ class GraspNodes:
         self.picked = PointMarkers(scene, f"{GRASP_NODE}/picked", 1.8 * radius, PICKED_COLOR)
         self.met = PointMarkers(scene, f"{GRASP_NODE}/met", 3.0 * radius, DEEP_COLOR)
         self.depths = ColoredPatches(scene, f"{GRASP_NODE}/depth")
+        self.gaps = ColoredPatches(scene, f"{GRASP_NODE}/gaps")
         self._depths_of: Contacts | None = None
+        self._gaps_of: Contacts | None = None
+        self._gap_field: GapField | None = None
         self._depth_fields: dict[Body, DepthField] = {}
         self.forces = Arrows(scene, f"{GRASP_NODE}/forces", FORCE_THICKNESS * length, FORCE_COLOR)
         self.cones = Lines(scene, f"{GRASP_NODE}/cones", 1.5)
@@ -223,6 +227,7 @@ class GraspNodes:
         refining = state.job is not None and state.job.kind == "refine"
         self._draw_forces(found.forces if self._display.forces and not refining else None)
         self._draw_depths(found if self._display.overlap and not refining else None)
+        self._draw_gaps(found if self._display.gaps and not refining else None)
 
     def _draw_depths(self, found: Contacts | None) -> None:
         """Draw where links and object overlap, coloured by depth; None: nothing."""
@@ -238,6 +243,21 @@ class GraspNodes:
             both = overlap_patches(shape, self._field(body), self._surface, self._field(self.prepared.object.body), T)
             patches += [(patch, pose) for patch, pose in zip(both, (T, np.eye(4)), strict=True) if patch is not None]
         self.depths.draw(patches)
+
+    def _draw_gaps(self, found: Contacts | None) -> None:
+        """Draw links that touch, or should, coloured by their distance from the object; None: nothing."""
+        if found is self._gaps_of:
+            return
+        self._gaps_of, patches = found, []
+        if found is not None and self._gap_field is None:
+            self._gap_field = GapField(self._field(self.prepared.object.body))
+        for link in () if found is None else found.link:
+            shape = next((shape for shape in self.shapes if shape.link == link), None)
+            if found is not None and shape is not None and self._gap_field is not None:
+                T = found.frames.T_world_link[0, self.prepared.chain.links.index(link)]
+                patch = gap_patch(shape, T, self._gap_field)
+                patches += [] if patch is None else [(patch, T)]
+        self.gaps.draw(patches)
 
     def _field(self, body: Body) -> DepthField:
         """Depth in a body, built when it is needed first."""
@@ -255,6 +275,7 @@ class GraspNodes:
         self.points_object.draw(points, distance_colors(np.zeros(len(points))))
         self._draw_forces(None)
         self._draw_depths(None)
+        self._draw_gaps(None)
 
     def _draw_push(self, state: State) -> None:
         """Draw the push of a simulation, from the middle of the object outwards."""

@@ -187,9 +187,20 @@ class ColoredPatches:
             # Files for browsers have linear colours.
             colors = np.round(255 * (patch.colors / 255) ** SRGB_EXPONENT).astype(np.uint8)
             mesh = trimesh.Trimesh(patch.vertices, patch.faces, vertex_colors=colors, process=False)
-            node = self._scene.add_mesh_trimesh(f"{self._name}/{k}", mesh, cast_shadow=False, receive_shadow=False)
+            data = mesh.export(file_type="glb", tree_postprocessor=_without_light)
+            assert isinstance(data, bytes)
+            node = self._scene.add_glb(f"{self._name}/{k}", data, cast_shadow=False, receive_shadow=False)
             place(node, T)
             self.nodes.append(node)
+
+
+def _without_light(tree: dict[str, Any]) -> None:
+    """Give the meshes of a glTF tree a material that no light changes, so that their colours are those of the scale."""
+    tree["extensionsUsed"] = ["KHR_materials_unlit"]
+    tree["materials"] = [{"extensions": {"KHR_materials_unlit": {}}, "doubleSided": True}]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
 
 
 class Arrows:

@@ -69,6 +69,9 @@ class DisplayOptions:
     overlap: bool = True
     """Depth of links in the object and of the object in them, as colours where they overlap; takes up to 0.1 s for each
     such link after each move, and nothing where none is."""
+    gaps: bool = False
+    """Distance of links from the object as colours on them, up to 3 mm, by the scale above the tabs; takes up to 0.1 s
+    for each link that is near after each move."""
     forces: bool = False
     """The contact forces that balance best, and friction cones."""
     frames: bool = False
