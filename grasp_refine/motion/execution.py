@@ -78,8 +78,8 @@ def _execute(world: World, hand: Hand, trajectories: Sequence[Trajectory | None]
         rows.drive(course.root(tick - 1, 1.0), course.set_points(tick - 1, 1.0))
         rows.step(protocol.steps_per_move)
         ran = np.flatnonzero(rows.running)
-        for row in ran:
-            watch.note(row, int(ticked[row].leg[tick]), *rows.contacts(int(row)))
+        for row in ran.tolist():
+            watch.note(row, int(ticked[row].leg[tick]), *rows.contacts(row))
         away = distances(T_palm[ran, tick], _palm(world, hand, rows, T[:, tick], q[:, tick])[ran])
         tracking[:, ran] = np.maximum(tracking[:, ran], away)
         over = rows.running & (ends == tick)

@@ -1,5 +1,6 @@
 """Grasps of a hand on an arm: from the options to the simulation, in which the arm holds the hand and lifts it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -8,7 +9,7 @@ import pytest
 
 import grasp_refine as gr
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.rpy_poses import read_pose
+from grasp_refine.core.rpy_poses import read_pose, transform_from_rpy
 from grasp_refine.core.se3 import distances, transform_from_pose
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.pipeline.problem import Problem
@@ -18,6 +19,7 @@ from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.stepping import Conditions, Rows
+from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import World, build_world
 
@@ -67,8 +69,11 @@ def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> 
 
 
 def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
-    """A base 3 m away."""
-    found = gr.refine(gr.load_problem(spec(base="-3,0,0")), config=CONFIG)
+    """A base 3 m away; simulated before and after refinement, they are out of reach there, too."""
+    found = gr.refine(gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))), config=CONFIG)
+    trials = gr.simulate(found, "tabletop")
+    for part in (trials.before, trials.after):
+        assert (part.outcome == Reason.OUT_OF_REACH).all() and not part.success.any()
     assert (found.outcome.status == Status.OUT_OF_REACH).all() and set(found.status) == {"out of reach"}
     assert np.isnan(found.quality).all()
     assert "out of reach" in str(found)
@@ -185,3 +190,29 @@ def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:
     assert at.any() and (found.validated.metrics.scene_penetration_m[at] < 0.03).all()
     arms = problem.hand.arm
     assert arms is not None and arms.standing == {"base_link", "base"}
+
+
+@pytest.mark.slow
+def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
+    """World, object, bodies, in another order, and base moved, up kept: the same grasps and ways, to 1e-9."""
+    scene, hand = gr.load_scene("box-in-corner"), gr.load_hand("franka_hand", candidates=32)
+    box, whole = gr.load_object(scene.object or ""), gr.mount(gr.load_hand("ur5e", candidates=32), hand)
+    grasps = gr.sample_grasps(hand, box, 3, environment=scene)
+    T_base = read_pose("0,-0.55,0.7,0,0,90", "--base")
+    G = transform_from_rpy([3.0, -2.0, 1.0, 0.0, 0.0, 130.0])
+    bodies = tuple(replace(body, T_world_body=G @ body.T_world_body) for body in scene.bodies)
+    there = replace(scene, bodies=bodies[::-1], T_world_object=G @ scene.T_world_object)
+    (first, its), (second, others) = (
+        (found, gr.plan_ways(found))
+        for found in (
+            gr.refine(whole, box, grasps, CONFIG, scene=one, base=base)
+            for one, base in ((scene, T_base), (there, G @ T_base))
+        )
+    )
+    assert its.free.any() and (first.status == second.status).all()
+    for name in ("hand_pose", "q", "initial_q", "stage_q", "quality"):
+        np.testing.assert_allclose(getattr(first.outcome, name), getattr(second.outcome, name), atol=1e-9, err_msg=name)
+    for one, other in zip(its.ways, others.ways, strict=True):
+        assert (one.status, one.other_arm) == (other.status, other.other_arm)
+        for leg, same in zip(one.legs, other.legs, strict=True):
+            np.testing.assert_allclose(leg.q, same.q, atol=1e-9)
