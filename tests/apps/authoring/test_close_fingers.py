@@ -65,6 +65,7 @@ def test_the_files_belong_to_the_embedded_hand_and_objects(name: str):
     assert ((HAND.lower <= q) & (q <= HAND.upper)).all()
 
 
+@pytest.mark.slow
 def test_the_script_makes_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     main(["allegro", "--out", str(tmp_path)])
     assert capsys.readouterr().out.count("4 grasps") == len(EXAMPLES)

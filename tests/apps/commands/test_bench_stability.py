@@ -26,6 +26,7 @@ from refusals import assert_names
 pytestmark = pytest.mark.usefixtures("workplace")
 
 
+@pytest.mark.slow
 def test_of_20000_queries_in_all_states_none_is_wrong():
     """In a process of its own: with annotations checked it would take twice as long."""
     pytest.importorskip("jinja2", reason="the report needs it")

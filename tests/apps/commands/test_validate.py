@@ -327,6 +327,7 @@ def by_object(document: dict[str, Any]) -> dict[str, float]:
     return {name: 100 * float(np.mean(values)) for name, values in held.items()}
 
 
+@pytest.mark.slow
 def test_published_outcomes_of_a_sample(workplace: Path, bodex: tuple[str, ...]) -> None:
     shares = by_object(validate(*bodex, "--index", *map(str, range(0, 80, 10))))
     assert shares["core_bottle_523cddb320608c09a37f3fc191551700"] == 100

@@ -218,6 +218,7 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(page: V
     page.folder("Sort and filter")
 
 
+@pytest.mark.slow
 def test_a_gif_is_recorded_from_the_camera_of_the_page(page: ViserPage, tmp_path: Path):
     page.tab("Refine")
     page.click("Start")

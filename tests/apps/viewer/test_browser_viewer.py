@@ -325,6 +325,7 @@ def test_a_small_window_has_scene_and_panel(viewer: Viewer, open_page: Callable[
     until(whole, "a button as wide as the panel")
 
 
+@pytest.mark.slow
 def test_shadow_from_its_maker_is_refined_scrubbed_and_interrupted(
     start_viewer: Callable[..., Viewer], open_page: Callable[..., ViserPage], shared_assets: Path
 ):

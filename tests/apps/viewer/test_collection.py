@@ -170,6 +170,7 @@ def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:
     assert collection.columns["held"].known.nonzero()[0].tolist() == [*range(10), 12]
 
 
+@pytest.mark.slow
 def test_five_hundred_grasps_open_in_seconds(shared_assets: Path, tmp_path: Path) -> None:
     """File, hand, three objects, collection and table; caches are warm, as after a first look."""
     grasps = load_grasps(shared_assets / "grasps" / "normalised" / "dexgraspnet_shadow.npz")
