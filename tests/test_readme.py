@@ -64,6 +64,7 @@ def test_the_layer_of_the_readme_runs():
     assert gradient.isfinite().all() and gradient.abs().max() > 0
 
 
+@pytest.mark.slow
 def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     import grasp_refine
 

@@ -32,6 +32,7 @@ def test_parts_cover_the_mesh(parts):
     assert volume == pytest.approx(TUBE.volume, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_most_pieces_can_be_set():
     assert len(decompose(VERTICES, FACES, replace(QUICK, max_pieces=3), single=True)) == 3
 
@@ -73,6 +74,7 @@ def test_an_abort_inside_coacd_is_an_error_here():
         convex_pieces(TUBE, config, name="tube")
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_nothing(parts):
     two = decompose(VERTICES, FACES, QUICK, single=True, threads=2)
     assert [part.tobytes() for part in parts] == [part.tobytes() for part in two]

@@ -166,6 +166,7 @@ def test_its_jaws_are_nearly_parallel(hand: Hand) -> None:
     assert 0.085 < jaws.width[0] < 0.095 and jaws.width[-1] < 0.025 and np.abs(jaws.axis[0]) > 0.999
 
 
+@pytest.mark.slow
 def test_it_grasps_refines_and_holds(hand: Hand) -> None:
     obj = load_object("box:0.04,0.05,0.1", candidates=512)
     grasps = sample_grasps(hand, obj, 3)

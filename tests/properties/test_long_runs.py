@@ -23,7 +23,6 @@ from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 LONG = 10_000
@@ -65,7 +64,7 @@ def test_steps_of_levenberg_marquardt_keep_rotations_orthonormal(dtype: str, cou
 
 
 @pytest.mark.parametrize("dtype", PRECISIONS)
-@pytest.mark.parametrize("count", [2000, pytest.param(LONG, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(LONG, marks=pytest.mark.slow)])
 def test_a_helix_of_ten_turns_does_not_drift(count: int, dtype: str) -> None:
     """So many equal steps are one motion of so many times the twist, in closed form."""
     axis = np.random.default_rng(1).normal(size=(8, 3))
@@ -78,7 +77,7 @@ def test_a_helix_of_ten_turns_does_not_drift(count: int, dtype: str) -> None:
     np.testing.assert_allclose(T.double().numpy(), exp_se3(step.double().numpy() * count), atol=PRECISIONS[dtype][1])
 
 
-@pytest.mark.parametrize("count", [2000, pytest.param(LONG, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(LONG, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("solver", [Descent(), pytest.param(Adam(), marks=pytest.mark.slow)], ids=["descent", "adam"])
 def test_steps_in_single_precision_leave_neither_rotations_nor_limits(solver: Descent | Adam, count: int) -> None:
     rng = np.random.default_rng(0)
@@ -144,20 +143,20 @@ KEPT_ONCE = 500_000
 a hundred refinements as after a thousand, and more where other tests ran before."""
 
 
-def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prepared: HandObject | None) -> None:
+def check_no_growth(scene: Scene, config: Config, warm: int, count: int) -> None:
     """Nothing is left of `count` refinements but 300 bytes each, which is less than the arrays of one."""
     tracemalloc.start()
     try:
         # What is kept once is traced from here on: of what was there before, what takes its place would look like
         # growth.
         for _ in range(warm):
-            refine(scene, config, prepared=prepared)
+            refine(scene, config)
         # What other tests left in caches may still be replaced once; a leak goes on.
         for _ in range(2):
             gc.collect()
             rss, (before, _) = resident(), tracemalloc.get_traced_memory()
             for _ in range(count):
-                refine(scene, config, prepared=prepared)
+                refine(scene, config)
             gc.collect()
             grown, grown_rss = tracemalloc.get_traced_memory()[0] - before, resident() - rss
             if grown < KEPT_ONCE + 300 * count and grown_rss < 16 * 2**20:
@@ -168,10 +167,6 @@ def check_no_growth(scene: Scene, config: Config, warm: int, count: int, *, prep
 
 
 CLOSING = Config(solver=LevenbergMarquardt(iterations=2, restarts=0), weights=GEOMETRY)
-
-
-def test_fifty_refinements_leave_no_memory_behind(scene: Scene) -> None:
-    check_no_growth(scene, CLOSING, 30, 50, prepared=HandObject.of(scene))
 
 
 @pytest.mark.slow
@@ -187,4 +182,4 @@ def test_fifty_refinements_leave_no_memory_behind(scene: Scene) -> None:
 )
 def test_many_refinements_leave_no_memory_behind(scene: Scene, config: Config, count: int) -> None:
     # pytorch-kinematics keeps the last 128 chains for itself.
-    check_no_growth(scene, config, 150, count, prepared=None)
+    check_no_growth(scene, config, 150, count)

@@ -85,6 +85,7 @@ def sort(page: ViserPage, label: str) -> None:
     page.page.locator(".gr-table th", has_text=label).click()
 
 
+@pytest.mark.slow
 def test_a_table_of_a_hundred_is_sorted_opened_and_marked(
     show: Callable[[Collection], Shown], open_page: Callable[..., ViserPage], tmp_path: Path
 ) -> None:

@@ -149,6 +149,7 @@ def test_a_link_opens_grasp_and_tab(viewer: Viewer, page: ViserPage, browser: Br
     other.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_have_the_contrast_of_wcag_aa(viewer: Viewer, browser: Browser, scheme: str):
     opened = ViserPage(browser)
@@ -169,6 +170,7 @@ def test_texts_have_the_contrast_of_wcag_aa(viewer: Viewer, browser: Browser, sc
     opened.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(1280, 720), (800, 900)])
 def test_small_windows_have_no_overlap_and_the_whole_grasp(
     viewer: Viewer, open_page: Callable[..., ViserPage], size: tuple[int, int]

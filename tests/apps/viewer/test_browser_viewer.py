@@ -178,6 +178,7 @@ def test_two_pages_see_the_same_and_a_closed_one_stops_nothing(
     assert viewer.process.poll() is None
 
 
+@pytest.mark.slow
 def test_the_animation_that_is_downloaded_plays(page: ViserPage, tmp_path: Path, open_page: Callable[..., ViserPage]):
     refine(page)
     page.tab("Files")
@@ -198,6 +199,7 @@ def test_the_animation_that_is_downloaded_plays(page: ViserPage, tmp_path: Path,
     assert film.requests[0].startswith("file://") and len(film.requests) == 1
 
 
+@pytest.mark.slow
 def test_a_link_ends_where_two_clicks_in_the_scene_said(page: ViserPage):
     refine(page)
     page.tab("Edit")
@@ -265,6 +267,7 @@ def test_a_grasp_that_slips_is_tested_and_watched(page: ViserPage):
     until(lambda: np.allclose(page.pose("/grasp/object"), np.eye(4), atol=1e-6), "the object is back")
 
 
+@pytest.mark.slow
 def test_another_tab_ends_a_replay_and_what_was_made_is_listed(page: ViserPage):
     page.tab("Browse")
     page.page.locator(".gr-table tbody tr").nth(1).click()
