@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,18 +17,45 @@ if TYPE_CHECKING:
     import trimesh
 
 
-def numbered_triangles(path: Path, scale: float) -> Float[np.ndarray, "F 3 3"]:
-    """Return the corners (F, 3, 3) of the triangles of a file times `scale`, in the order in which it lists them.
+def numbered_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
+    """Return the corners (F, 3, 3) of the triangles of a file times `scale`, and the numbers (F,) of their faces.
 
-    A face of more corners counts as its triangles.
+    Faces are numbered from 0 in the order of the file. In an OBJ file they may have any number of corners; those of
+    other files count as triangles.
 
     Raises:
         MeshError: the file cannot be read.
     """
-    # Readers of OBJ files put faces of one material together unless they are told not to.
-    options = {"skip_materials": True, "group_material": False} if path.suffix.lower() == ".obj" else {}
-    found = [np.asarray(mesh.triangles) for mesh in _meshes(path, options)]
-    return scale * np.concatenate([np.zeros((0, 3, 3)), *found])
+    if path.suffix.lower() == ".obj":
+        triangles, number = _obj_triangles(path)
+    else:
+        triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh.triangles) for mesh in _meshes(path))])
+        number = np.arange(len(triangles))
+    return scale * triangles, number
+
+
+def _obj_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return triangles and the numbers of their faces; readers of OBJ files put them in order of their materials."""
+    vertices: list[list[float]] = []
+    corners: list[tuple[int, int, int]] = []
+    numbers: list[int] = []
+    faces = 0
+    try:
+        for line in path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines():
+            words = line.split()
+            if words[:1] == ["v"]:
+                vertices.append([float(word) for word in words[1:4]])
+            elif words[:1] == ["f"]:
+                index = [int(word.partition("/")[0]) for word in words[1:]]
+                # From 1 on, or from the last vertex so far back.
+                index = [at - 1 if at > 0 else len(vertices) + at for at in index]
+                corners += [(index[0], b, c) for b, c in pairwise(index[1:])]
+                numbers += [faces] * (len(index) - 2)
+                faces += 1
+        triangles = np.array(vertices, dtype=float).reshape(-1, 3)[np.array(corners, dtype=int).reshape(-1, 3)]
+    except (OSError, ValueError, IndexError) as error:
+        raise MeshError(f"{path}: its faces cannot be read ({error})") from None
+    return triangles, np.array(numbers, dtype=np.int64)
 
 
 def colored_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, "F 3 3"]]:
@@ -39,7 +67,7 @@ def colored_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 
         MeshError: the file cannot be read.
     """
     corners, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3), dtype=np.int64)]
-    for mesh in _meshes(path, {}):
+    for mesh in _meshes(path):
         found = _corner_colors(mesh)
         if found is not None:
             corners.append(np.asarray(mesh.triangles))
@@ -47,7 +75,7 @@ def colored_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 
     return scale * np.concatenate(corners), np.concatenate(colors)
 
 
-def _meshes(path: Path, options: dict[str, Any]) -> Iterator[trimesh.Trimesh]:
+def _meshes(path: Path) -> Iterator[trimesh.Trimesh]:
     """Yield the meshes of a file, each where it is in the whole.
 
     Raises:
@@ -57,8 +85,10 @@ def _meshes(path: Path, options: dict[str, Any]) -> Iterator[trimesh.Trimesh]:
 
     try:
         with quietly():
-            scene = trimesh.load_scene(path, process=False, **options)
-            for node in scene.graph.nodes_geometry:
+            scene = trimesh.load_scene(path, process=False)
+            # Nodes have no order; geometries have that of the file.
+            place = {name: at for at, name in enumerate(scene.geometry)}
+            for node in sorted(scene.graph.nodes_geometry, key=lambda node: place[scene.graph[node][1]]):
                 T, name = scene.graph[node]
                 if isinstance(mesh := scene.geometry[name], trimesh.Trimesh):
                     yield mesh.copy().apply_transform(T)

@@ -18,7 +18,7 @@ ON_SURFACE_M = 1e-6
 EDGE_SHARE = 0.025
 """Longest edge, as a share of the diagonal, of the triangles that stand for faces in the search for the nearest."""
 
-NUM_NEAREST = 16
+NUM_NEAREST = 8
 """Triangles with the nearest centres, among which the nearest one is searched."""
 
 
@@ -194,8 +194,9 @@ class ContactRegions:
 
     def reason(self, point: Float[np.ndarray, " 3"]) -> str:
         """Return why a hand may not touch at a point (3,), such as "3.1 mm outside of box:..."."""
-        depth = [-float(region.signed_distance(point)[0]) for region in self.avoid]
-        outside = float(self._wanted(point)[0]) if self.touch else -np.inf
+        one = point[None]
+        depth = [-float(region.signed_distance(one)[0][0]) for region in self.avoid]
+        outside = float(self._wanted(one)[0][0]) if self.touch else -np.inf
         if depth and max(depth) >= outside:
             return f"{1e3 * max(depth):.1f} mm inside of {self.avoid[int(np.argmax(depth))].spec}, which it must avoid"
         return f"{1e3 * outside:.1f} mm outside of {' and '.join(region.spec for region in self.touch)}"

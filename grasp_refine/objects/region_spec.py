@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core.errors import GraspRefineError, did_you_mean, quote_value
 from grasp_refine.core.names import expand_user, is_file
@@ -35,6 +35,9 @@ COLOR_TOLERANCE = 8
 
 NUM_LISTED_COLORS = 5
 """Largest number of colours of a mesh that a message lists."""
+
+NUM_POINTS = 8192
+"""Points on the surface of an object among which those of a region are searched."""
 
 Regions = str | Region | Sequence[str | Region]
 """One or several regions, or their specifications."""
@@ -135,8 +138,8 @@ def _split(spec: str, where: str) -> tuple[str, str]:
     """Return the kind of a region, and the rest of its specification."""
     kind, colon, rest = spec.partition(":")
     if not colon or kind not in KINDS or not rest:
-        meant = did_you_mean(kind, KINDS) if kind not in KINDS else " is not complete:"
-        raise GraspRefineError(f"{where}: no region{meant} there are {FORMS}")
+        meant = f"no region{did_you_mean(kind, KINDS)}" if kind not in KINDS else "is not complete;"
+        raise GraspRefineError(f"{where}: {meant} there are {FORMS}")
     return kind, rest
 
 
@@ -183,19 +186,18 @@ def _color(text: str, where: str) -> tuple[int, int, int]:
 
 def _numbered(obj: Object, spec: str, path: Path, where: str) -> Faces:
     """Return the faces whose numbers a file has."""
-    triangles = _triangles(obj)
+    triangles, face = _triangles(obj)
     numbers = _face_numbers(path, where)
     if not len(numbers):
         raise GraspRefineError(f"{where}: has no numbers of faces")
-    outside = (numbers < 0) | (numbers >= len(triangles))
+    count = int(face.max(initial=-1)) + 1
+    outside = (numbers < 0) | (numbers >= count)
     if outside.any():
         raise GraspRefineError(
-            f"{where}: face {numbers[outside][0]} is none of the {len(triangles)} of {obj.name}, which are numbered "
-            "from 0 in the order of its file, faces of more corners as triangles"
+            f"{where}: face {numbers[outside][0]} is none of the {count} of {obj.name}, which are numbered from 0 in "
+            "the order of its file"
         )
-    chosen = np.zeros(len(triangles), dtype=bool)
-    chosen[numbers] = True
-    return Faces(spec, triangles, chosen)
+    return Faces(spec, triangles, np.isin(face, numbers))
 
 
 def _face_numbers(path: Path, where: str) -> np.ndarray:
@@ -237,20 +239,24 @@ def _colored(obj: Object, spec: str, color: tuple[int, int, int], where: str) ->
     return Faces(spec, triangles, chosen)
 
 
-def _triangles(obj: Object) -> Float[np.ndarray, "F 3 3"]:
-    """Return the triangles of an object as its file numbers them; without one, those of its mesh."""
-    return np.asarray(obj.mesh.triangles) if obj.file is None else numbered_triangles(*obj.file)
+def _triangles(obj: Object) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
+    """Return the triangles of an object and the numbers of their faces in its file; without one, in its mesh."""
+    if obj.file is not None:
+        return numbered_triangles(*obj.file)
+    return np.asarray(obj.mesh.triangles), np.arange(len(obj.mesh.faces))
 
 
 def _surface_points(obj: Object) -> Float[np.ndarray, "P 3"]:
-    """Return points on the surface of an object and on its pieces."""
-    mesh = obj.mesh
-    return np.concatenate([obj.body.candidates.points, mesh.vertices, mesh.triangles_center])
+    """Return points on the surface of an object and on its pieces, the same every time."""
+    from trimesh.sample import sample_surface
+
+    points, _ = sample_surface(obj.mesh, NUM_POINTS, seed=0)
+    return np.concatenate([obj.body.candidates.points, obj.mesh.vertices, np.asarray(points)])
 
 
 def _holds_any(obj: Object, distance: Float[np.ndarray, " P"]) -> bool:
     """Return whether a region holds any of these points on the surface, or may hold some between them."""
-    spacing = np.sqrt(obj.body.area / len(obj.body.candidates.points))
+    spacing = np.sqrt(obj.mesh.area / NUM_POINTS)
     inside: Bool[np.ndarray, " P"] = distance <= 0.0
     return bool(inside.any() or np.nanmin(distance) < spacing)
 

@@ -14,8 +14,7 @@ from grasp_refine.objects.object import Object, load_object
 from grasp_refine.sampling.antipodal import FRICTION, antipodal_pairs
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
-from grasp_refine.sampling.sample import sample_grasps
-from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
+from grasp_refine.sampling.sample import CONTACT_DISTANCE_M, sample_grasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from plate_gripper import URDF
