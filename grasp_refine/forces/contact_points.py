@@ -61,14 +61,6 @@ class LinkPatches:
 
         return LinkPatches(of_slot, FacePatches(*(placed(getattr(found, field.name)) for field in fields(found))))
 
-    def outlines(self, row: int) -> Float[np.ndarray, "E 2 3"]:
-        """Return the edges (E, 2, 3) of the patches of one grasp, world frame."""
-        edges = [np.zeros((0, 2, 3))]
-        for count, point in zip(self.faces.count[row], self.faces.point[row], strict=True):
-            corners = point[:count]
-            edges.append(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
-        return np.concatenate(edges)
-
     def first(self, number: int) -> LinkPatches:
         """Return the first patches of each grasp."""
         faces = FacePatches(*(getattr(self.faces, field.name)[:, :number] for field in fields(FacePatches)))

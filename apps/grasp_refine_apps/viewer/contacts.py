@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.se3 import transform_points
+from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Frames
 from grasp_refine.scene.contact_selection import ContactSelection
@@ -34,8 +36,18 @@ class Forces:
     """Unit normals (C, 3) from link to object."""
     force: Float[np.ndarray, "C 3"]
     """Force (C, 3) of each link on the object, within the cones of `PLANNING_FRICTION`; 0 where none is known."""
-    outline: Float[np.ndarray, "S 2 3"]
-    """Edges (S, 2, 3) of the patches where flat faces meet, on the object; their corners are contacts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Area of k corners in which a flat face of a link is at one of the object, in the object's frame."""
+
+    corners: Float[np.ndarray, "k 3"]
+    """Corners (k, 3) on the object, in order around it, metres; of a segment its two ends."""
+    gap: Float[np.ndarray, " k"]
+    """Signed distances (k,) of the link's face from them, metres."""
+    normal: Float[np.ndarray, " 3"]
+    """Unit normal (3,) of the face into the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +93,27 @@ class Contacts:
     @property
     def forces(self) -> Forces:
         """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
-        prepared, frames = self.prepared, self.frames
-        links, T_link = prepared.chain.links, frames.T_world_link
-        points = contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
-        found = grasp_forces(points, prepared.object, frames.T_world_root[:, :3, :3])
+        points = self._points
+        found = grasp_forces(points, self.prepared.object, self.frames.T_world_root[:, :3, :3])
         near = np.isfinite(points.point[0, :, 0])
-        outline = np.zeros((0, 2, 3)) if points.patches is None else points.patches.outlines(0)
-        return Forces(points.point[0, near], points.normal[0, near], found.force[0, near], outline)
+        return Forces(points.point[0, near], points.normal[0, near], found.force[0, near])
+
+    @cached_property
+    def patches(self) -> tuple[Patch, ...]:
+        """Patches where flat faces of links and object meet; none for hands and objects without such faces."""
+        found = self._points.patches
+        if found is None:
+            return ()
+        parts = zip(*(values[0] for values in (found.faces.count, found.faces.point, found.faces.gap)), strict=True)
+        normals = found.faces.normal[0]
+        every = [Patch(point[:k], gap[:k], normal) for (k, point, gap), normal in zip(parts, normals, strict=True)]
+        return tuple(patch for patch in every if len(patch.corners))
+
+    @cached_property
+    def _points(self) -> ContactPoints:
+        prepared = self.prepared
+        links, T_link = prepared.chain.links, self.frames.T_world_link
+        return contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
 
 
 def distances_text(contact_error: float, penetration: float) -> str:

@@ -8,12 +8,17 @@ from jaxtyping import Float, Float32
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.contacts import Patch
+from grasp_refine_apps.viewer.depth import DepthPatch
 
 UNIT_FORCE_LENGTH = 0.5
 """Arrow length of a force of 1, the total pressure of all contacts, as a share of the object's diagonal."""
 
 CONE_HEIGHT = 0.12
 """Height of a friction cone, likewise."""
+
+PATCH_LIFT_M = 2e-4
+"""Distance in metres of a drawn contact patch from the object, so that it is in front of it."""
 
 CONE_SIDES, CONE_LINES = 24, 4
 """Segments of the rim of a drawn cone, and lines from there to its apex."""
@@ -54,6 +59,17 @@ def arrow_lines(arrow: Float[np.ndarray, "2 3"], head: float) -> Float[np.ndarra
 def newtons_per_centimetre(obj: Body, total_n: float) -> float:
     """Return the force in newtons of a contact whose arrow is 1 cm long, where all pressures sum to `total_n`."""
     return 0.01 / (UNIT_FORCE_LENGTH * obj.diagonal) * total_n
+
+
+def patch_outline(corners: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2 3"]:
+    """Return the edges (k, 2, 3) of a polygon (k, 3)."""
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def patch_area(patch: Patch) -> DepthPatch:
+    """Return the area of a contact patch, a little in front of the object, coloured by the gap; a segment has none."""
+    faces = np.array([[0, k, k + 1] for k in range(1, len(patch.corners) - 1)], dtype=np.int64).reshape(-1, 3)
+    return DepthPatch((patch.corners - PATCH_LIFT_M * patch.normal).astype(np.float32), faces, -patch.gap)
 
 
 def force_arrows(

@@ -22,7 +22,14 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.depth import DepthField, overlap_patches
 from grasp_refine_apps.viewer.environment_nodes import EnvironmentNodes
 from grasp_refine_apps.viewer.gaps import GapField, gap_patch
-from grasp_refine_apps.viewer.glyphs import force_arrows, friction_cones, push_arrow, segments
+from grasp_refine_apps.viewer.glyphs import (
+    force_arrows,
+    friction_cones,
+    patch_area,
+    patch_outline,
+    push_arrow,
+    segments,
+)
 from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
 from grasp_refine_apps.viewer.obstacles import TABLE
@@ -120,7 +127,9 @@ class GraspNodes:
         self._depth_fields: dict[Body, DepthField] = {}
         self.forces = Arrows(scene, f"{GRASP_NODE}/forces", FORCE_THICKNESS * length, FORCE_COLOR)
         self.cones = Lines(scene, f"{GRASP_NODE}/cones", 1.5)
-        self.patches = Lines(scene, f"{GRASP_NODE}/forces/patches", 3.0)
+        self.patches = ColoredPatches(scene, f"{GRASP_NODE}/contacts/patches")
+        self.outlines = Lines(scene, f"{GRASP_NODE}/contacts/outlines", 2.5)
+        self._patches_of: Contacts | None = None
         self.push = Arrows(scene, f"{GRASP_NODE}/push", length, DEEP_COLOR)
         self.axes = [
             scene.add_frame(f"{GRASP_NODE}/{name}", axes_length=0.6 * length, axes_radius=0.02 * length, visible=False)
@@ -225,9 +234,20 @@ class GraspNodes:
             picked = transform_points(self._poses(shown.T_object_root, shown.q)[link], point)[None]
         self.picked.draw(picked)
         refining = state.job is not None and state.job.kind == "refine"
+        self._draw_patches(found if on and not refining else None)
         self._draw_forces(found.forces if self._display.forces and not refining else None)
         self._draw_depths(found if self._display.overlap and not refining else None)
         self._draw_gaps(found if self._display.gaps and not refining else None)
+
+    def _draw_patches(self, found: Contacts | None) -> None:
+        """Draw the areas where flat faces of links and object meet, coloured by the gap; None: nothing."""
+        if found is self._patches_of:
+            return
+        self._patches_of, patches = found, () if found is None else found.patches
+        self.patches.draw([(patch_area(patch), np.eye(4)) for patch in patches if len(patch.corners) > 2])
+        edges = [patch_outline(patch.corners) for patch in patches]
+        colors = [distance_colors(patch.gap) for patch in patches]
+        self.outlines.draw(np.concatenate([np.zeros((0, 2, 3)), *edges]), np.concatenate([NO_POINTS, *colors]))
 
     def _draw_depths(self, found: Contacts | None) -> None:
         """Draw where links and object overlap, coloured by depth; None: nothing."""
@@ -272,6 +292,7 @@ class GraspNodes:
             markers.draw(NO_POINTS)
         for lines in (self._lines, self._target_lines):
             lines.draw(np.zeros((0, 2, 3)), NO_POINTS)
+        self._draw_patches(None)
         self.points_object.draw(points, distance_colors(np.zeros(len(points))))
         self._draw_forces(None)
         self._draw_depths(None)
@@ -305,15 +326,13 @@ class GraspNodes:
         self._ground.draw(points)
 
     def _draw_forces(self, forces: Forces | None) -> None:
-        """Draw contact forces as arrows into the object, and outlines of cones and patches; None: nothing."""
+        """Draw contact forces as arrows into the object, and outlines of cones; None: nothing."""
         if forces is None:
             self.forces.draw(np.zeros((0, 2, 3)))
-            for lines in (self.patches, self.cones):
-                lines.draw(np.zeros((0, 2, 3)), NO_POINTS)
+            self.cones.draw(np.zeros((0, 2, 3)), NO_POINTS)
             return
         body = self.prepared.object.body
         self.forces.draw(force_arrows(forces.point, forces.force, body))
-        self.patches.draw(forces.outline, np.full((len(forces.outline), 3), FORCE_COLOR))
         cones = friction_cones(forces.point, forces.normal, PLANNING_FRICTION, body)
         self.cones.draw(cones, np.full((len(cones), 3), CONE_COLOR))
 

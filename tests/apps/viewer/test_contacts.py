@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
@@ -19,6 +21,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.geometry import measure
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
+from grasp_refine_apps.viewer.glyphs import patch_area, patch_outline
 from grasp_refine_apps.viewer.pose import Target
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
@@ -206,3 +209,28 @@ def test_points_lie_on_their_surfaces():
             if len(piece.vertices) == 1
         ]
         assert min(np.abs([*(d for d in depth if np.isfinite(d)), *round_ones])) < 1e-6
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.0005])
+def test_flat_pads_on_a_box_touch_in_patches_of_their_gap(gap: float) -> None:
+    half = 0.025
+    prepared = HandObject(
+        load_hand("franka_hand", candidates=16), load_object(f"box:0.05,{2 * half},0.12", candidates=16)
+    )
+    T = transform_from_rpy([0.0, 0.0, 0.06 - 0.02 + 0.1034, 180.0, 0.0, 0.0])
+    found = contacts_of(prepared, T, np.array([half + gap])).patches
+    assert sorted(patch.normal[1].round(6) for patch in found) == [-1.0, 1.0]
+    for patch in found:
+        # On the side that it presses on, below the upper edge of the box.
+        np.testing.assert_allclose(patch.corners[:, 1], -half * patch.normal[1], atol=1e-9)
+        np.testing.assert_allclose(patch.gap, gap, atol=1e-6)
+        assert len(patch.corners) == 4 and patch.corners[:, 2].max() <= 0.06 + 1e-9
+        assert np.ptp(patch.corners[:, 2]) == pytest.approx(0.02, abs=0.003)
+        area, outline = patch_area(patch), patch_outline(patch.corners)
+        mesh = trimesh.Trimesh(area.vertices, area.faces, process=False)
+        assert mesh.area == pytest.approx(np.prod(np.ptp(patch.corners, axis=0)[[0, 2]]), rel=1e-4)
+        # Seen from outside, in front of the face.
+        assert (mesh.face_normals @ patch.normal < 0).all() and (area.vertices[:, 1] * -patch.normal[1] > half).all()
+        assert np.linalg.norm(outline[:, 1] - outline[:, 0], axis=1).sum() == pytest.approx(
+            2 * np.ptp(patch.corners, axis=0)[[0, 2]].sum()
+        )
