@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,7 @@ def draw_cases(
         patience_s: CPU time after which no further picture is begun, seconds.
         progress: Called with the case being drawn, and the share that is done.
     """
-    begun, prepared, found = time.process_time(), cache(Skeleton.of), []
+    begun, prepared, found = time.process_time(), cache(partial(Skeleton.of, visual=True)), []
     for number, case in enumerate(cases):
         if progress is not None:
             progress(f"drawing {case.hand} on {case.object}", number / len(cases))
