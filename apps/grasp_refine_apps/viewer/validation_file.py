@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,7 +14,9 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
+from grasp_refine.results.margins_table import LIMITS
 from grasp_refine.results.result_files import fingerprint
+from grasp_refine.validation.margins.factors import JOINT
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.protocols.protocol_file import protocol_of
 from grasp_refine.validation.protocols.registry import PROTOCOLS
@@ -22,6 +24,7 @@ from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
+from grasp_refine_apps.viewer.margins import GraspMargins
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 
 COMMANDS = ("run", "validate")
@@ -223,6 +226,7 @@ def _entry(grasp: _Json, protocol: Protocol | None, closing: Mapping[When, Mappi
     if not isinstance(row, int) or isinstance(row, bool) or row < 0:
         raise grasp["row"].error("an integer of at least 0")
     simulation = grasp["simulation"].or_empty({})
+    margins = None if grasp["margins"].value is None else _margins(grasp["margins"])
     whens: tuple[When, ...] = get_args(When)
     return Entry(
         file=grasp["file"].or_empty("").text(),
@@ -230,14 +234,16 @@ def _entry(grasp: _Json, protocol: Protocol | None, closing: Mapping[When, Mappi
         object=grasp["object"].text(),
         quality=grasp["quality"].or_empty({})["after"].number(),
         trials={
-            when: _trial(simulation[when], protocol, closing.get(when, {}))
+            when: _trial(simulation[when], protocol, closing.get(when, {}), margins if when == "after" else None)
             for when in whens
             if simulation[when].value is not None
         },
     )
 
 
-def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, str]) -> TrialResult:
+def _trial(
+    simulation: _Json, protocol: Protocol | None, closing: Mapping[str, str], margins: GraspMargins | None
+) -> TrialResult:
     """Read the simulation result of one grasp."""
     directions, closed = simulation["directions"], simulation["closing"].or_empty({})
     if directions.value == []:
@@ -250,6 +256,25 @@ def _trial(simulation: _Json, protocol: Protocol | None, closing: Mapping[str, s
         closing_rad=closed["angle_rad"].number(),
         penetration_m=closed["pregrasp_penetration_m"].number(),
         label=None if simulation["label"].value is None else simulation["label"].number(),
+        margins=margins,
+    )
+
+
+def _margins(given: _Json) -> GraspMargins:
+    """Read the margins of one grasp."""
+    trials = given["trials"]
+    joint, worst = trials[JOINT], given["worst"].or_empty("").text()
+    interval = [bound.number() for bound in joint["interval"].list()]
+    if len(interval) != 2:
+        raise joint["interval"].error("two numbers")
+    limits = {limit.name: given[limit.name].number() for limit in LIMITS}
+    return GraspMargins(
+        count=len(joint["held"].list()),
+        probability=joint["probability"].number(),
+        interval=(interval[0], interval[1]),
+        worst=worst,
+        worst_probability=trials[worst]["probability"].number() if worst else nan,
+        limits={name: value for name, value in limits.items() if not isnan(value)},
     )
 
 

@@ -15,6 +15,7 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.results.margins_document import margins_entry
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.viewer.collection import Collection
@@ -22,6 +23,7 @@ from grasp_refine_apps.viewer.columns import HELD, REASON
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.validating import PosedGrasp, run_trial, world_cache
 from grasp_refine_apps.viewer.validation_file import read_validation
+from made_margins import made_margins
 from open_viewer import ignored
 from refusals import assert_names, refused
 
@@ -193,3 +195,30 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
     assert found[1].before_push == Reason.THROWN and found[1].watchable
     assert_names(found[1].verdict, "89 mm", "30°")
+
+
+def test_margins_are_those_of_the_document(folder: Path, tmp_path: Path) -> None:
+    document, margins = json.loads((folder / "validate.json").read_text()), made_margins()
+    for i in (0, 1):
+        document["grasps"][i]["margins"] = margins_entry(margins, i)
+    (tmp_path / "margins.json").write_text(json.dumps(document))
+    found = read_validation(tmp_path / "margins.json").of(opened(EXAMPLE, 1, 0))
+    for number, trial in found.items():
+        read = trial.margins
+        assert read is not None and read.count == 8
+        assert read.probability == margins.probability[number, 0]
+        assert read.interval == tuple(margins.interval[number, 0])
+        assert read.worst == margins.worst[number]
+    known = found[1].margins
+    assert known is not None and known.limits == {
+        "lowest_friction": 0.4,
+        "largest_force_n": 2.0,
+        "largest_torque_nm": 0.1,
+    }
+    assert_names(known.text, "75 %", "8", "mass", "25 %", "0.4", "2 N")
+    # A grasp that held at no friction has no lowest one.
+    assert found[0].margins is not None and "lowest_friction" not in found[0].margins.limits
+    document["grasps"][0]["margins"]["trials"]["all"]["interval"] = [0.5]
+    (tmp_path / "damaged.json").write_text(json.dumps(document))
+    with pytest.raises(GraspFileError, match="interval"):
+        read_validation(tmp_path / "damaged.json")

@@ -195,6 +195,8 @@ def trial_html(trial: TrialResult | None) -> str:
 def notes_html(trial: TrialResult) -> str:
     """Return the conditions of the simulation as HTML."""
     notes = [trial.conditions]
+    if trial.margins is not None:
+        notes.insert(0, f"margins: {trial.margins.text}")
     if not trial.protocol.tabletop:
         bounds = " or turned by ".join(trial.protocol.bounds()).replace(" degrees", "°")
         notes.append(f"an object is lost once it moved by {bounds}; axes are the object's")
