@@ -101,7 +101,7 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def benchmark_document(command: str, invoked: Any, **entries: Any) -> dict[str, Any]:
+def benchmark_document(command: str, invoked: Any, *, preset: str | None, seed: int, **entries: Any) -> dict[str, Any]:
     """Return the JSON document of a benchmark: how and where it ran, its settings, and other entries."""
     return {
         "schema": SCHEMA,
@@ -110,7 +110,9 @@ def benchmark_document(command: str, invoked: Any, **entries: Any) -> dict[str, 
         "versions": versions(),
         "machine": machine(),
         "engine": chosen("auto"),
+        "preset": preset,
         "config": settings(invoked),
+        "seed": seed,
         **entries,
     }
 
