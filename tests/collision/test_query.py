@@ -52,7 +52,7 @@ def brute_force(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarra
 @pytest.mark.parametrize(("spread", "penetrating"), [(0.03, True), (0.2, False)])
 def test_the_minimum_over_pieces_is_that_of_brute_force(spread: float, penetrating: bool) -> None:
     a, b = cluster(0), cluster(1)
-    T_a, T_b = scattered(16, 5, spread)
+    T_a, T_b = scattered(8, 5, spread)
     found = query(Pairs((a,), (b,)), T_a, T_b)
     assert ((found.distance < 0) == penetrating).mean() > 0.5
     every = brute_force(a, b, T_a, T_b)
@@ -65,7 +65,7 @@ def many_pieces() -> tuple[Body, Body]:
     return cluster(3, 12), cluster(4, 10)
 
 
-@pytest.mark.parametrize("gap", [0.02, 1e-3, 0.0, -1e-3])
+@pytest.mark.parametrize("gap", [0.02, 0.0, -1e-3])
 def test_bodies_of_many_pieces_get_the_minimum_of_brute_force(many_pieces: tuple[Body, Body], gap: float) -> None:
     a, b = many_pieces
     pairs = Pairs((a,), (b,))

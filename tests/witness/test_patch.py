@@ -216,13 +216,13 @@ def test_tilts_through_epsilon_are_continuous(gap: float, goal: tuple[float, flo
     largest = [np.linalg.norm(np.diff(w.point_a, axis=0), axis=1).max() for w in (plain, patch)]
     assert largest[0] > 1e-2
     assert largest[1] < 0.03**2 / EPSILON * (tilt[1] - tilt[0])
-    finer = np.linspace(-3e-3, 3e-3, 40001)
+    finer = np.linspace(-3e-3, 3e-3, 16001)
     T_a, T_b = still(len(finer)), stacked(finer, gap=gap)
     target = np.tile(goal, (len(finer), 1))
     _, patch = refined(body(BASE), body(BLOCK), T_a, T_b, target, seen_from_b(T_b, target))
     # A wall that comes to lean over adds a step along n, of epsilon at most.
     step = np.diff(patch.point_a, axis=0)
-    assert np.linalg.norm(step[:, :2], axis=1).max() < 0.15 * largest[1]
+    assert np.linalg.norm(step[:, :2], axis=1).max() < 0.35 * largest[1]
     assert np.abs(step[:, 2]).max() < EPSILON
 
 

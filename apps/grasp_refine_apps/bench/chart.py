@@ -152,6 +152,12 @@ def entry(row: Row, key: str) -> Any:
     return found
 
 
+def of_finite(statistic: Callable[..., Any], values: np.ndarray) -> float | None:
+    """Return a statistic of the finite values; None without any."""
+    finite = values[np.isfinite(values)]
+    return float(statistic(finite)) if len(finite) else None
+
+
 def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, ...], list[Row]]:
     """Group rows by the values of the keys."""
     found: dict[tuple[object, ...], list[Row]] = {}

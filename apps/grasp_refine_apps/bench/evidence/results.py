@@ -14,7 +14,7 @@ from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.rows import Rows, read_rows
 from grasp_refine_apps.batch.shard import Shard
-from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.chart import Row, of_finite
 from grasp_refine_apps.bench.evidence.cases import EvidenceCase
 from grasp_refine_apps.bench.evidence.trials import (
     GEOMETRY,
@@ -158,9 +158,7 @@ def _of(
         parts = [] if before is None else [block.rows[REFINED][before] for block in blocks]
     else:
         parts = [block.rows[method][after] for block in blocks]
-    values = np.concatenate([np.zeros(0), *parts])
-    known = values[np.isfinite(values)]
-    return float(statistic(known)) if len(known) else None
+    return of_finite(statistic, np.concatenate([np.zeros(0), *parts]))
 
 
 def refinement_cpu_s(blocks: Sequence[Block]) -> float:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from grasp_refine.core.array_records import join
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine_apps.bench.chart import Row
+from grasp_refine_apps.bench.chart import Row, of_finite
+from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, calls
 from grasp_refine_apps.bench.grasp.variants import Variant
 from grasp_refine_apps.bench.timing import cpu_share, split_stages
@@ -82,11 +84,9 @@ def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> 
         "grasps": len(status),
         "batch_mean": float(np.concatenate([[min(batch, len(p.tasks))] * len(p.tasks) for p in parts]).mean()),
         **contact_errors(after.contact_error, aimed),
-        **_depths("penetration_before", before.penetration),
-        **_depths("penetration_after", after.penetration),
-        **_own_depths("self_penetration_before", before.self_penetration),
-        **_own_depths("self_penetration_after", after.self_penetration),
-        **_gaps(np.abs(after.distance[touching])),
+        **_depths("before", before),
+        **_depths("after", after),
+        **_lengths("gap", np.abs(after.distance[touching]), "median", "p90", "worst"),
         **deep_starts(parts, aimed),
         "limits_violated": int(after.limits_violated.sum()),
         **{f"status_{one.name.lower()}": int((status == one).sum()) for one in Status if one != Status.RUNNING},
@@ -98,7 +98,10 @@ def _statistics(parts: Sequence[GroupResult], aimed: bool, variant: Variant) -> 
         "cpu_ms_per_grasp_median": 1e3 * float(np.median(cpu_s)) if several else None,
         "wall_ms_per_grasp": 1e3 * float(wall_s.mean()),
         "solver_cpu_ms_per_grasp": 1e3 * float(solver_cpu_s.mean()),
-        **{f"moved_{name.replace('_', '_median_')}": _median(values) for name, values in vars(moved).items()},
+        **{
+            f"moved_{name.replace('_', '_median_')}": of_finite(np.median, values)
+            for name, values in vars(moved).items()
+        },
     }
 
 
@@ -139,36 +142,28 @@ def deep_starts(parts: Sequence[GroupResult], aimed: bool) -> Row:
     return {"deep_starts": deep, "deep_stuck": len(stuck), "deep_stuck_grasps": stuck}
 
 
-def _depths(name: str, depth: np.ndarray) -> Row:
-    """Statistics of depths (N,) in the object, in metres; grasps that could not be measured count as the worst."""
-    depth = np.where(np.isnan(depth), np.inf, depth)
+def _depths(side: str, measures: Measures) -> Row:
+    """Statistics of the penetration of the object, and of links in each other, before or after refinement."""
+    deepest, own = measures.penetration, measures.self_penetration
     return {
-        f"{name}_mean_m": float(depth.mean()),
-        f"{name}_median_m": float(np.median(depth)),
-        f"{name}_p95_m": float(np.quantile(depth, 0.95, method="higher")),
-        f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_50um": float((depth <= SHALLOW_DEPTH_M).mean()),
+        **_lengths(f"penetration_{side}", deepest, "mean", "median", "p95", "worst"),
+        f"penetration_{side}_share_50um": float((deepest <= SHALLOW_DEPTH_M).mean()),
+        **_lengths(f"self_penetration_{side}", own, "mean", "worst"),
+        f"self_penetration_{side}_share_above_10um": float((~(own <= SELF_DEPTH_M)).mean()),
     }
 
 
-def _own_depths(name: str, depth: np.ndarray) -> Row:
-    depth = np.where(np.isnan(depth), np.inf, depth)
-    return {
-        f"{name}_mean_m": float(depth.mean()),
-        f"{name}_worst_m": float(depth.max()),
-        f"{name}_share_above_10um": float((depth > SELF_DEPTH_M).mean()),
-    }
+STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
+    "mean": np.mean,
+    "median": np.median,
+    "p90": lambda values: np.quantile(values, 0.9, method="higher"),
+    "p95": lambda values: np.quantile(values, 0.95, method="higher"),
+    "worst": np.max,
+}
+"""Name in a key of a row -> statistic."""
 
 
-def _gaps(gap: np.ndarray) -> Row:
-    """Statistics of the gaps (M,) of links that should touch, in metres."""
-    gap = np.where(np.isnan(gap), np.inf, gap)
-    if not len(gap):
-        return dict.fromkeys(("gap_median_m", "gap_p90_m", "gap_worst_m"))
-    p90 = float(np.quantile(gap, 0.9, method="higher"))
-    return {"gap_median_m": float(np.median(gap)), "gap_p90_m": p90, "gap_worst_m": float(gap.max())}
-
-
-def _median(values: np.ndarray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+def _lengths(name: str, values: np.ndarray, *statistics: str) -> Row:
+    """Statistics of lengths (N,) in metres, None of none; those that could not be measured count as the worst."""
+    values = np.where(np.isnan(values), np.inf, values)
+    return {f"{name}_{one}_m": float(STATISTICS[one](values)) if len(values) else None for one in statistics}

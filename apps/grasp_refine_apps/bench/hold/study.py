@@ -17,7 +17,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
-from grasp_refine_apps.bench.chart import Axis, Chart, Row
+from grasp_refine_apps.bench.chart import Axis, Chart, Row, of_finite
 from grasp_refine_apps.bench.hold.measure import GroupResult, GroupTask, methods
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Column, Report, Table
@@ -134,22 +134,22 @@ def _statistics(before: Sequence[GroupResult], after: Sequence[GroupResult], pro
     return {
         "grasps": len(depth),
         **_held(before, after, protocols, quality),
-        "cpu_ms_median": _known(np.median, values["cpu_ms"]),
-        "cpu_ms_mean": _known(np.mean, values["cpu_ms"]),
-        "wall_ms_median": _known(np.median, values["wall_ms"]),
-        "wall_ms_mean": _known(np.mean, values["wall_ms"]),
-        "stages_cpu_ms": _known(np.mean, values["stages_cpu_ms"]),
+        "cpu_ms_median": of_finite(np.median, values["cpu_ms"]),
+        "cpu_ms_mean": of_finite(np.mean, values["cpu_ms"]),
+        "wall_ms_median": of_finite(np.median, values["wall_ms"]),
+        "wall_ms_mean": of_finite(np.mean, values["wall_ms"]),
+        "stages_cpu_ms": of_finite(np.mean, values["stages_cpu_ms"]),
         "penetration_mean_m": float(depth.mean()),
         "penetration_q95_m": float(np.quantile(depth, 0.95, method="higher")),
         "self_penetration_max_m": float(own.max()),
-        "contact_gap_median_m": _known(np.median, values["contact_gap_m"]),
+        "contact_gap_median_m": of_finite(np.median, values["contact_gap_m"]),
         "wrench_residual_median": float(np.median(residual)),
         "wrench_residual_q75": float(np.quantile(residual, 0.75, method="higher")),
-        "moved_palm_median_m": _known(np.median, values["moved_palm_m"]),
-        "moved_palm_median_rad": _known(np.median, values["moved_palm_rad"]),
-        "moved_joints_median_rad": _known(np.median, values["moved_joints_rad"]),
+        "moved_palm_median_m": of_finite(np.median, values["moved_palm_m"]),
+        "moved_palm_median_rad": of_finite(np.median, values["moved_palm_rad"]),
+        "moved_joints_median_rad": of_finite(np.median, values["moved_joints_rad"]),
         "quality_median": float(np.median(quality)),
-        "starts_mean": _known(np.mean, values["starts"]),
+        "starts_mean": of_finite(np.mean, values["starts"]),
     }
 
 
@@ -185,12 +185,6 @@ def auc(score: np.ndarray, success: np.ndarray) -> float | None:
     order = np.sort(no)
     below, upto = np.searchsorted(order, yes, "left"), np.searchsorted(order, yes, "right")
     return float((below + upto).mean() / (2 * len(no)))
-
-
-def _known(statistic: Callable[[np.ndarray], float], values: np.ndarray) -> float | None:
-    """Statistic of the finite values; None without any."""
-    known = values[np.isfinite(values)]
-    return float(statistic(known)) if len(known) else None
 
 
 # report

@@ -15,9 +15,7 @@ from grasp_refine.collision.certified_distance import Tolerances
 from grasp_refine.collision.query import Pairs
 from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import Body
-
-CUTOFF_M = 10.0
-"""Distances beyond this, in metres, are ignored by MuJoCo."""
+from grasp_refine_apps.bench.mujoco_distance import MujocoBodies
 
 Loop = Callable[[], np.ndarray]
 """Signed distances (N,) of all poses, in metres."""
@@ -85,38 +83,7 @@ def reused_coal(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
 
 def mujoco_loop(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Loop:
     """Loop over `mj_geomDistance` of mesh geoms, with the best distance so far as cutoff."""
-    spec = mujoco.MjSpec()
-    second = spec.worldbody.add_body(mocap=True)
-    for side, (body, owner) in enumerate(((pairs.a[0], spec.worldbody), (pairs.b[0], second))):
-        for k, piece in enumerate(body.pieces):
-            spec.add_mesh(name=f"{side} {k}", uservert=piece.vertices.ravel(), userface=piece.faces.ravel())
-            owner.add_geom(name=f"{side} {k}", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"{side} {k}")
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    moves = model.geom_bodyid > 0
-    first, geoms = np.flatnonzero(~moves).tolist(), np.flatnonzero(moves)
-    # Poses of its geoms are computed beforehand, which only helps it.
-    center, R = data.geom_xpos[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
-    relative = inverse(T_a[:, 0]) @ T_b[:, 0]
-    centers = center @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
-    turns = (relative[:, None, :3, :3] @ R).reshape(len(relative), -1, 9)
-    pairs_of_geoms = list(product(first, geoms.tolist()))
-    segment = np.zeros(6)
-
-    def run() -> np.ndarray:
-        found = []
-        for position, turn in zip(centers, turns, strict=True):
-            data.geom_xpos[geoms], data.geom_xmat[geoms] = position, turn
-            best = CUTOFF_M
-            for a, b in pairs_of_geoms:
-                d = mujoco.mj_geomDistance(model, data, a, b, best, segment)
-                if d < best:
-                    best, _ = d, segment.copy()
-            found.append(best)
-        return np.array(found)
-
-    return run
+    return MujocoBodies(pairs.a[0], pairs.b[0]).loop(T_a[:, 0], T_b[:, 0])
 
 
 PEERS = (

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
+from dataclasses import replace
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 
 from grasp_refine.collision.query import Pairs, Witness, query
 from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import inverse
-from grasp_refine.geometry.body import Body
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine_apps.bench.mujoco_distance import MujocoBodies
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Forward, State, Task
 from grasp_refine_apps.bench.stability.judging import FAULTS, AnswerFaults, judge, tolerance
@@ -29,14 +24,13 @@ from grasp_refine_apps.bench.stability.rows import Cell
 MUJOCO_TOLERANCE = 4 * float(np.finfo(np.float32).eps)
 """Allowed error of MuJoCo, as a share of size and distance: it keeps vertices in single precision."""
 
-CUTOFF_DIAGONALS = 1e6
-"""Distances beyond this, in diagonals, are ignored by MuJoCo."""
-
 
 def forward_cells(task: Task) -> Iterator[Cell]:
     """Check the distances and points of a task, state after state; impossible states have no cells."""
     made = make_pairs(task.kind, task.diagonal, task.seed)
-    every = [(poser, SecondOpinion(poser.a, poser.b)) for poser in pose_samplers(made, task)]
+    every = [
+        (poser, MujocoBodies(poser.a, poser.b, poser.diagonal, precise=True)) for poser in pose_samplers(made, task)
+    ]
     for state in task.states:
         able = [(poser, other) for poser, other in every if poser.can_be(state)]
         if able or made.refused:
@@ -44,7 +38,7 @@ def forward_cells(task: Task) -> Iterator[Cell]:
 
 
 def _state_cells(
-    task: Task, state: State, pairs_of_bodies: Sequence[tuple[PoseSampler, SecondOpinion]], refused: Sequence[str]
+    task: Task, state: State, pairs_of_bodies: Sequence[tuple[PoseSampler, MujocoBodies]], refused: Sequence[str]
 ) -> Iterator[Cell]:
     """Make the cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
     able, others = [poser for poser, _ in pairs_of_bodies], [other for _, other in pairs_of_bodies]
@@ -106,14 +100,14 @@ def _answers(pairs: Pairs, posed: Sequence[PosedBodies], way: Forward, translati
     return join(*parts)
 
 
-def _second_opinion(others: Sequence[SecondOpinion], posed: Sequence[PosedBodies], most: int) -> dict[str, Any]:
+def _second_opinion(others: Sequence[MujocoBodies], posed: Sequence[PosedBodies], most: int) -> dict[str, Any]:
     """Count queries of MuJoCo, at no more than `most` poses, and its wrong answers, as entries of a cell."""
     asked = wrong = 0
     for other, its in zip(others, posed, strict=True):
         some = slice(-(-most // len(others)))
         T_a, T_b, true = its.T_a[some], its.T_b[some], its.truth.distance[some]
-        found = other.distances(T_a, T_b)
-        if found is not None:
+        if other.model is not None:
+            found = other.loop(T_a, T_b)()
             position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))
             allowed = tolerance(other.unit, position) + MUJOCO_TOLERANCE * (other.unit + np.abs(true))
             asked, wrong = asked + len(found), wrong + int((np.abs(found - true) > allowed).sum())
@@ -146,69 +140,3 @@ def _first_wrong(judged: AnswerFaults, poser: PoseSampler) -> str:
     """Location of the first wrong answer of a pair of bodies; empty: none."""
     wrong = judged.wrong
     return f"{poser.a.name} and {poser.b.name}: pose {int(wrong.argmax())} of {len(wrong)}" if wrong.any() else ""
-
-
-@dataclass(frozen=True, eq=False)
-class SecondOpinion:
-    """MuJoCo's distance of two bodies, in units in which they are about 1 long; its model is built once."""
-
-    a: Body
-    b: Body
-
-    @cached_property
-    def unit(self) -> float:
-        """The diagonal of the larger body in metres."""
-        return max(self.a.diagonal, self.b.diagonal)
-
-    @cached_property
-    def _model(self) -> mujoco.MjModel | None:
-        """Model with the first body in the world, the second one on a body that moves; None: MuJoCo refuses them."""
-        spec = mujoco.MjSpec()
-        # Tighter than its defaults, so that the remaining error is its own.
-        spec.option.ccd_tolerance, spec.option.ccd_iterations = 1e-10, 200
-        moving = spec.worldbody.add_body(mocap=True)
-        for body, owner in ((self.a, spec.worldbody), (self.b, moving)):
-            for k, piece in enumerate(body.pieces):
-                _add(spec, owner, piece, self.unit, f"{body.name} {k}")
-        try:
-            return spec.compile()
-        except ValueError:
-            return None
-
-    def distances(self, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray | None:
-        """Return signed distances (N,) in metres at the poses (N, 4, 4); None: MuJoCo refuses such bodies."""
-        model = self._model
-        if model is None:
-            return None
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
-        moves = model.geom_bodyid > 0
-        first, geoms = np.flatnonzero(~moves).tolist(), np.flatnonzero(moves)
-        center, R = data.geom_xpos[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
-        found = []
-        for relative in inverse(T_a) @ T_b:
-            data.geom_xpos[geoms] = center @ relative[:3, :3].T + relative[:3, 3] / self.unit
-            data.geom_xmat[geoms] = (relative[:3, :3] @ R).reshape(-1, 9)
-            nearest = CUTOFF_DIAGONALS
-            for one, other in product(first, geoms.tolist()):
-                nearest = min(nearest, mujoco.mj_geomDistance(model, data, one, other, nearest, None))
-            found.append(nearest * self.unit)
-        return np.array(found)
-
-
-def _add(spec: mujoco.MjSpec, owner: mujoco.MjsBody, piece: Piece, unit: float, name: str) -> None:
-    """Add the geom of a piece to a body."""
-    vertices, radius = piece.vertices / unit, piece.radius / unit
-    if len(vertices) == 1:
-        owner.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=vertices[0])
-    elif len(vertices) == 2:
-        owner.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, 0, 0], fromto=vertices.ravel())
-    else:
-        # A shell, because MuJoCo refuses solids with too little volume.
-        spec.add_mesh(
-            name=name,
-            uservert=vertices.ravel(),
-            userface=piece.faces.ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        owner.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)

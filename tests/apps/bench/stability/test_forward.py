@@ -11,6 +11,7 @@ import pytest
 from grasp_refine.collision import engine
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.bench.mujoco_distance import MujocoBodies
 from grasp_refine_apps.bench.stability import forward
 from grasp_refine_apps.bench.stability.bodies import BodyPairs, make_pairs
 from grasp_refine_apps.bench.stability.cases import (
@@ -25,7 +26,7 @@ from grasp_refine_apps.bench.stability.cases import (
     Task,
     diagonals_of,
 )
-from grasp_refine_apps.bench.stability.forward import SecondOpinion, forward_cells
+from grasp_refine_apps.bench.stability.forward import forward_cells
 from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
 from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import wrong
@@ -274,6 +275,6 @@ def test_a_query_that_refuses_is_a_fault(monkeypatch: pytest.MonkeyPatch):
 def test_mujoco_agrees_with_the_truth(kind: Kind):
     for state in ("far", "near", "gap-1e-9", "deep"):
         made, found = posed(kind, 1e-3, state, 4)
-        second = SecondOpinion(*made.pairs[0]).distances(found.T_a, found.T_b)
+        second = MujocoBodies(*made.pairs[0], 1e-3, precise=True).loop(found.T_a, found.T_b)()
         # It keeps vertices in single precision.
         np.testing.assert_allclose(second, found.truth.distance, rtol=1e-9, atol=1e-7 * 1e-3)
