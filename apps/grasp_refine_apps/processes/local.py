@@ -154,7 +154,7 @@ class _Process:
         self._log = tempfile.TemporaryFile()
         log = Connection(os.dup(self._log.fileno()), readable=False)
         self._process = context.Process(target=serve, args=(theirs, work, log, os.getpid()), daemon=True)
-        with inherited_settings():
+        with _inherited_settings():
             self._process.start()
         theirs.close()
         log.close()
@@ -216,7 +216,7 @@ def _exit_text(exit_code: int | None) -> str:
 
 
 @contextmanager
-def inherited_settings() -> Iterator[None]:
+def _inherited_settings() -> Iterator[None]:
     """Let processes that are started within inherit ONE_THREAD, and block interrupts until they are ready."""
     # Its first start would unblock the signals again.
     resource_tracker.ensure_running()
