@@ -84,14 +84,14 @@ def test_free_way_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajector
 
 
 def test_what_is_in_the_way_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> None:
-    """A bar that the planner did not know stops a finger as the hand comes; a board above, the box as it rises."""
+    """A bar that the planner did not know stops a finger as the hand comes; a ledge above, the box as it rises."""
     bar = body("bar", [0.3, 0.012, 0.01], (0.0, 0.05, 0.05))
     found = followed(hand, [timed], bar)
     assert any(hit.startswith("approach: panda_") and hit.endswith("and bar") for hit in found.hits[0])
-    # Thin enough to pass between the fingers, as long as they are above it.
-    beam = body("beam", [0.06, 0.01, 0.01], (0.052, 0.0, 0.11))
-    found = followed(hand, [timed], beam)
-    assert any(hit.startswith("lift: ") and hit.endswith("and beam") for hit in found.hits[0])
+    # Beside the fingers and below the palm.
+    ledge = body("ledge", [0.05, 0.01, 0.006], (0.042, 0.0, 0.067))
+    (hits,) = followed(hand, [timed], ledge).hits
+    assert hits and hits[0] == f"lift: {THING.name} and ledge"
 
 
 def test_neighbours_that_are_pushed_are_told_by_how_far(hand: Hand, timed: Trajectory) -> None:
