@@ -35,6 +35,9 @@ COUNTS = ("free", "held", "clean")
 """Keys of rows with numbers before and after: ways that are free, objects that were held and lifted along them, and
 those of them with nothing hit."""
 
+FALLEN_M = 1.0
+"""Displacement in metres from which on a neighbour fell off what it stood on."""
+
 
 @dataclass(frozen=True)
 class ScenesStudy:
@@ -97,7 +100,7 @@ class ScenesStudy:
             Column("free", "way is free", form=_both),
             Column("held", "held and lifted", form=_both),
             Column("clean", "and nothing hit", form=_both),
-            Column("pushed_m", "neighbour pushed, at most", "mm", ".1f"),
+            Column("pushed_m", "neighbour pushed, at most", "mm", _pushed),
         ]
         heads = {True: "Sampled, refined and planned in the scene", False: "The same without knowing of the scene"}
         tables = [
@@ -109,6 +112,10 @@ class ScenesStudy:
 
 def _both(counts: tuple[int, int]) -> str:
     return f"{counts[0]} → {counts[1]}"
+
+
+def _pushed(distance: float) -> str:
+    return f"{1e3 * distance:.1f}" if distance < FALLEN_M else "fell off"
 
 
 @dataclass(frozen=True, eq=False)
