@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join as rows_of_all
@@ -18,6 +19,7 @@ from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.scene import SCENE
 
 
@@ -45,7 +47,7 @@ def plan_ways(
 def follow_ways(
     refined: RefinedGrasps,
     planned: PlannedWays,
-    protocol: Protocol = SCENE,
+    protocol: str | Path | Protocol = SCENE,
     *,
     cache: InputCache | None = None,
     threads: int | None = None,
@@ -55,7 +57,8 @@ def follow_ways(
     Args:
         refined: Result of `refine`.
         planned: Its ways, of `plan_ways`.
-        protocol: Friction, masses and time step of the simulation, and when an object is lost; one that lifts.
+        protocol: One that lifts, or its name or file: friction, masses and time step of the simulation, and when an
+            object is lost.
         cache: Keeps models and worlds.
         threads: CPU threads; by default as many as there are.
 
@@ -69,7 +72,7 @@ def follow_ways(
 
     check_kind("refined", refined, RefinedGrasps)
     check_kind("planned", planned, PlannedWays)
-    check_kind("protocol", protocol, Protocol)
+    protocol = protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
     problem, cache = refined.problem, cache or NoCache()
     if len(planned) != len(problem):
         raise GraspRefineError(f"there are {len(planned)} ways, and {len(problem)} grasps")

@@ -143,6 +143,10 @@ class Run:
                 console.print(f"fix the file first: {note}", soft_wrap=True, markup=False)
         for line in () if planned is None else planned.lines():
             console.print(line, soft_wrap=True, markup=False)
+        if planned is not None and protocol is not None and planned.executions is None:
+            console.print(
+                f"ways are not followed in simulation: {protocol.name} pushes; --protocol scene lifts", soft_wrap=True
+            )
         if profile is not None:
             console.print(profile_table(profile))
         if not outcome.usable.any():
