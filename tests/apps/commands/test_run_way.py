@@ -1,0 +1,28 @@
+"""`refine-grasp run --way` as a user meets it: ways are followed where the protocol lifts, and the file tells of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from grasp_refine_apps.cli import main
+
+pytestmark = pytest.mark.usefixtures("workplace")
+
+
+@pytest.mark.parametrize(("protocol", "lifts"), [("scene", True), ("dexgraspbench", False)])
+def test_ways_are_followed_by_protocols_that_lift(
+    protocol: str, lifts: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A gripper lifts its box by 10 cm off the table; a protocol that pushes is named."""
+    given = "--hand franka_hand --object box:0.04,0.04,0.08 --grasps sample:1 --table -0.04 --validate"
+    assert main(["run", *given.split(), "--protocol", protocol, "--way", "way.json"]) == 0
+    (grasp,) = json.loads(Path("way.json").read_text())["grasps"]
+    out, _ = capfd.readouterr()
+    assert grasp["status"] == "free" and ("followed" in grasp) == lifts
+    assert ("1 of 1 held and lifted" in out) == lifts and ("dexgraspbench pushes" in out) != lifts
+    if lifts:
+        found = grasp["followed"]
+        assert found["held"] and abs(found["lifted_m"] - 0.1) < 5e-3 and found["hits"] == []
