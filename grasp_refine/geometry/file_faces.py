@@ -61,17 +61,15 @@ def _obj_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def colored_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, "F 3 3"]]:
     """Return the corners (F, 3, 3) of the triangles of a file times `scale`, and their colours, red, green, blue.
 
-    Colours are those of faces, of vertices, of materials or of textures, 0 to 255; triangles without any are left out.
+    Colours (F, 3, 3) at the corners are those of faces, vertices, materials or textures, 0 to 255; -1: there is none.
 
     Raises:
         MeshError: the file cannot be read.
     """
     corners, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3), dtype=np.int64)]
     for mesh in _meshes(path):
-        found = _corner_colors(mesh)
-        if found is not None:
-            corners.append(np.asarray(mesh.triangles))
-            colors.append(found.astype(np.int64))
+        corners.append(np.asarray(mesh.triangles))
+        colors.append(_corner_colors(mesh).astype(np.int64))
     return scale * np.concatenate(corners), np.concatenate(colors)
 
 
@@ -97,18 +95,16 @@ def _meshes(path: Path) -> Iterator[trimesh.Trimesh]:
         raise MeshError(f"{path}: its faces cannot be read ({type(error).__name__}: {error})") from error
 
 
-def _corner_colors(mesh: trimesh.Trimesh) -> np.ndarray | None:
-    """Return the colours (F, 3, 3) at the corners of the triangles of a mesh; None: it has none."""
+def _corner_colors(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Return the colours (F, 3, 3) at the corners of the triangles of a mesh; -1: there is none."""
     visual: Any = mesh.visual
-    if visual.kind == "texture":
-        if (
-            visual.uv is None
-            or getattr(visual.material, "image", getattr(visual.material, "baseColorTexture", None)) is None
-        ):
-            return np.broadcast_to(np.asarray(visual.material.main_color)[:3], (len(mesh.faces), 3, 3))
-        return np.asarray(visual.to_color().vertex_colors)[mesh.faces][..., :3]
     if visual.kind == "face":
         return np.repeat(np.asarray(visual.face_colors)[:, None, :3], 3, axis=1)
+    if visual.kind == "texture":
+        images = (getattr(visual.material, name, None) for name in ("image", "baseColorTexture"))
+        if visual.uv is None or all(image is None for image in images):
+            return np.broadcast_to(np.asarray(visual.material.main_color)[:3], (len(mesh.faces), 3, 3))
+        visual = visual.to_color()
     if visual.kind == "vertex":
         return np.asarray(visual.vertex_colors)[mesh.faces][..., :3]
-    return None
+    return np.full((len(mesh.faces), 3, 3), -1)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -206,10 +208,12 @@ class ContactRegions:
         return _pick([distance for distance, _ in found], [gradient for _, gradient in found], np.argmin)
 
 
-def _pick(distances: list[np.ndarray], gradients: list[np.ndarray], which: object) -> tuple[np.ndarray, np.ndarray]:
+def _pick(
+    distances: list[np.ndarray], gradients: list[np.ndarray], which: Callable[..., Any]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return one distance (...) and its gradient (..., 3) for each point, by `np.argmin` or `np.argmax`."""
     if len(distances) == 1:
         return distances[0], gradients[0]
     distance, gradient = np.stack(distances), np.stack(gradients)
-    at = which(distance, axis=0)[None]  # type: ignore[operator]
+    at = which(distance, axis=0)[None]
     return np.take_along_axis(distance, at, 0)[0], np.take_along_axis(gradient, at[..., None], 0)[0]

@@ -100,6 +100,17 @@ def check_spec(spec: str, option: str) -> None:
         _space(kind, rest, spec, where)
 
 
+def check_specs(touch: Iterable[str], avoid: Iterable[str]) -> None:
+    """Refuse options --touch and --avoid that are wrong for any object.
+
+    Raises:
+        GraspRefineError: names the option.
+    """
+    for option, specs in (("--touch", touch), ("--avoid", avoid)):
+        for spec in specs:
+            check_spec(spec, option)
+
+
 def is_spec(spec: object) -> bool:
     """Return whether this is a specification that can be used, its file there."""
     try:
@@ -225,14 +236,14 @@ def _colored(obj: Object, spec: str, color: tuple[int, int, int], where: str) ->
     triangles, corners = np.zeros((0, 3, 3)), np.zeros((0, 3, 3), dtype=np.int64)
     if obj.file is not None:
         triangles, corners = colored_triangles(*obj.file)
-    if not len(triangles):
+    if not (corners >= 0).any():
         raise GraspRefineError(
             f"{where}: {obj.name} has no colours{'' if obj.file is None else f' in {obj.file[0]}'}: paint its faces or "
             "vertices (PLY, OBJ, GLB), or give a box or faces:FILE"
         )
     chosen = (np.abs(corners - np.array(color)) <= COLOR_TOLERANCE).all(axis=(1, 2))
     if not chosen.any():
-        even = corners[(corners == corners[:, :1]).all(axis=(1, 2))][:, 0]
+        even = corners[(corners == corners[:, :1]).all(axis=(1, 2)) & (corners >= 0).all(axis=(1, 2))][:, 0]
         found = Counter("#{:02x}{:02x}{:02x}".format(*each) for each in even.tolist())
         listing = ", ".join(f"{name} ({count_text(n, 'face')})" for name, n in found.most_common(NUM_LISTED_COLORS))
         raise GraspRefineError(f"{where}: no face of {obj.name} has this colour; there are {listing or 'mixed ones'}")
@@ -264,14 +275,3 @@ def _holds_any(obj: Object, distance: Float[np.ndarray, " P"]) -> bool:
 def _extent(obj: Object) -> str:
     low, high = obj.mesh.bounds
     return ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip(AXES, low, high, strict=True))
-
-
-def check_specs(touch: Iterable[str], avoid: Iterable[str]) -> None:
-    """Refuse options --touch and --avoid that are wrong for any object.
-
-    Raises:
-        GraspRefineError: names the option.
-    """
-    for option, specs in (("--touch", touch), ("--avoid", avoid)):
-        for spec in specs:
-            check_spec(spec, option)

@@ -11,6 +11,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.objects.region import ContactRegions, HalfSpace
 from grasp_refine.scene.contact_selection import PALM, ContactSelection, link_groups, nearest_points
 from refusals import refused
 from twists import random_poses
@@ -164,3 +165,21 @@ def test_targets_are_points_of_the_bodies_in_closed_form() -> None:
     M = random_poses(1, 4)[0, 0]
     gap = transform_points(M @ T_b, on_b) - transform_points(M @ T_a, on_a)
     np.testing.assert_allclose(np.linalg.norm(gap, axis=-1)[:, 0], [0.01, 0.005, np.nan], atol=1e-9)
+
+
+def test_links_that_can_come_into_the_regions_are_preferred(hand: Hand) -> None:
+    links, regions = links_of(hand), ContactRegions((HalfSpace("above", np.eye(3)[2], 0.0),))
+    near = at(hand, dict.fromkeys((INDEX, MIDDLE, RING, THUMB), 0.002))
+
+    def chosen_at(heights: dict[str, float], touching: ContactSelection) -> set[str]:
+        points = near.point_b.copy()
+        points[0, :, 2] = [heights.get(link, 0.0) for link in links]
+        found = touching.choose_within(hand, links, replace(near, point_b=points), regions)
+        return {link for link, on in zip(links, found[0], strict=True) if on}
+
+    # 8 mm outside and 2 mm away are at the reach of 10 mm; of one group alone no region has contacts.
+    assert chosen_at({RING: -0.0079, THUMB: -0.0081}, ContactSelection()) == {INDEX, MIDDLE, RING}
+    far = {INDEX: -0.02, MIDDLE: -0.04, RING: -0.04}
+    assert chosen_at(far, ContactSelection()) == {INDEX, THUMB}
+    assert chosen_at({**far, INDEX: -0.04}, ContactSelection()) == {INDEX, MIDDLE, RING, THUMB}
+    assert chosen_at(far, ContactSelection(links=(RING,))) == {RING}

@@ -21,7 +21,7 @@ from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
-from grasp_refine.pipeline.spec import NEAREST, NO_SCENE
+from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
 from grasp_refine.pipeline.ways import follow_ways, plan_ways
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
@@ -158,8 +158,10 @@ class Run:
         return self._show_result(paths) if self.output.view else 0
 
     def _has_regions(self) -> bool:
-        """Return whether regions are given, or may be by a scene or the results of an earlier refinement."""
-        return bool(self.inputs.touch or self.inputs.avoid or self.inputs.scene not in (None, NO_SCENE))
+        """Return whether regions are given, or may be by a scene or by results of an earlier refinement."""
+        inputs = self.inputs
+        read = inputs.grasps is not None and not str(inputs.grasps).startswith(SAMPLE)
+        return bool(inputs.touch or inputs.avoid or read or inputs.scene not in (None, NO_SCENE))
 
     def _way_options(self) -> WayOptions | None:
         """Return the lengths of the ways; None where none are planned.
