@@ -22,7 +22,6 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
-from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -31,6 +30,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
+from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane

@@ -24,7 +24,6 @@ from grasp_refine.hands.source import check_known
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
-from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
@@ -32,6 +31,7 @@ from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
 from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
 from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
+from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene

@@ -15,9 +15,9 @@ from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.source import check_object
-from grasp_refine.pipeline.contact_regions import regions_of
 from grasp_refine.pipeline.problem import Group, Problem, UncutGroup
 from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
+from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
 

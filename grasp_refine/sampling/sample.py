@@ -20,11 +20,12 @@ from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.region_spec import Regions, contact_regions
+from grasp_refine.objects.region_spec import Regions
 from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
 from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
+from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses, link_groups
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
@@ -103,7 +104,8 @@ def sample_grasps(
         environment: Bodies around the object; hands that are nearer to any than its margin, open or closed, are drawn
             anew, and up to `TRIES_AMONG_BODIES` times as many are tried.
         touch: Regions of the object that hands should touch, or their specifications (`contact_regions`): hands are
-            placed there, and two groups of links at least touch in them; none: everywhere.
+            placed there, and two groups of links at least touch in them; none: those of the environment, else
+            everywhere.
         avoid: Regions that they should not touch.
         prepared: Data of this hand and object; None: built here.
         progress: Called after each batch with the number of grasps found and that of hands tried.
@@ -126,7 +128,7 @@ def sample_grasps(
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)
     around = None if environment is None else _around(prepared, environment)
-    closing = _Closing(prepared, closure, table, around, contact_regions(obj, touch, avoid))
+    closing = _Closing(prepared, closure, table, around, regions_of(obj, touch, avoid, environment))
     draw = _drawing(closing, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)
