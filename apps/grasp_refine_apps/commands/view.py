@@ -153,6 +153,8 @@ class View:
                 tell(what)
 
             if grasps and is_replay(grasps[0]):
+                if self.compare is not None:
+                    raise GraspRefineError(f"--compare is for grasp files; {grasps[0]} is a replay")
                 return self._replay_controller(grasps[0], reporter)
             if documents and inputs.grasps is None:
                 inputs = replace(inputs, grasps=_grasp_file(documents[0]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
@@ -13,10 +13,12 @@ from jaxtyping import Float, UInt8
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.contacts import contacts_of
+from grasp_refine_apps.viewer.environment_nodes import EnvironmentNodes
 from grasp_refine_apps.viewer.glyphs import arrow_lines, push_arrow, segments
 from grasp_refine_apps.viewer.ground import light
 from grasp_refine_apps.viewer.page import without_greeting
@@ -77,6 +79,8 @@ class Frame:
     """Pose of the object (4, 4)."""
     push: Float[np.ndarray, "_ 2 3"] = field(default_factory=lambda: np.zeros((0, 2, 3)))
     """Line segments of the arrow of a push (P, 2, 3), metres."""
+    T_bodies: Mapping[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
+    """Poses (4, 4) of bodies around the object that have moved, by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +97,8 @@ class Film:
     """Frames, evenly spaced in time."""
     camera: FirstCamera
     """Initial camera."""
+    environment: Environment | None = None
+    """Bodies around the object."""
 
 
 def film_of(state: State) -> Film:
@@ -103,10 +109,12 @@ def film_of(state: State) -> Film:
     """
     scene = state.scene
     if state.motion is not None:
-        return motion_film(scene.hand, scene.object, state.motion)
-    if state.trace is not None:
-        return refinement_film(scene.hand, scene.object, state.trace, state.targets)
-    raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
+        film = motion_film(scene.hand, scene.object, state.motion)
+    elif state.trace is not None:
+        film = refinement_film(scene.hand, scene.object, state.trace, state.targets)
+    else:
+        raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
+    return replace(film, environment=scene.environment)
 
 
 def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Target] = ()) -> Film:
@@ -135,7 +143,13 @@ def motion_film(hand: Hand, obj: Object, motion: ShownMotion | ShownWay) -> Film
         return arrow_lines(arrow, 0.3 * PUSH_SHARE * size)
 
     frames = [
-        Frame(motion.pose(k), motion.text(k), T_object=motion.T_object[k], push=push(k))
+        Frame(
+            motion.pose(k),
+            motion.text(k),
+            T_object=motion.T_object[k],
+            push=push(k),
+            T_bodies={name: T[k] for name, T in motion.T_bodies.items()},
+        )
         for k in subsample(len(motion), MAX_FRAMES).tolist()
     ]
     first = contacts_of(prepared, frames[0].pose.T_object_root, frames[0].pose.q)
@@ -195,6 +209,10 @@ class _FilmNodes:
         self._hand = HandMeshes(scene, "/hand", shapes, poses, shadow=False)
         ghost = {"opacity": GHOST_OPACITY, "color": GHOST_COLOR, "shadow": False}
         HandMeshes(scene, "/ghost", shapes, poses, **ghost).move(first.pose)
+        around = film.environment
+        self._environment = (
+            None if around is None else EnvironmentNodes(scene, "/environment", around, film.object.body)
+        )
         self._lines = Lines(scene, "/contacts", 3.0)
         self._push = Lines(scene, "/push", 5.0)
         self._caption = scene.add_label(CAPTION_NODE, first.caption, visible=False)
@@ -203,6 +221,8 @@ class _FilmNodes:
         """Move all nodes to their poses in a frame."""
         self._hand.move(frame.pose)
         place(self._object, frame.T_object)
+        if self._environment is not None:
+            self._environment.move(frame.T_bodies)
         self._lines.draw(frame.lines, frame.colors)
         self._push.draw(frame.push, np.tile(PUSH_COLOR, (len(frame.push), 1)))
         self._caption.text = frame.caption

@@ -11,16 +11,21 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, pose_from_transform, transform_from_pose
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import HAND, World, build_world
+from grasp_refine.validation.world import SCENE as SCENE_PREFIX
 from grasp_refine_apps.viewer.shown_motion import (
     FRAME_RATE_HZ,
     MAX_DISPLACEMENT_M,
@@ -83,6 +88,29 @@ def off_by(hand: Hand, *, other_frames: bool = False) -> float:
                 at = start.setdefault(link, np.linalg.inv(T_own) @ T if other_frames else np.eye(4))
                 worst = max(worst, float(np.linalg.norm((T_own @ at - T)[:3, 3])))
     return worst
+
+
+def test_bodies_around_the_object_are_where_mujoco_has_them() -> None:
+    """Those that can be pushed fall, and the others are not told."""
+    hand, T = load_hand("allegro", candidates=16), np.eye(4)
+    T[:3, 3] = 0.0, 0.3, 0.1
+    far = np.eye(4)
+    far[0, 3] = 1.0
+    ball = build_body("ball", [sphere(0.02)], candidates=16)
+    around = Environment((EnvironmentBody("ball", ball, T, movable=True), EnvironmentBody("post", ball, far)), T)
+    model, obj = model_of(hand), load_object("sphere:0.03", candidates=16)
+    world = build_world(model, obj, SCENE, None, around)
+    replay = record(world, moving(hand), "lift", name="a ball", hand=hand.name)
+    assert replay is not None
+    motion = shown_motion(hand, model, replay, world.model)
+    assert list(motion.T_bodies) == ["ball"]
+    first = body_poses(world, replay, motion.time[0])[OBJECT]
+    for frame in (0, len(motion) - 1):
+        poses = body_poses(world, replay, motion.time[frame])
+        np.testing.assert_allclose(
+            first @ motion.T_bodies["ball"][frame], poses[f"{SCENE_PREFIX}ball"], rtol=0, atol=1e-9
+        )
+    assert motion.T_bodies["ball"][-1, 2, 3] < motion.T_bodies["ball"][0, 2, 3] - 0.1
 
 
 def test_links_are_where_mujoco_has_them() -> None:

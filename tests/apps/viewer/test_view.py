@@ -124,6 +124,19 @@ def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Co
     assert view.nodes.object.nodes[0].wireframe and view.nodes.cones.node is None
 
 
+def test_gaps_are_drawn_on_links_that_are_near_when_asked_for(view: View, viewer: Controller) -> None:
+    assert not view.nodes.gaps.nodes
+    viewer.set_display(DisplayOptions(gaps=True))
+    view.draw(viewer.state)
+    found = view.contacts
+    assert 0 < len(view.nodes.gaps.nodes) <= len(found.link)
+    T = viewer.state.pose.T_object_root.copy()
+    T[2, 3] += 0.5
+    viewer.move_root(T)
+    view.draw(viewer.state)
+    assert not view.nodes.gaps.nodes
+
+
 def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
     T = transform(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.02, 0.0, 0.01]))
     viewer.move_object(T)
