@@ -42,6 +42,7 @@ class View:
         self._made: Drawn | None = None
         self._camera: FirstCamera | None = None
         self._beside = False
+        self._aspects: dict[int, float] = {}
         self._motion: ShownMotion | ShownWay | None = None
         light(server.scene)
 
@@ -93,6 +94,7 @@ class View:
             first: Whether it looks as the first camera does, not from where it is.
         """
         nodes, state = self.nodes, self._controller.state
+        self._aspects[client.client_id] = aspect
         if nodes is None or not state.shown.finite:
             return
         camera = client.camera
@@ -127,19 +129,20 @@ class View:
         camera = self._camera
         if camera is None:
             return
+        points = None
         if state.side_by_side or isinstance(state.motion, ShownWay) or compared_pose(state) is not None:
-            back = camera.position - camera.look_at
-            back /= np.linalg.norm(back)
             points = self._points(state, nodes)
-            camera = fit_camera(points, points.mean(axis=0), back, ASPECT_RATIO)
+        back = camera.position - camera.look_at
+        back /= np.linalg.norm(back)
         self.server.initial_camera.up = UP
-        clients = [client.camera for client in self.server.get_clients().values()]
-        for client in clients:
-            client.up_direction = UP
-        places: list[Any] = [self.server.initial_camera, *clients]
-        for place in places:
+        places: list[tuple[Any, float]] = [(self.server.initial_camera, ASPECT_RATIO)]
+        for number, client in self.server.get_clients().items():
+            client.camera.up_direction = UP
+            places.append((client.camera, self._aspects.get(number, ASPECT_RATIO)))
+        for place, aspect in places:
+            found = camera if points is None else fit_camera(points, points.mean(axis=0), back, aspect)
             place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
-            place.position, place.look_at = camera.position, camera.look_at
+            place.position, place.look_at = found.position, found.look_at
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:
