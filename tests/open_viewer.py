@@ -51,7 +51,8 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
     page.close()
     made.close()
     drawer.close()
-    panel.close()
+    if hasattr(panel, "close"):
+        panel.close()
     server.stop()
 
 

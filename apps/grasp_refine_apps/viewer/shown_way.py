@@ -54,6 +54,8 @@ class ShownWay:
     """Poses of the object (T, 4, 4), which the palm lifts."""
     obstruction: Obstruction | None = None
     """What the last leg runs into; None: nothing."""
+    other_arm: bool = False
+    """Whether the arm reaches the palm's poses in another configuration than that of the grasp."""
     met: int | None = None
     """Number of the frame at which it does."""
 
@@ -94,7 +96,8 @@ class ShownWay:
     def summary(self) -> str:
         """The way in one line."""
         if self.status == WayStatus.FREE:
-            return f"the way is free: {', '.join(LEGS)} in {self.time[-1]:.1f} s"
+            arm = ", with the arm in another configuration" if self.other_arm else ""
+            return f"the way is free{arm}: {', '.join(LEGS)} in {self.time[-1]:.1f} s"
         return f"the way is {self.status.label}: {self.why}"
 
     def text(self, frame: int) -> str:
@@ -156,9 +159,8 @@ def shown_way(scene: Scene, way: Way, prepared: HandObject) -> ShownWay:
     if len(carried):
         start = palm_poses(hand, way.legs[LIFT].T_world_root[:1], way.legs[LIFT].q[:1])
         T_object[carried] = T_palm[carried] @ inverse(start)
-    found = ShownWay(
-        hand.name, scene.object.name, way.status, way.why, time, leg, path.T_world_root, q, T_object, way.obstruction
-    )
+    known = (time, leg, path.T_world_root, q, T_object, way.obstruction, way.other_arm)
+    found = ShownWay(hand.name, scene.object.name, way.status, way.why, *known)
     return found if way.obstruction is None else replace(found, met=_met(found, way, way.obstruction, prepared))
 
 

@@ -17,7 +17,8 @@ from grasp_refine_apps.viewer.comparison import compared_pose, compared_text
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
 from grasp_refine_apps.viewer.view import View
-from open_viewer import example
+from open_viewer import example, shown_panel
+from websocket_page import until
 
 AWAY_M = 0.02
 
@@ -86,6 +87,21 @@ def test_opening_the_other_file_compares_it_with_the_first(viewer: Controller, o
     viewer.reopen(0)
     pose = compared_pose(viewer.state)
     assert pose is not None and pose.same(edited)
+
+
+def test_the_list_of_open_files_chooses_what_is_compared(viewer: Controller, other: Collection) -> None:
+    pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+    from grasp_refine_apps.viewer.panels.browse_panel import NOTHING, BrowsePanel
+
+    with shown_panel(BrowsePanel, viewer) as (panel, page):
+        until(lambda: panel.compared.value != NOTHING)
+        title = panel.compared.value
+        assert panel.compared.options == (NOTHING, title)
+        page.change(panel.compared, NOTHING)
+        until(lambda: viewer.state.compared is None)
+        page.change(panel.compared, title)
+        until(lambda: viewer.state.compared is not None)
+        assert viewer.state.compared.collection.same_grasps(other)
 
 
 def test_grasps_of_another_hand_are_refused(problem: Problem) -> None:

@@ -15,7 +15,6 @@ from grasp_refine_apps.viewer.comparison import compared_text
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import newtons_per_centimetre
-from grasp_refine_apps.viewer.grasp_nodes import COMPARED_COLOR
 from grasp_refine_apps.viewer.obstacles import overlaps_text
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
@@ -184,8 +183,7 @@ def _heading(state: State, controller: Controller) -> str:
         found = controller.contacts(state)
         lines.append(distances_text(found.contact_error, found.penetration))
         if compared := compared_text(state, controller.contacts):
-            color = "rgb({}, {}, {})".format(*COMPARED_COLOR)
-            lines.append(f'<span style="color:{color}">{html.escape(compared)}</span>')
+            lines.append(f'<span style="color:var(--gr-good)">{html.escape(compared)}</span>')
         if overlaps := overlaps_text(controller.overlaps(state)):
             lines.append(f'<span style="color:var(--gr-bad)">{html.escape(overlaps)}</span>')
         if state.display.forces:

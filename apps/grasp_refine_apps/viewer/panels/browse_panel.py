@@ -165,14 +165,13 @@ class BrowsePanel:
         if self.compared.options != titles:
             self.compared.options = titles
         self.compared.visible = len(titles) > 1
-        ours = (
-            ()
-            if state.compared is None
-            else [each.collection.same_grasps(state.compared.collection) for each in state.shelf]
-        )
-        wanted = titles[1 + ours.index(True)] if True in ours else NOTHING
-        if self.compared.value != wanted:
-            self.compared.value = wanted
+        compared = state.compared
+        shown = NOTHING
+        for title, each in zip(titles[1:], state.shelf, strict=True):
+            if compared is not None and each.collection.same_grasps(compared.collection):
+                shown = title
+        if self.compared.value != shown:
+            self.compared.value = shown
 
     # list
 
