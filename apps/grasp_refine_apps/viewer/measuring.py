@@ -47,7 +47,8 @@ def with_measures(
             check()
             report(sum(map(len, numbers)) / todo.sum(), "measuring grasps")
             scene = group.scene
-            found.append(metrics(scene.hand, scene.object, scene.T_world_root[rows], scene.q[rows], scene.environment))
+            poses = scene.T_world_root[rows], scene.q[rows]
+            found.append(metrics(scene.hand, scene.object, *poses, scene.environment, scene.regions))
             numbers.append(some)
     finally:
         if found:

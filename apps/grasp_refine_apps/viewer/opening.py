@@ -19,6 +19,7 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, load_object, read_object
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.recorded_objects import check_objects
@@ -173,8 +174,16 @@ def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
         control.check()
         control.describe(f"sampling grasps: {found} found, of {tried} hands")
 
+    regions = scene.regions or ContactRegions()
     grasps = sample_grasps(
-        hand, obj, NUM_SAMPLED_GRASPS, table=scene.table, environment=scene.environment, progress=progress
+        hand,
+        obj,
+        NUM_SAMPLED_GRASPS,
+        table=scene.table,
+        environment=scene.environment,
+        touch=regions.touch,
+        avoid=regions.avoid,
+        progress=progress,
     )
     grasps = replace(grasps, object=np.full(len(grasps), obj.name), scale=np.ones(len(grasps)))
     return _problem(upload, scene, hand, grasps, {(obj.name, 1.0): obj}, hand.notes, sampled=True)
@@ -264,7 +273,7 @@ def _problem(
     *,
     sampled: bool = False,
 ) -> Problem:
-    """Return grasps with the objects of their names and scales, and the table of the present scene."""
+    """Return grasps with the objects of their names and scales, in the surroundings of the present scene."""
     if not any(link.body is not None for link in hand.links):
         raise UploadError(f"{upload.name}: no link of hand '{hand.name}' has collision geometry: nothing can touch")
     q, joint_notes = match_joints(grasps, hand)
@@ -281,6 +290,7 @@ def _problem(
             *targets,
             table=scene.table,
             environment=scene.environment,
+            regions=scene.regions if obj is scene.object else None,
         )
         groups.append(Group(name, scale, new, some, rows, np.searchsorted(of_object, rows), rows))
     all_notes = tuple(dict.fromkeys([*upload.notes, *notes, *joint_notes]))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.spec import ProblemSpec
 from grasp_refine.validation.metrics import metrics
@@ -46,6 +47,17 @@ def test_measures_are_those_of_validate_each_in_its_place(
             assert found.columns[key].values[i] == pytest.approx(
                 getattr(alone, name)[0], rel=1e-9, abs=1e-12, nan_ok=True
             ), key
+
+
+def test_contacts_outside_of_the_regions_cost_quality(collection: Collection) -> None:
+    (group,) = collection.problem.groups
+    regions = contact_regions(group.scene.object, touch=f"above:z={group.scene.object.mesh.bounds[1, 2] - 1e-4:g}")
+    asked = replace(group, scene=replace(group.scene, regions=regions))
+    problem = replace(collection.problem, groups=(asked,))
+    found = with_measures(replace(collection, problem=problem), ignore, ignore)
+    quality = with_measures(collection, ignore, ignore).columns["quality_after"].values
+    touching = found.columns["quality_after"].values < quality
+    assert touching.any() and (found.columns["quality_after"].values[touching] == 0.0).all()
 
 
 def test_what_a_file_says_is_not_measured(tmp_path: Path) -> None:
