@@ -123,6 +123,8 @@ def is_spec(spec: object) -> bool:
 def _regions(obj: Object, given: Regions, option: str) -> tuple[Region, ...]:
     """Return regions, those of specifications made for an object."""
     several = (given,) if isinstance(given, str | Region) else given
+    if not isinstance(several, Iterable):
+        raise GraspRefineError(f"{option}: must be regions, or their specifications, got {quote_value(given)}")
     found = []
     for one in several:
         if not isinstance(one, str | Region):
@@ -202,6 +204,12 @@ def _numbered(obj: Object, spec: str, path: Path, where: str) -> Faces:
     if not len(numbers):
         raise GraspRefineError(f"{where}: has no numbers of faces")
     count = int(face.max(initial=-1)) + 1
+    if numbers.dtype == bool:
+        if len(numbers) != count:
+            raise GraspRefineError(f"{where}: has {len(numbers)} booleans for the {count} faces of {obj.name}")
+        numbers = np.flatnonzero(numbers)
+        if not len(numbers):
+            raise GraspRefineError(f"{where}: is true for no face")
     outside = (numbers < 0) | (numbers >= count)
     if outside.any():
         raise GraspRefineError(
@@ -212,14 +220,16 @@ def _numbered(obj: Object, spec: str, path: Path, where: str) -> Faces:
 
 
 def _face_numbers(path: Path, where: str) -> np.ndarray:
-    """Return the numbers in a file: text with spaces, commas or lines between them, or .npy."""
+    """Return the numbers in a file, or booleans for all faces: text with spaces, commas or lines between, or .npy."""
     if not is_file(path):
         raise GraspRefineError(f"{where}: no such file")
     try:
         if path.suffix.lower() == ".npy":
             values = np.load(path)
+            if not isinstance(values, np.ndarray):
+                raise ValueError("it is an archive of several arrays")
             if values.dtype == bool and values.ndim == 1:
-                return np.flatnonzero(values)
+                return values
             if values.dtype.kind not in "iu":
                 raise ValueError(f"its numbers are {values.dtype}")
             return values.astype(np.int64).ravel()

@@ -122,7 +122,7 @@ def _regions(grasped: Mapping[str, Any], path: Path) -> dict[str, tuple[str, ...
     """Return the regions of the object by the names of their keys, files relative to that of the scene."""
     found = {}
     for key in ("touch", "avoid"):
-        given, where = grasped.get(key, []), f"{path}: [object] {key}"
+        given, where = grasped.get(key, []), f"[object] {key}"
         specs = [_text(one, where) for one in (given if isinstance(given, list) else [given])]
         found[key] = tuple(resolve_spec(spec, path.parent, where) for spec in specs)
         for spec in found[key]:

@@ -154,6 +154,29 @@ def test_faces_are_numbered_as_in_their_file_before_any_repair(tmp_path: Path, c
     assert np.flatnonzero(masked.miss(1e-3 * mesh.triangles_center)).tolist() == [11]
 
 
+def test_arrays_that_are_no_numbers_of_faces_are_refused(cube: Object, tmp_path: Path) -> None:
+    path = tmp_path / "faces.npy"
+    for values, named in (
+        (np.zeros(12, dtype=bool), "no face"),
+        (np.ones(11, dtype=bool), "11 booleans for the 12 faces"),
+        (np.ones((12, 2), dtype=bool), "bool"),
+        (np.zeros(3), "float64"),
+    ):
+        np.save(path, values)
+        with refused(GraspRefineError, "faces.npy", named):
+            contact_regions(cube, f"faces:{path}")
+    with path.open("wb") as file:
+        np.savez(file, faces=np.arange(3))
+    with refused(GraspRefineError, "faces.npy", "archive"):
+        contact_regions(cube, f"faces:{path}")
+
+
+def test_what_is_no_region_is_refused(cube: Object) -> None:
+    for wrong in (3, None, [None]):
+        with refused(GraspRefineError, "avoid", repr(wrong if wrong is None or wrong == 3 else None)):
+            contact_regions(cube, avoid=wrong)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("kind", ["face.ply", "vertex.ply", "vertex.obj", "vertex.glb"])
 def test_faces_of_a_colour_are_those_whose_corners_all_have_it(tmp_path: Path, kind: str) -> None:
     mesh = trimesh.creation.box(extents=[0.06, 0.06, 0.06])

@@ -40,6 +40,7 @@ def test_a_grasp_in_a_scene_is_refined_planned_and_followed(capfd: pytest.Captur
         ("--scenes mug-on-tabel", ("mug-on-tabel", "mug-on-table")),
         ("--base 1,2", ("--base 1,2",)),
         ("--arm ur6 --scenes mug-on-table", ("ur6", "ur5e")),
+        ("--arm allegro --scenes mug-on-table", ("allegro", "ends at several links")),
         ("--preset smoke --count 2", ("--preset smoke", "--count")),
     ],
 )

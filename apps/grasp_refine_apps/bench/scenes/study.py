@@ -60,16 +60,17 @@ class ScenesStudy:
         """Return a job for each hand and scene.
 
         Raises:
-            GraspRefineError: a hand, the arm or a scene cannot be read.
+            GraspRefineError: a hand, the arm or a scene cannot be read, or the arm carries no hand.
         """
         T_base = read_pose(self.base, "--base")
         scenes = [load_scene(name) for name in self.scenes or list_scenes()]
         if nameless := [scene.name for scene in scenes if scene.object is None]:
             raise GraspRefineError(f"scene {nameless[0]} does not tell which object to grasp: name it in its file")
         arm = load_hand(self.arm)
+        hands = [(hand, mount(arm, hand)) for hand in map(load_hand, self.hands)]
         return [
-            Job(f"{hand.name} in {scene.name}", SceneTask(hand, arm, scene, T_base, self.count, self.seed).run)
-            for hand in (load_hand(name) for name in self.hands)
+            Job(f"{hand.name} in {scene.name}", SceneTask(hand, whole, scene, T_base, self.count, self.seed).run)
+            for hand, whole in hands
             for scene in scenes
         ]
 
@@ -123,7 +124,9 @@ class SceneTask:
     """Grasps of a hand on an arm in a scene."""
 
     hand: Hand
-    arm: Hand
+    """The hand alone, which is sampled."""
+    whole: Hand
+    """The hand on its arm."""
     scene: Environment
     T_object_base: Float[np.ndarray, "4 4"]
     """Pose of the base of the arm from the origin of the object, along the axes of the world."""
@@ -139,8 +142,8 @@ class SceneTask:
         Raises:
             GraspRefineError: no grasp is found, or MuJoCo cannot compile the world.
         """
-        whole = mount(self.arm, self.hand)
-        obj = load_object(self.scene.object or "")
+        whole = self.whole
+        obj = load_object(self.scene.object or "", scale=self.scene.scale, unit="m")
         model = model_of(whole)
         world = build_world(model, obj, SCENE, environment=self.scene)
         T_world_base = transform(np.eye(3), self.scene.T_world_object[:3, 3]) @ self.T_object_base
