@@ -114,8 +114,9 @@ class Loader:
         check_arm(spec)
         if spec.scene is None and of_files is not None:
             return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
+        regions_notes: tuple[str, ...] = ()
         if not (spec.touch or spec.avoid):
-            touch, avoid = recorded_regions(read.files)
+            touch, avoid, regions_notes = recorded_regions(read.files)
             spec = replace(spec, touch=touch, avoid=avoid)
         environment = self.environment()
         if of_files is not None and spec.scene != NO_SCENE:
@@ -129,7 +130,14 @@ class Loader:
         whole = self._whole(spec.hand or grasps.hand, hand)
         targets = grasps.targets
         q, notes = match_joints(grasps, hand)
-        notes = (*read.notes, *hand.notes, *resting, *notes, *other_urdf(path, hand, chosen=bool(spec.hand)))
+        notes = (
+            *read.notes,
+            *regions_notes,
+            *hand.notes,
+            *resting,
+            *notes,
+            *other_urdf(path, hand, chosen=bool(spec.hand)),
+        )
         groups: list[UncutGroup] = []
         count = 0
         for name, rows in chosen.items():

@@ -14,7 +14,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.region_spec import is_spec
+from grasp_refine.objects.region_spec import is_spec, resolve_spec
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.results.result_files import read_provenance
 from grasp_refine.scene.environment import Environment
@@ -68,24 +68,42 @@ def scene_entry(environment: Environment) -> dict[str, str]:
 
 
 def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
-    """Return the entry for provenance of the regions in which hands should touch an object, or not."""
-    return {verb: [region.spec for region in getattr(regions, verb)] for verb in REGION_VERBS}
+    """Return the entry for provenance of the regions in which hands should touch an object, or not.
 
-
-def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the regions, wanted and to avoid, of the refinement of grasps in result files; none where they differ.
-
-    Those that cannot be read any more, or were made in Python, are left out.
+    Files of specifications have their whole path, so that they are found from other folders, too.
     """
-    found, none = None, ((), ())
+    specs = {verb: [region.spec for region in getattr(regions, verb)] for verb in REGION_VERBS}
+    return {
+        verb: [resolve_spec(spec, Path(), verb) if is_spec(spec) else spec for spec in several]
+        for verb, several in specs.items()
+    }
+
+
+def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return the regions, wanted and to avoid, of the refinement of grasps in result files, and notes on others.
+
+    Those that cannot be read any more, or were made in Python, are left out, and all of them where files differ.
+    """
+    found: dict[str, list[str]] | None = None
     for file in files:
         entry = read_provenance(file).get("regions")
         lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in REGION_VERBS]
-        touch, avoid = (tuple(filter(is_spec, specs)) if isinstance(specs, list) else () for specs in lists)
-        if found not in (None, (touch, avoid)):
-            return none
-        found = touch, avoid
-    return found or none
+        specs = {
+            verb: given if isinstance(given, list) else [] for verb, given in zip(REGION_VERBS, lists, strict=True)
+        }
+        if found not in (None, specs):
+            return (
+                (),
+                (),
+                ("the files were refined with different regions, which do not count: give --touch or --avoid",),
+            )
+        found = specs
+    touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in REGION_VERBS)
+    lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
+    notes = tuple(
+        f"refined with {one}, which cannot be read and does not count: give --touch or --avoid" for one in lost
+    )
+    return touch, avoid, notes
 
 
 def recorded_scene(files: Iterable[Path]) -> RecordedScene | None:

@@ -122,6 +122,36 @@ def test_results_find_their_regions_again(refined: gr.RefinedGrasps, tmp_path: P
     assert other.groups[0].scene.regions is not None and other.groups[0].scene.regions.text == "touch below:z=0.02"
 
 
+def test_files_of_regions_are_found_from_other_folders_and_missed_where_they_are_gone(
+    refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (made := tmp_path / "made").mkdir()
+    (made / "faces.txt").write_text("0 1 2 3")
+    monkeypatch.chdir(made)
+    scene = refined.problem.groups[0].scene
+    problem = gr.problem_of(scene.hand, scene.object, given, touch="faces:faces.txt")
+    paths = replace(refined, problem=problem).save(made / "refined.npz")
+    monkeypatch.chdir(tmp_path)
+    again = load_problem(gr.ProblemSpec(grasps=paths[0]))
+    assert again.groups[0].scene.regions is not None
+    assert again.groups[0].scene.regions.text == f"touch faces:{made / 'faces.txt'}"
+    (made / "faces.txt").unlink()
+    lost = load_problem(gr.ProblemSpec(grasps=paths[0]))
+    assert lost.groups[0].scene.regions is None and any("faces.txt" in note for note in lost.notes)
+    assert not any("faces.txt" in note for note in again.notes)
+
+
+def test_results_of_different_regions_tell_that_none_counts(
+    refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path
+) -> None:
+    scene = refined.problem.groups[0].scene
+    other = gr.problem_of(scene.hand, scene.object, given, avoid="above:z=0.02")
+    refined.save(tmp_path / "one.npz")
+    replace(refined, problem=other).save(tmp_path / "two.npz")
+    read = load_problem(gr.ProblemSpec(grasps=tmp_path, hand="allegro", object="rounded_box"))
+    assert read.groups[0].scene.regions is None and any("different regions" in note for note in read.notes)
+
+
 def test_scene_files_and_job_lists_have_regions(tmp_path: Path, block: gr.Object) -> None:
     (tmp_path / "faces.txt").write_text("0 1")
     scene = tmp_path / "scene.toml"
