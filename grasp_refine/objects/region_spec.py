@@ -20,6 +20,9 @@ from grasp_refine.objects.region import Box, ContactRegions, Faces, HalfSpace, R
 KINDS = ("box", "above", "below", "plane", "faces", "color")
 """Kinds of regions, before the colon."""
 
+FILE_KINDS = ("faces", "color")
+"""Those of faces of the file of the mesh."""
+
 FORMS = (
     "box:x0,y0,z0,x1,y1,z1 (two corners), above:z=0.05, below:z=0.05 (or x, y), plane:x,y,z,nx,ny,nz (the side of a "
     "point to which a normal points), faces:FILE (numbers of faces of the mesh), color:#ff0000 (colour of faces or "
@@ -81,6 +84,11 @@ def spec_digest(spec: str) -> str:
     if kind != "faces" or not is_file(path):
         return spec
     return f"{kind}:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def is_of_file(spec: str) -> bool:
+    """Return whether a specification depends on the file of a mesh beyond its surface: on colours or order of faces."""
+    return spec.partition(":")[0] in FILE_KINDS
 
 
 def check_spec(spec: str, option: str) -> None:
@@ -168,8 +176,8 @@ def _space(kind: str, rest: str, spec: str, where: str) -> Region:
     first, second = np.array(_numbers(rest, 6, where)).reshape(2, 3)
     if kind == "plane":
         length = np.linalg.norm(second)
-        if not length > 0:
-            raise GraspRefineError(f"{where}: its normal nx, ny, nz must not be 0")
+        if not 0 < length < np.inf:
+            raise GraspRefineError(f"{where}: its normal nx, ny, nz must be neither 0 nor beyond all numbers")
         return HalfSpace(spec, second / length, float(first @ second / length))
     if not (first < second).all():
         axis = AXES[int((first >= second).argmax())]

@@ -113,6 +113,7 @@ def test_any_wanted_region_will_do_and_none_to_avoid() -> None:
         ("above:0.02", ["above:z=0.05"]),
         ("above:z=nan", ["1 number", "nan"]),
         ("plane:0,0,0,0,0,0", ["normal"]),
+        ("plane:0,0,0,1e300,0,1e300", ["normal"]),
         ("color:red", ["#ff0000", "red"]),
         ("color:#ff0000", ["no colours", "faces:FILE"]),
         ("faces:missing.txt", ["missing.txt", "no such file"]),

@@ -17,6 +17,7 @@ from grasp_refine.core.json_files import check_no_input, check_writable, save_js
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
 from grasp_refine.motion.way import WayOptions
 from grasp_refine.motion.way_files import check_way_file
+from grasp_refine.objects.region_spec import is_of_file
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
@@ -212,6 +213,10 @@ class Run:
         digests = Digests()
         _, hand = digests.hand(self.inputs.hand or draft.hand.name, self.inputs, lambda line: None)
         source = draft.sampled or digests.file(draft.files[0])["sha256"]
+        around = draft.environment
+        regions = (*self.inputs.touch, *self.inputs.avoid, *(() if around is None else (*around.touch, *around.avoid)))
+        # Colours and the order of faces are no part of a surface.
+        reads_faces = any(map(is_of_file, regions))
 
         def stamp(groups: Iterable[UncutGroup]) -> str:
             return digests.stamp(
@@ -223,7 +228,8 @@ class Run:
                 objects=[(group.key, surface_digest(group.uncut.mesh)) for group in groups],
                 pieces=[pieces_digest(group.uncut.pieces) for group in groups],
                 rows=[group.rows for group in groups],
-                **({} if draft.environment is None else {"scene": draft.environment.digest}),
+                **({} if around is None else {"scene": around.digest}),
+                **({"files": [_file_digest(group.uncut.file, digests) for group in groups]} if reads_faces else {}),
             )
 
         names = dict.fromkeys(group.object for group in draft.groups)
@@ -246,6 +252,11 @@ class Run:
             check_writable(path, overwrite=out.overwrite or again, inside=out.out)
         check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
         return paths
+
+
+def _file_digest(file: tuple[Path, float] | None, digests: Digests) -> str:
+    """Return the hash of the file of a mesh; empty: it is of none."""
+    return "" if file is None else str(digests.file(file[0])["sha256"])
 
 
 def _aimed(draft: Draft, config: Config) -> bool:
