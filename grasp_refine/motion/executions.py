@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,9 @@ from grasp_refine.validation.trials import PUSHED_M
 
 NUMBERS = ("lifted_m", "displacement_m", "angle_rad", "tracking_m", "tracking_rad")
 """Fields of `Executions` with one number for each grasp."""
+
+MAX_TOLD_HITS = 4
+"""Number of hits of a grasp that a line of text names; it counts the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +59,13 @@ class Executions:
         """True (N,) where a way was followed and nothing was hit."""
         return self.followed & np.array([not hits for hits in self.hits], dtype=bool)
 
-    def lines(self, most: int = 5) -> list[str]:
-        """Return lines for people: how many held, and what was hit or pushed, in `most` of them."""
+    def lines(self, most: int = 5, labels: Sequence[str] | None = None) -> list[str]:
+        """Return lines for people: how many held, and what was hit or pushed, in `most` of them.
+
+        Args:
+            most: Largest number of grasps that are listed.
+            labels: Numbers of the grasps (N,) as text; by default from 0 on.
+        """
         ran = np.flatnonzero(self.followed)
         if not len(ran):
             return ["followed in simulation: none, as no way is free"]
@@ -65,7 +74,7 @@ class Executions:
             f"{int(self.clean.sum())}{self._tracking()}"
         ]
         others = [(row, text) for row in ran.tolist() if (text := self._incident(row))]
-        told += [f"grasp {row}: {text}" for row, text in others[:most]]
+        told += [f"grasp {labels[row] if labels else row}: {text}" for row, text in others[:most]]
         return told + ([f"and {len(others) - most} more"] if len(others) > most else [])
 
     def _tracking(self) -> str:
@@ -86,7 +95,9 @@ class Executions:
             for name, away in zip(self.neighbours, self.pushed_m[row].tolist(), strict=True)
             if away >= PUSHED_M
         ]
-        return "; ".join([*lost, *self.hits[row], *pushed])
+        hits = list(self.hits[row][:MAX_TOLD_HITS])
+        hits += [f"and {more} more"] if (more := len(self.hits[row]) - MAX_TOLD_HITS) > 0 else []
+        return "; ".join([*lost, *pushed, *hits])
 
     def document(self, row: int) -> dict[str, Any] | None:
         """Return what a JSON file tells of a grasp; None where there was no way to follow."""

@@ -37,6 +37,8 @@ class PlannedWays:
     """Names of the objects (N,)."""
     row: np.ndarray
     """Rows of the grasps (N,) in their file."""
+    index: np.ndarray
+    """Numbers of the grasps (N,) among those of their object."""
     ways: tuple[Way, ...]
     """The ways."""
     executions: Executions | None = None
@@ -62,10 +64,22 @@ class PlannedWays:
         other = sum(way.other_arm for way in self.ways)
         beside = f", in {other} of them with the arm in another configuration than the grasp's" if other else ""
         lines = [f"the whole way is free in {int(self.free.sum())} of {len(self)}{beside}"]
-        others = [(number, way) for number, way in enumerate(self.ways) if not way.free]
-        lines += [f"way of grasp {number} {way.status.label}: {way.why}" for number, way in others[:most]]
+        several, named = len(set(self.object.tolist())) > 1, zip(self.object, self.index, strict=True)
+        labels = [f"{name} {index}" if several else str(index) for name, index in named]
+        others = [(label, way) for label, way in zip(labels, self.ways, strict=True) if not way.free]
+        lines += [f"way of grasp {label} {way.status.label}: {way.why}" for label, way in others[:most]]
         lines += [f"and {len(others) - most} more"] if len(others) > most else []
-        return lines if self.executions is None else lines + self.executions.lines(most)
+        return lines if self.executions is None else lines + self.executions.lines(most, labels)
+
+    def entry(self, number: int) -> dict[str, Any]:
+        """Return what is known of the way of a grasp for JSON; SI units."""
+        way = self.ways[number]
+        return {
+            "status": way.status.label,
+            "why": way.why,
+            "other_arm_configuration": way.other_arm,
+            **({} if self.executions is None else {"followed": self.executions.document(number)}),
+        }
 
     def save(self, path: str | Path) -> None:
         """Write them: .npz with arrays of all grasps, or .json with an entry for each.
@@ -98,10 +112,7 @@ class PlannedWays:
                 {
                     "object": str(name),
                     "row": int(row),
-                    "status": way.status.label,
-                    "why": way.why,
-                    "other_arm_configuration": way.other_arm,
-                    **({} if self.executions is None else {"followed": self.executions.document(number)}),
+                    **self.entry(number),
                     "waypoints": _waypoints(hand, timed),
                     "trajectory": {
                         "time_s": timed.time.tolist(),
@@ -109,8 +120,8 @@ class PlannedWays:
                         "q": timed.q.tolist(),
                     },
                 }
-                for number, (name, row, way, timed) in enumerate(
-                    zip(self.object, self.row, self.ways, self.trajectories(), strict=True)
+                for number, (name, row, timed) in enumerate(
+                    zip(self.object, self.row, self.trajectories(), strict=True)
                 )
             ],
         }
@@ -168,8 +179,8 @@ def check_way_file(path: Path) -> None:
 def join(parts: Sequence[PlannedWays], order: np.ndarray) -> PlannedWays:
     """Return ways of several groups of grasps as one, in another order."""
     ways = [way for part in parts for way in part.ways]
-    names, rows = (np.concatenate([getattr(part, key) for part in parts])[order] for key in ("object", "row"))
-    return PlannedWays(parts[0].hand, names, rows, tuple(ways[place] for place in order.tolist()))
+    labels = {key: np.concatenate([getattr(part, key) for part in parts])[order] for key in ("object", "row", "index")}
+    return PlannedWays(parts[0].hand, **labels, ways=tuple(ways[place] for place in order.tolist()))
 
 
 def _waypoints(hand: Hand, timed: Trajectory) -> list[dict[str, Any]]:

@@ -40,7 +40,8 @@ def plan_ways(
         after = replace(scene, T_world_root=transform_from_pose(part.hand_pose), q=part.q)
         motion = Motion(transform_from_pose(part.stage_pose), part.stage_q)
         prepared = cache.get("prepared", (problem.hand, scene.object), partial(HandObject.of, scene))
-        parts.append(PlannedWays(problem.hand, part.object, part.row, ways(after, motion, options, prepared)))
+        planned = ways(after, motion, options, prepared)
+        parts.append(PlannedWays(problem.hand, part.object, part.row, part.index, planned))
     return join(parts, problem.order)
 
 
@@ -76,6 +77,8 @@ def follow_ways(
     problem, cache = refined.problem, cache or NoCache()
     if len(planned) != len(problem):
         raise GraspRefineError(f"there are {len(planned)} ways, and {len(problem)} grasps")
+    if planned.hand.joint_names != problem.hand.joint_names:
+        raise GraspRefineError(f"the ways are of hand '{planned.hand.name}', the grasps of '{problem.hand.name}'")
     model = cache.get("model", problem.hand, partial(model_of, problem.hand))
     parts = []
     for group in problem.groups:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import grasp_refine as gr
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.geometry.body import build_body
@@ -16,7 +17,8 @@ from grasp_refine.hands.mount import mount
 from grasp_refine.motion.execution import execute
 from grasp_refine.motion.executions import Executions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
-from grasp_refine.motion.way import WayOptions, ways
+from grasp_refine.motion.way import Way, WayOptions, WayStatus, ways
+from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.scene import Scene
@@ -115,3 +117,24 @@ def test_protocols_that_push_are_refused(hand: Hand, timed: Trajectory) -> None:
     """Those that lift are named."""
     with pytest.raises(GraspRefineError, match=r"dexgraspbench.*scene"):
         followed(hand, [timed], protocol=DEXGRASPBENCH)
+
+
+def test_many_hits_are_told_in_short_and_kept_whole() -> None:
+    """A line names the first ones, after what is worse; the file has all. Numbers are those that are given."""
+    hits, one = np.empty(1, dtype=object), np.array([0.2])
+    hits[0] = tuple(f"lift: link_{link} and table" for link in range(12))
+    known = np.array([True])
+    found = Executions(known, ~known, one, one, one, one, one, np.array([[0.3]]), hits, ("tin",))
+    *_, line = found.lines(labels=["mug 7"])
+    assert line.startswith("grasp mug 7: lost, 200 mm") and line.endswith("and 8 more") and "pushed tin 300 mm" in line
+    assert (document := found.document(0)) is not None and len(document["hits"]) == 12
+
+
+def test_ways_of_another_hand_are_not_followed(hand: Hand) -> None:
+    """Both hands are named."""
+    other = load_hand("allegro", candidates=32)
+    T, count = np.eye(4)[None], len(other.joint_names)
+    refined = gr.refine(other, THING, GraspSet.of(other, T, np.zeros((1, count))), gr.Config(starts=1))
+    labels = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
+    with pytest.raises(GraspRefineError, match=f"{hand.name}.*allegro"):
+        gr.follow_ways(refined, PlannedWays(hand, *labels, (Way(WayStatus.NO_GRASP, "", ()),)))

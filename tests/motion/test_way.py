@@ -267,7 +267,8 @@ def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Objec
     scene, motion = grasp(whole, thing)
     (way,) = ways(scene, motion)
     none = ways(replace(scene, q=np.full_like(scene.q, np.nan)), motion)[0]
-    planned = PlannedWays(whole, np.array(["box", "box"]), np.array([3, 4]), (way, none))
+    planned = PlannedWays(whole, np.array(["box", "box"]), np.array([3, 4]), np.array([1, 2]), (way, none))
+    assert planned.lines() == ["the whole way is free in 1 of 2", "way of grasp 2 no grasp: there is no grasp"]
     planned.save(tmp_path / "ways.npz")
     planned.save(tmp_path / "ways.json")
     arrays, document = load_npz(tmp_path / "ways.npz").entries, json.loads((tmp_path / "ways.json").read_text())

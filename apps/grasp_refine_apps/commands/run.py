@@ -129,12 +129,13 @@ class Run:
             objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
             refined.write(paths, objects)
         if self.output.json is not None:
-            save_json(
-                self.output.json,
-                run_document(
-                    outcome, config, refined.simulated, config=described, wall_s=wall, cpu_s=cpu, profile=profile
-                ),
+            document = run_document(
+                outcome, config, refined.simulated, config=described, wall_s=wall, cpu_s=cpu, profile=profile
             )
+            if planned is not None:
+                for number, entry in enumerate(document["grasps"]):
+                    entry["way"] = planned.entry(number)
+            save_json(self.output.json, document)
         if planned is not None and self.output.way is not None:
             planned.save(self.output.way)
         console = screen()

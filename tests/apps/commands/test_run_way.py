@@ -18,8 +18,11 @@ def test_ways_are_followed_by_protocols_that_lift(
 ) -> None:
     """A gripper lifts its box by 10 cm off the table; a protocol that pushes is named."""
     given = "--hand franka_hand --object box:0.04,0.04,0.08 --grasps sample:1 --table -0.04 --validate"
-    assert main(["run", *given.split(), "--protocol", protocol, "--way", "way.json"]) == 0
+    assert main(["run", *given.split(), "--protocol", protocol, "--way", "way.json", "--json", "run.json"]) == 0
     (grasp,) = json.loads(Path("way.json").read_text())["grasps"]
+    (refined,) = json.loads(Path("run.json").read_text())["grasps"]
+    assert {key: grasp.get(key) for key in refined["way"]} == refined["way"]
+    assert ("followed" in refined["way"]) == lifts
     out, _ = capfd.readouterr()
     assert grasp["status"] == "free" and ("followed" in grasp) == lifts
     assert ("1 of 1 held and lifted" in out) == lifts and ("dexgraspbench pushes" in out) != lifts
