@@ -24,6 +24,7 @@ from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.validation.engine_agreement import EngineAgreement
+from grasp_refine.validation.formulas import COSTLY_M
 from grasp_refine.validation.measures import VALIDATED
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
@@ -44,7 +45,7 @@ def validation_table(
         parts += [_object_table(of_object, f"{hand} on {name}", protocol, verbose), ""]
     if len(names) > 1 and protocol is not None:
         parts += [_by_object(validated, names), ""]
-    return Group(*parts, *_verdict(validated, protocol, frictions), *_engines(validated))
+    return Group(*parts, *_verdict(validated, protocol, frictions), *_misplaced(validated), *_engines(validated))
 
 
 def comparison_table(before: Validated, after: Validated, hand: str, protocol: Protocol | None) -> RenderableType:
@@ -241,6 +242,22 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     if validated.frictions is not None:
         shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
         lines.append(Text(f"held by friction: {', '.join(shares)}"))
+    return lines
+
+
+def _misplaced(validated: Validated) -> list[Text]:
+    """Return lines on grasps with links where they should not be, where there are regions or a scene."""
+    lines = []
+    for name, good in (
+        ("region_miss_m", "touch only where they should"),
+        ("scene_penetration_m", "in no body of the scene"),
+    ):
+        values = validated.metrics.values[name]
+        known, wrong = np.isfinite(values), values > COSTLY_M[0]
+        if known.any():
+            others = f"; not: {_numbers(validated, wrong)}" if wrong.any() else ""
+            count = f"{(known & ~wrong).sum()} of {len(values)}"
+            lines.append(Text.assemble(f"{good}: ", (count, "yellow" if wrong.any() else "green"), others))
     return lines
 
 
