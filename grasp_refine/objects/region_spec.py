@@ -17,6 +17,9 @@ from grasp_refine.geometry.file_faces import colored_triangles, numbered_triangl
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import Box, ContactRegions, Faces, HalfSpace, Region
 
+VERBS = ("touch", "avoid")
+"""What hands should do with regions: names of arguments, fields of scenes and jobs, and options."""
+
 KINDS = ("box", "above", "below", "plane", "faces", "color")
 """Kinds of regions, before the colon."""
 
@@ -175,7 +178,8 @@ def _space(kind: str, rest: str, spec: str, where: str) -> Region:
         return HalfSpace(spec, sign * np.eye(3)[AXES.index(axis)], sign * offset)
     first, second = np.array(_numbers(rest, 6, where)).reshape(2, 3)
     if kind == "plane":
-        length = np.linalg.norm(second)
+        with np.errstate(over="ignore", under="ignore"):
+            length = np.linalg.norm(second)
         if not 0 < length < np.inf:
             raise GraspRefineError(f"{where}: its normal nx, ny, nz must be neither 0 nor beyond all numbers")
         return HalfSpace(spec, second / length, float(first @ second / length))

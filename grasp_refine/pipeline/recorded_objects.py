@@ -14,16 +14,13 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.region_spec import is_spec, resolve_spec
+from grasp_refine.objects.region_spec import VERBS, is_spec, resolve_spec
 from grasp_refine.pipeline.problem import Group
 from grasp_refine.results.result_files import read_provenance
 from grasp_refine.scene.environment import Environment
 
 if TYPE_CHECKING:
     import trimesh
-
-REGION_VERBS = ("touch", "avoid")
-"""Kinds of regions of an object."""
 
 GRID_M = 1e-9
 """Grid in metres on which coordinates are compared: far below any mesh, far above rounding."""
@@ -72,7 +69,7 @@ def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
 
     Files of specifications have their whole path, so that they are found from other folders, too.
     """
-    specs = {verb: [region.spec for region in getattr(regions, verb)] for verb in REGION_VERBS}
+    specs = {verb: [region.spec for region in getattr(regions, verb)] for verb in VERBS}
     return {
         verb: [resolve_spec(spec, Path(), verb) if is_spec(spec) else spec for spec in several]
         for verb, several in specs.items()
@@ -87,10 +84,8 @@ def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str,
     found: dict[str, list[str]] | None = None
     for file in files:
         entry = read_provenance(file).get("regions")
-        lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in REGION_VERBS]
-        specs = {
-            verb: given if isinstance(given, list) else [] for verb, given in zip(REGION_VERBS, lists, strict=True)
-        }
+        lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in VERBS]
+        specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
         if found not in (None, specs):
             return (
                 (),
@@ -98,7 +93,7 @@ def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str,
                 ("the files were refined with different regions, which do not count: give --touch or --avoid",),
             )
         found = specs
-    touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in REGION_VERBS)
+    touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in VERBS)
     lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
     notes = tuple(
         f"refined with {one}, which cannot be read and does not count: give --touch or --avoid" for one in lost

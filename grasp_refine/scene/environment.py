@@ -17,7 +17,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, capsule, hull
-from grasp_refine.objects.region_spec import spec_digest
+from grasp_refine.objects.region_spec import VERBS, spec_digest
 
 DEFAULT_MARGIN_M = 0.002
 """Gap in metres that links keep from a body where none is given."""
@@ -178,7 +178,7 @@ class Environment:
             fields = one.name.encode(), bytes([one.movable]), _on_grid(one.margin), _on_grid(one.mass or 0.0)
             parts.append(b"\0".join([*fields, _on_grid(T), *pieces]))
         up = _on_grid(self.up) + _on_grid(self.lift)
-        regions = [f"{verb} {spec_digest(spec)}" for verb in ("touch", "avoid") for spec in getattr(self, verb)]
+        regions = [f"{verb} {spec_digest(spec)}" for verb in VERBS for spec in getattr(self, verb)]
         parts = [*sorted(parts), *(text.encode() for text in sorted(regions))]
         return hashlib.sha256(up + b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 

@@ -20,7 +20,7 @@ from grasp_refine.geometry.pieces import Piece, box, capsule
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.geometry.units import UNITS
 from grasp_refine.objects.object import UncutObject, cut_objects, read_object
-from grasp_refine.objects.region_spec import check_spec, resolve_spec
+from grasp_refine.objects.region_spec import VERBS, check_spec, resolve_spec
 from grasp_refine.scene.environment import DEFAULT_MARGIN_M, LIFT_M, Environment, EnvironmentBody
 from grasp_refine.scene.furniture import FURNITURE
 
@@ -39,7 +39,7 @@ COMMON_KEYS = ("name", *POSE_KEYS, "margin", "movable", "mass", "density")
 BODY_KEYS = (*SOURCES, "scale", "unit", *COMMON_KEYS)
 """Keys of a [[body]]."""
 
-OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", "touch", "avoid", *POSE_KEYS)
+OBJECT_KEYS = ("name", "mesh", "pieces", "scale", "unit", *VERBS, *POSE_KEYS)
 """Keys of [object]."""
 
 TOP_KEYS = ("name", "margin", "lift", "object", "body", *FURNITURE)
@@ -121,7 +121,7 @@ def _grasped_object(raw: Mapping[str, Any], path: Path) -> tuple[str | None, flo
 def _regions(grasped: Mapping[str, Any], path: Path) -> dict[str, tuple[str, ...]]:
     """Return the regions of the object by the names of their keys, files relative to that of the scene."""
     found = {}
-    for key in ("touch", "avoid"):
+    for key in VERBS:
         given, where = grasped.get(key, []), f"[object] {key}"
         specs = [_text(one, where) for one in (given if isinstance(given, list) else [given])]
         found[key] = tuple(resolve_spec(spec, path.parent, where) for spec in specs)

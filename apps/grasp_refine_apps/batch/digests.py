@@ -13,7 +13,7 @@ from grasp_refine.core.json_files import dumps
 from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
 from grasp_refine.hands.source import ON_ARM, hand_files
-from grasp_refine.objects.region_spec import spec_digest
+from grasp_refine.objects.region_spec import VERBS, spec_digest
 from grasp_refine.objects.source import ObjectSource
 from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
@@ -97,7 +97,7 @@ class Digests:
             name: value for name, value in settings(inputs).items() if name not in (*CONTENT_INPUTS, *IGNORED_INPUTS)
         }
         # Files of regions count by their contents, and nothing does where there are none.
-        for name in ("touch", "avoid"):
+        for name in VERBS:
             specs = described.pop(name)
             depends |= {name: [spec_digest(spec) for spec in specs]} if specs else {}
         targets = inputs.targets

@@ -19,7 +19,7 @@ from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
-from grasp_refine.objects.region_spec import resolve_spec
+from grasp_refine.objects.region_spec import VERBS, resolve_spec
 from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
@@ -30,10 +30,6 @@ KEYS = tuple(field.name for field in fields(ProblemSpec) if field.name != "index
 
 NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
 """ProblemSpec that are names, or paths if they cannot be names."""
-
-
-REGION_KEYS = ("touch", "avoid")
-"""Keys of regions of the object: one, or a list of several."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +201,8 @@ def _values(raw: Mapping[str, Any], path: Path, where: str) -> dict[str, Any]:
 
 def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
     """Convert a value of a list to the type of its field; paths are relative to the list, if they exist there."""
-    if key in REGION_KEYS:
+    if key in VERBS:
+        # Regions of the object: one, or a list of several.
         specs = value if isinstance(value, list) else [value]
         if not all(isinstance(spec, str) and spec for spec in specs):
             raise GraspRefineError(f"{where} must be a text or a list of texts, got {quote_value(value)}")
@@ -265,6 +262,6 @@ def _with_absolute_paths(inputs: ProblemSpec) -> ProblemSpec:
     for name in NAMES_OR_PATHS:
         value = getattr(inputs, name)
         given[name] = absolute(value) if value is not None and _is_path(value) else value
-    for name in REGION_KEYS:
+    for name in VERBS:
         given[name] = tuple(resolve_spec(spec, Path(), f"--{name} {spec}") for spec in getattr(inputs, name))
     return replace(inputs, **given)
