@@ -22,6 +22,7 @@ from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.obstacles import ObstacleMeter, Overlap
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
+from grasp_refine_apps.viewer.region_meter import Elsewhere, RegionMeter
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.shown_way import ShownWay, plan_way
 from grasp_refine_apps.viewer.state import DisplayOptions, Shelved, State
@@ -58,10 +59,15 @@ class Controller(ManyGrasps):
         self.contacts = ContactMeter()
         """Contacts of the shown grasp of a state."""
         self._obstacles = ObstacleMeter()
+        self._misses = RegionMeter()
 
     def overlaps(self, state: State) -> tuple[Overlap, ...]:
         """Return the links of the shown hand that are in bodies around the object, the deepest first."""
         return self._obstacles(state, self.contacts.prepared(state.scene))
+
+    def elsewhere(self, state: State) -> tuple[Elsewhere, ...]:
+        """Return the links of the shown grasp that touch the object where they should not, the farthest first."""
+        return self._misses(self.contacts(state), state.scene.regions)
 
     # display
 

@@ -34,6 +34,7 @@ from grasp_refine_apps.viewer.ground import Ground
 from grasp_refine_apps.viewer.interaction import Interaction
 from grasp_refine_apps.viewer.obstacles import TABLE
 from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.region_nodes import RegionNodes
 from grasp_refine_apps.viewer.scene_nodes import Arrows, ColoredPatches, HandMeshes, Lines, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.shapes import LinkPoses, collision_shapes, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.shown_motion import ShownMotion
@@ -83,6 +84,7 @@ class GraspNodes:
         """Make all nodes; geometry that was prepared `before` for the same hand and object is used again."""
         hand, obj, display = state.scene.hand, state.scene.object, state.display
         self._contacts_of, self._overlaps_of = controller.contacts, controller.overlaps
+        self._elsewhere_of = controller.elsewhere
         self.prepared: HandObject = controller.contacts.prepared(state.scene)
         self.contacts: Contacts | None = None
         self.right: np.ndarray = np.array([0.0, 1.0, 0.0]) if before is None else before.right
@@ -103,6 +105,7 @@ class GraspNodes:
         opacity = OPACITY if display.transparent and not wireframe else None
         self._object_style: dict[str, Any] = {"opacity": opacity, "wireframe": wireframe}
         self.object = Meshes(scene, f"{GRASP_NODE}/object/mesh", self.object_shapes, **self._object_style)
+        self.regions = RegionNodes(scene, f"{GRASP_NODE}/object/regions", self._surface)
         self.input_frame = scene.add_frame("/beside", show_axes=False, visible=False)
         self._input: tuple[HandMeshes, Meshes] | None = None
         self._label: Any = None
@@ -163,7 +166,9 @@ class GraspNodes:
             self._draw_simulated_contacts(state.motion, state.motion_frame)
             self.hand.tint(blocked, DEEP_COLOR)
         elif shown.finite:
-            self._draw_contacts(state, blocked)
+            elsewhere = self._elsewhere_of(state) if self._display.regions else ()
+            self._draw_contacts(state, blocked | {one.link for one in elsewhere})
+        self.regions.draw(state.scene.regions if self._display.regions else None)
         self._draw_surroundings(state, blocking)
         self._draw_push(state)
         self._draw_ground(state)

@@ -78,6 +78,8 @@ class DisplayOptions:
     """Axes of the base link and of the object: x red, y green, z blue."""
     surroundings: bool = True
     """The table and other bodies around the object, where there are any; what is in the way is red."""
+    regions: bool = True
+    """Where links may touch the object, green, and where they may not, red, if there are regions."""
     ground: bool = True
     """The ground, with the shadow of hand and object; a cell is 5 cm wide."""
 

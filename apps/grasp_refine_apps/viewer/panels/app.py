@@ -25,6 +25,7 @@ from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
 from grasp_refine_apps.viewer.panels.habits import Habits
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
+from grasp_refine_apps.viewer.region_meter import elsewhere_text
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.view import View
 
@@ -186,6 +187,8 @@ def _heading(state: State, controller: Controller) -> str:
             lines.append(f'<span style="color:var(--gr-good)">{html.escape(compared)}</span>')
         if overlaps := overlaps_text(controller.overlaps(state)):
             lines.append(f'<span style="color:var(--gr-bad)">{html.escape(overlaps)}</span>')
+        if elsewhere := elsewhere_text(controller.elsewhere(state)):
+            lines.append(f'<span style="color:var(--gr-bad)">{html.escape(elsewhere)}</span>')
         if state.display.forces:
             total = TOTAL_PRESSURE_N if state.work.config is None else state.work.config.pressure
             scale = newtons_per_centimetre(found.prepared.object.body, total)

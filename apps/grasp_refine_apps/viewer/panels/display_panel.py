@@ -10,6 +10,7 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form
 from grasp_refine_apps.viewer.grasp_nodes import COMPARED_COLOR, DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
 from grasp_refine_apps.viewer.panels.habits import keys_html
+from grasp_refine_apps.viewer.region_nodes import AVOID_COLOR, TOUCH_COLOR
 from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 
@@ -38,12 +39,14 @@ class DisplayPanel:
 def _legend() -> str:
     rows = [
         ((242, 184, 102), "links that are meant to touch"),
-        ((220, 90, 80), "links inside the object, and what is in the way"),
+        ((220, 90, 80), "links inside the object or touching elsewhere, and what is in the way"),
         (GHOST_COLOR, "the input hand"),
         (COMPARED_COLOR, "the hand in the grasp that is compared"),
         (TARGET_COLOR, "target: where a link should touch"),
         (FORCE_COLOR, "contact forces, in their friction cones"),
         (DEEP_COLOR, "the push in a simulation"),
+        (TOUCH_COLOR, "on the object: where links may touch it"),
+        (AVOID_COLOR, "on the object: where they may not"),
     ]
     swatch = "display:inline-block;width:0.9em;height:0.9em;border-radius:50%;margin-right:0.5em;vertical-align:middle"
     lines = "".join(f'<div><span style="{swatch};background:rgb{color}"></span>{text}</div>' for color, text in rows)
