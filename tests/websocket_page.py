@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import viser
 import zstandard
-from viser._messages import GuiUpdateMessage, Message, ViewerCameraMessage
+from viser._messages import GuiUpdateMessage, Message, ScenePointerMessage, ViewerCameraMessage
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -30,13 +30,20 @@ class Page:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        place = (0.0, 0.0, 1.0)
-        self._send(ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), place, 1.0, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), place))
+        self.look((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         until(lambda: set(server.get_clients()) - known)
 
     def change(self, handle: Any, value: Any) -> None:
         """Change a widget, as a user would; a button is pressed with True."""
         self._send(GuiUpdateMessage(handle._impl.uuid, {"value": value}))
+
+    def look(self, wxyz: tuple[float, ...], position: tuple[float, ...]) -> None:
+        """Look from a position along the z axis of a camera, with an opening of 1 rad in a picture of 800 x 600."""
+        self._send(ViewerCameraMessage(wxyz, position, 1.0, 0.01, 100.0, 600, 800, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+
+    def draw_rectangle(self, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Drag a rectangle over the scene with Shift held, from 0 to 1."""
+        self._send(ScenePointerMessage("rect-select", None, None, (low, high), "shift"))
 
     def told(self, handle: Any, name: str = "value") -> list[Any]:
         """What the server set a property of a widget to, in turn."""

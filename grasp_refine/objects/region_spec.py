@@ -211,7 +211,7 @@ def _color(text: str, where: str) -> tuple[int, int, int]:
 
 def _numbered(obj: Object, spec: str, path: Path, where: str) -> Faces:
     """Return the faces whose numbers a file has."""
-    triangles, face = _triangles(obj)
+    triangles, face = numbered_faces(obj)
     numbers = _face_numbers(path, where)
     if not len(numbers):
         raise GraspRefineError(f"{where}: has no numbers of faces")
@@ -272,8 +272,14 @@ def _colored(obj: Object, spec: str, color: tuple[int, int, int], where: str) ->
     return Faces(spec, triangles, chosen)
 
 
-def _triangles(obj: Object) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
-    """Return the triangles of an object and the numbers of their faces in its file; without one, in its mesh."""
+def numbered_faces(obj: Object) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
+    """Return the triangles (F, 3, 3) of an object, its frame, and the numbers (F,) of their faces.
+
+    Numbers are those in its file; without one, in its mesh.
+
+    Raises:
+        MeshError: the file cannot be read.
+    """
     if obj.file is not None:
         return numbered_triangles(*obj.file)
     return np.asarray(obj.mesh.triangles), np.arange(len(obj.mesh.faces))

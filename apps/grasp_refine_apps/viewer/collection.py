@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, Shaped
 from grasp_refine.core.array_records import take
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
@@ -119,6 +120,13 @@ class Collection:
         groups = (*problem.groups[:at], cut, *problem.groups[at + 1 :])
         uncut = {other: make for other, make in self.uncut.items() if other != at}
         return replace(self, problem=replace(problem, groups=groups), uncut=uncut)
+
+    def with_regions(self, at: int, regions: ContactRegions) -> Collection:
+        """Return the collection with other regions of the object of group `at`."""
+        problem, group = self.problem, self.problem.groups[at]
+        scene = replace(group.scene, regions=regions if regions.touch or regions.avoid else None)
+        groups = (*problem.groups[:at], replace(group, scene=scene), *problem.groups[at + 1 :])
+        return replace(self, problem=replace(problem, groups=groups))
 
     @property
     def title(self) -> str:

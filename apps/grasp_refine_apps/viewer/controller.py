@@ -217,7 +217,9 @@ class Controller(ManyGrasps):
                 found = refine_grasp(self._hand_object(scene), scene, pose, targets, config, control, show, name)
                 refined = {"pose": found.pose, "trace": found.trace, "outcome": found.outcome}
                 counted = Counted(found.outcome.touching[0], config.margin)
-                return lambda state: state.evolve(**refined, counted=counted, config=config, refined_at=now())
+                return lambda state: state.evolve(
+                    **refined, counted=counted, config=config, heeded=scene.regions, refined_at=now()
+                )
 
             self.run_job("refine", "refining", work)
             if paused and self._control is not None:
@@ -341,7 +343,7 @@ def _showing(state: State, collection: Collection, number: int) -> State:
     same = collection.same_grasps(state.collection)
     kept = {
         name: getattr(state, name)
-        for name in ("job", "gizmo", "display", "side_by_side", "compared", "notice", "protocol")
+        for name in ("job", "gizmo", "brush", "display", "side_by_side", "compared", "notice", "protocol")
     }
     kept["change"] = state.change
     if not same:

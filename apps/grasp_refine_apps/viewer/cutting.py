@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from grasp_refine_apps.viewer.collection import Collection, Cut
-from grasp_refine_apps.viewer.editing import Editor
+from grasp_refine_apps.viewer.region_editing import RegionEditor
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.worker import Control
 
 
-class Cutter(Editor):
+class Cutter(RegionEditor):
     """Editor that cuts objects."""
 
     def __init__(self, state: State) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.pose import Pose, Target, targets_of
@@ -89,7 +90,7 @@ class Editor(Store):
             self._edit("", **start, trial=trial, trace=None, picked=None)
 
     def undo(self) -> None:
-        """Undo the last change of pose, object or targets."""
+        """Undo the last change of pose, object, targets or regions."""
         self._exchange("undo_steps", "redo_steps")
 
     def redo(self) -> None:
@@ -166,6 +167,14 @@ class Editor(Store):
 
     # internals
 
+    def _edit_regions(self, regions: ContactRegions) -> None:
+        """Set the regions of the shown object, which can be undone where they were set."""
+        self._interrupt()
+        state = self._with_step(self._state, "")
+        *steps, last = state.undo_steps
+        last = replace(last, regions_before=state.scene.regions or ContactRegions())
+        self._become(with_regions(state.evolve(undo_steps=(*steps, last)), regions))
+
     def ready(self) -> bool:
         """Return whether the object of the shown grasp can be queried."""
         return True
@@ -222,7 +231,18 @@ class Editor(Store):
                 return
             self._last_edit = ("", -np.inf)
             self._interrupt()
-            now = self._state.work
-            steps = {out: tuple(others), into: (*getattr(now, into), now.snapshots[-1])}
+            now, regions = self._state.work, found.regions_before
+            last = now.snapshots[-1]
+            if regions is not None:
+                last = replace(last, regions_before=self._state.scene.regions or ContactRegions())
+            steps = {out: tuple(others), into: (*getattr(now, into), last)}
             self._set(picked=None, motion=None)
-            self._become(self._state.with_work(self._state.number, replace(found, saved=now.saved, **steps)))
+            found = replace(found, saved=now.saved, regions_before=None, **steps)
+            state = self._state.with_work(self._state.number, found)
+            self._become(state if regions is None else with_regions(state, regions))
+
+
+def with_regions(state: State, regions: ContactRegions) -> State:
+    """Return the state with other regions of the shown object, for all grasps on it."""
+    collection = state.collection.with_regions(int(state.collection.group_of[state.number]), regions)
+    return state.evolve(collection=collection, scene=collection.scene(state.number))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
@@ -13,9 +13,13 @@ from jaxtyping import Float
 
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.painting import Camera
 from grasp_refine_apps.viewer.picking import hit_mesh, nearest_on_surface
 from grasp_refine_apps.viewer.scene_nodes import HandMeshes, Meshes, PointMarkers, place
 from grasp_refine_apps.viewer.state import State
+
+BRUSH_KEY: Literal["shift"] = "shift"
+"""Key that users hold to paint on the object."""
 
 GIZMO_HOLD_S = 0.5
 """Seconds for which a gizmo stays where the user dragged it: drawn states may be older."""
@@ -47,7 +51,7 @@ class Interaction:
         self._hand, self._object, self._targets = hand, obj, targets
         self.gizmos: dict[str, Any] = {}
         """The gizmo that is shown, by the body that it moves."""
-        self._picking = False
+        self._picking = self._painting = False
         self._dragged = -np.inf
         self._drag = 0
         """Number of the present drag."""
@@ -57,6 +61,7 @@ class Interaction:
         if state.picking != self._picking:
             self._picking = state.picking
             self._listen(state.picking)
+        self._listen_to_brush(state.brush != "off" and state.motion is None)
         for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
             self.gizmos.pop(kind).remove()
         if state.gizmo == "none" or state.motion is not None:
@@ -134,8 +139,23 @@ class Interaction:
         )
         return None if first is None else nearest_on_surface(state.scene.object.body, first)
 
+    def _listen_to_brush(self, painting: bool) -> None:
+        """Listen to rectangles that users draw, or not; without the key of the brush the mouse turns the camera."""
+        if painting != self._painting:
+            self._painting = painting
+            if painting:
+                self._scene.on_rect_select(modifier=BRUSH_KEY)(self._drew_rectangle)
+            else:
+                self._scene.remove_rect_select_callback(self._drew_rectangle)
+
+    def _drew_rectangle(self, event: Any) -> None:
+        camera = event.client.camera
+        T = transform_from_pose(np.concatenate([camera.position, camera.wxyz])[None])[0]
+        self._controller.paint(Camera(T, camera.fov, camera.aspect, event.screen_min, event.screen_max))
+
     def remove(self) -> None:
-        """Remove the gizmos."""
+        """Remove the gizmos, and listen no longer."""
+        self._listen_to_brush(False)
         for node in self.gizmos.values():
             node.remove()
 

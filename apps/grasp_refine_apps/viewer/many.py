@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
 from grasp_refine_apps.viewer.batches import batches, pose_of, refine_batch
@@ -40,7 +41,13 @@ class ManyGrasps(Cutter):
             config = self._checked(self._state.settings.config)
             if config is None:
                 return
-            wanted = self._without(numbers, lambda work: work.outcome is not None and work.config == config)
+            collection = self._state.collection
+
+            def done(number: int, work: Work) -> bool:
+                heeded = work.heeded is collection.group(number).scene.regions
+                return heeded and work.outcome is not None and work.config == config
+
+            wanted = self._without(numbers, done)
             if not wanted:
                 self.notify("all of them are refined with these settings: change the settings, or reset a grasp")
                 return
@@ -54,7 +61,14 @@ class ManyGrasps(Cutter):
                     prepared = self._hand_object(batch.group.scene)
                     outcome = refine_batch(batch, config, prepared, control)
                     for i, number in enumerate(batch.numbers):
-                        self._keep_refined(control, number, todo[number], outcome.select(np.array([i])), config)
+                        self._keep_refined(
+                            control,
+                            number,
+                            todo[number],
+                            outcome.select(np.array([i])),
+                            config,
+                            batch.group.scene.regions,
+                        )
                     done += len(batch.numbers)
                 self.notify(f"{count_text(done, 'grasp')} refined: they are listed in Browse, and not saved yet")
 
@@ -66,7 +80,7 @@ class ManyGrasps(Cutter):
             protocol = self._checked(lambda: protocol_of(*self._state.protocol))
             if protocol is None:
                 return
-            wanted = self._without(numbers, lambda work: work.trial is not None and work.trial.protocol == protocol)
+            wanted = self._without(numbers, lambda _, work: work.trial is not None and work.trial.protocol == protocol)
             if not wanted:
                 self.notify("all of them are tested by this protocol")
                 return
@@ -100,10 +114,10 @@ class ManyGrasps(Cutter):
         """List other grasps, or in another order."""
         self._set(listing=listing)
 
-    def _without(self, numbers: Sequence[int], done: Callable[[Work], bool]) -> list[int]:
+    def _without(self, numbers: Sequence[int], done: Callable[[int, Work], bool]) -> list[int]:
         """Numbers of some grasps without those whose work is done."""
         works = self._state.works
-        return [number for number in numbers if number not in works or not done(works[number])]
+        return [number for number in numbers if number not in works or not done(number, works[number])]
 
     def _works(self, numbers: Sequence[int]) -> dict[int, Work]:
         """Works on some grasps; takes a moment for many."""
@@ -114,11 +128,26 @@ class ManyGrasps(Cutter):
         if not self.run_job("batch", what, work):
             self.notify(BUSY_MESSAGE, bad=True)
 
-    def _keep_refined(self, control: Control, number: int, start: Work, outcome: Outcome, config: Config) -> None:
+    def _keep_refined(
+        self,
+        control: Control,
+        number: int,
+        start: Work,
+        outcome: Outcome,
+        config: Config,
+        regions: ContactRegions | None,
+    ) -> None:
         """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
         counted = Counted(outcome.touching[0], config.margin)
         refined: dict[str, Any] = {"pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
-        refined |= {"config": config, "refined_at": now(), "trial": None, "tested_at": None, "way": None}
+        refined |= {
+            "config": config,
+            "heeded": regions,
+            "refined_at": now(),
+            "trial": None,
+            "tested_at": None,
+            "way": None,
+        }
 
         def change(work: Work) -> Work:
             steps = (*work.undo_steps, *work.snapshots)[-MAX_STEPS:]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from grasp_refine.core.json_files import dumps
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.formats.listing import OURS
-from grasp_refine.pipeline.recorded_objects import object_entries
+from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import result_entries
@@ -62,13 +63,16 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
         return {}
     configs = {repr(work.config): work.config for work in works.values() if work.config is not None}
     groups = {int(at): collection.problem.groups[at] for at in collection.group_of[numbers]}
-    provenance = {
+    provenance: dict[str, Any] = {
         "versions": versions(),
         "config": {"refine": settings(next(iter(configs.values())))} if len(configs) == 1 else {},
         "objects": object_entries(groups.values()),
         "index": [int(collection.group(n).index[collection.member[n]]) for n in numbers.tolist()],
         "row": collection.row[numbers],
     }
+    heeded = [work.heeded for work in works.values() if work.outcome is not None]
+    if heeded and heeded[0] is not None and all(regions is heeded[0] for regions in heeded):
+        provenance["regions"] = regions_entry(heeded[0])
     return {**found, "provenance": np.array(dumps(provenance))}
 
 

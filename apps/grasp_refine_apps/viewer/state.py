@@ -13,6 +13,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.listing import Listing
+from grasp_refine_apps.viewer.painting import Brush
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.trace import Trace
 from grasp_refine_apps.viewer.validated import TrialResult
@@ -135,6 +136,8 @@ class State:
     """Running job."""
     gizmo: Gizmo = "none"
     """Body that can be dragged."""
+    brush: Brush = "off"
+    """What the mouse paints on the object."""
     picking: bool = False
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
 from grasp_refine_apps.viewer.counted import Counted
@@ -39,6 +40,8 @@ class Work:
     """Outcome of the last refinement, one row, if `pose` is its result."""
     config: Config | None = None
     """Settings of that refinement."""
+    heeded: ContactRegions | None = None
+    """Regions of the object that it heeded."""
     refined_at: datetime | None = None
     """Time of that refinement."""
     trial: TrialResult | None = None
@@ -51,6 +54,8 @@ class Work:
     """Pose in the file; None: there is no file."""
     saved: Pose | None = None
     """Pose that was saved last; None: none was."""
+    regions_before: ContactRegions | None = None
+    """Of a snapshot before other regions were set, those that were; None: it is none."""
     undo_steps: tuple[Work, ...] = ()
     """Snapshots before the edits that can be undone, the last one last."""
     redo_steps: tuple[Work, ...] = ()
@@ -82,7 +87,7 @@ class Work:
         return self.changed and (self.saved is None or not self.saved.same(self.pose))
 
 
-NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "refined_at", "trial", "tested_at", "way"))
+NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "heeded", "refined_at", "trial", "tested_at", "way"))
 """Fields without results, which do not hold for another pose."""
 
 Works = Mapping[int, Work]

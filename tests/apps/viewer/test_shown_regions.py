@@ -85,4 +85,4 @@ def test_cut_faces_are_short_and_cover_what_they_covered() -> None:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (normal[:, 2] > 0).all() and normal[:, 2].sum() / 2 == pytest.approx(0.02)
     # Halves of all edges would be 512.
-    assert len(faces) <= 128
+    assert len(faces) < 256

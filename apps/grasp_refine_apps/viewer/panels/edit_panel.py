@@ -1,4 +1,4 @@
-"""Panel that edits the grasp: gizmos, targets, joints, and undo."""
+"""Panel that edits the grasp: gizmos, targets, regions, joints, and undo."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from grasp_refine.core.se3 import exp_so3, log_so3
 from grasp_refine_apps.viewer.contacts import Contacts
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.joints import Joints
+from grasp_refine_apps.viewer.panels.region_panel import RegionPanel
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_choice, on_click
 from grasp_refine_apps.viewer.state import Gizmo, State
 
@@ -50,6 +51,7 @@ class EditPanel:
                 "Nearest points", icon=viser.Icon.TARGET, hint="Where links are nearest now, to be dragged from there"
             )
             in_a_row(gui, (self.auto, self.nearest))
+        self.regions = RegionPanel(gui, controller)
         with gui.add_folder("Hand pose", expand_by_default=False):
             self.position = LiveInput(
                 gui.add_vector3("Position, mm", (0.0, 0.0, 0.0), step=0.1, hint="Of the base link, object frame"),
@@ -74,6 +76,7 @@ class EditPanel:
             checkbox.show(state.gizmo == body)
         self.picking.show(state.picking)
         self.auto.disabled = not state.targets
+        self.regions.draw(state)
 
     def close(self) -> None:
         """Stop moving sliders."""

@@ -12,10 +12,12 @@ import numpy as np
 import viser
 from PIL import Image
 
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
+from grasp_refine.objects.region import ContactRegions, Faces
 from grasp_refine_apps.viewer.animation import animation_html, film_of
 from grasp_refine_apps.viewer.camera import FirstCamera
 from grasp_refine_apps.viewer.choice import CHOICES, chosen
@@ -24,6 +26,7 @@ from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.gif import RENDER_TIMEOUT_S, recorded_gif
 from grasp_refine_apps.viewer.names import file_stem, shortened
 from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
+from grasp_refine_apps.viewer.painting import faces_file
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
 from grasp_refine_apps.viewer.present import present
 from grasp_refine_apps.viewer.saved_results import with_results
@@ -85,6 +88,12 @@ class ExportPanel:
             self.save_all = gui.add_button(
                 "Save them all", icon=viser.Icon.DOWNLOAD, hint="Download these grasps as they stand, in this format"
             )
+            self.faces = gui.add_button(
+                "Painted faces (TXT)",
+                icon=viser.Icon.DOWNLOAD,
+                visible=False,
+                hint="Download the numbers of the faces to touch and to avoid, as --touch faces:FILE reads them",
+            )
             self.picture = gui.add_button(
                 "Screenshot (PNG)", icon=viser.Icon.CAMERA, hint="Download what you see of the scene"
             )
@@ -106,6 +115,7 @@ class ExportPanel:
         on_change(self.shelf, self._reopen)
         self.save.on_click(self._save_grasp)
         self.save_all.on_click(self._save_several)
+        self.faces.on_click(self._send_faces)
         self.picture.on_click(self._send_picture)
         self.animation.on_click(self._animate)
         self.gif.on_click(self._record)
@@ -118,6 +128,8 @@ class ExportPanel:
             self._collection = state.collection
             if other:
                 self.opened.content = open_html(state.collection)
+        regions = state.scene.regions or ContactRegions()
+        self.faces.visible = any(isinstance(region, Faces) for region in (*regions.touch, *regions.avoid))
         job = state.job
         ours = job is not None and job.kind in ("load", "cut", "export")
         self.doing.visible = self.stop.visible = ours
@@ -217,6 +229,24 @@ class ExportPanel:
             self._controller.notify(f"{count_text(len(works), 'grasp')} saved as {saved.name}{notes}")
 
         self._run("export", what, work)
+
+    def _send_faces(self, event: viser.GuiEvent) -> None:
+        """Send the painted faces, a file for each kind of region."""
+        scene, client = self._controller.state.scene, event.client
+        if client is None or scene.regions is None:
+            return
+        try:
+            faces = self._controller.painted_faces(scene.object)
+        except GraspRefineError as error:
+            self._controller.notify(str(error), bad=True)
+            return
+        options = []
+        for verb, regions in (("touch", scene.regions.touch), ("avoid", scene.regions.avoid)):
+            if text := faces.text(regions):
+                name = faces_file(scene.object, verb)
+                self._send(client, Saved(name, text.encode()))
+                options.append(f"--{verb} faces:{name}")
+        self._controller.notify(f"saved: run, view and validate take them with {' '.join(options)}")
 
     def _send_picture(self, event: viser.GuiEvent) -> None:
         """Send a picture of the scene as the browser shows it."""
