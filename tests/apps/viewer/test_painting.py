@@ -106,8 +106,8 @@ def test_a_face_of_several_triangles_is_painted_as_one(tmp_path: Path) -> None:
     corners = "".join(f"v {x} {y} {z}\n" for x in (0, 0.05) for y in (0, 0.05) for z in (0, 0.05))
     square.write_text(corners + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n")
     faces = PaintedFaces.of(load_object(square))
-    hit = np.arange(12) == 11
-    assert faces.text(faces.stroke(ContactRegions(), "touch", hit).touch) == "5\n"
+    painted = faces.stroke(ContactRegions(), "touch", np.arange(12) == 11).touch
+    assert np.flatnonzero(painted[0].chosen).tolist() == [10, 11] and faces.text(painted) == "5\n"
 
 
 def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> None:
@@ -124,7 +124,7 @@ def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> Non
         normal = np.cross(*np.moveaxis(np.diff(painted.triangles, axis=1), 1, 0))
         facing = np.einsum("fi,fi->f", normal, [0.0, 0.0, 0.5] - painted.triangles.mean(axis=1)) > 0
         assert painted.chosen.any() and not (painted.chosen & ~facing).any()
-        # Other display options make new nodes, and listeners of the old ones are gone: a stroke is one step.
+        # Other display options make new nodes.
         viewer.set_display(viewer.state.display.__class__(ground=False))
         view.draw(viewer.state)
         viewer.set_brush("erase")
@@ -132,6 +132,14 @@ def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> Non
         page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
         until(lambda: viewer.state.scene.regions is None)
         assert len(viewer.state.undo_steps) == 2
+        # Without a brush, Shift and the mouse do what they did before.
+        viewer.set_brush("off")
+        view.draw(viewer.state)
+        until(
+            lambda: (
+                [said["modifiers"] for said in page.messages if said["type"] == "ScenePointerEnableMessage"][-1] == []
+            )
+        )
     finally:
         page.close()
         close_server(server)

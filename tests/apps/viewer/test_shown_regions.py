@@ -13,7 +13,7 @@ from grasp_refine.pipeline.problem import Problem
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
-from grasp_refine_apps.viewer.region_meter import elsewhere_text
+from grasp_refine_apps.viewer.region_meter import RegionMeter, elsewhere_text
 from grasp_refine_apps.viewer.region_nodes import bisected
 from grasp_refine_apps.viewer.scene_nodes import Meshes
 from grasp_refine_apps.viewer.view import View
@@ -47,6 +47,14 @@ def test_links_that_touch_elsewhere_are_named_with_their_distance(viewer: Contro
     assert [one.miss for one in found] == sorted((height[one.link] for one in found), reverse=True)
     text = elsewhere_text(found)
     assert found[0].link in text and f"{1e3 * found[0].miss:.1f} mm" in text
+
+
+@pytest.mark.parametrize(("above", "named"), [(3e-4, False), (1e-3, True)])
+def test_a_contact_at_the_border_is_not_named(viewer: Controller, above: float, named: bool) -> None:
+    contacts, obj = viewer.contacts(viewer.state), viewer.state.scene.object
+    top = contacts.point_object[contacts.distance <= CONTACT_DISTANCE_M, 2].max()
+    regions = contact_regions(obj, avoid=f"above:z={top - above}")
+    assert bool(RegionMeter()(contacts, regions)) == named
 
 
 def test_a_refined_grasp_touches_where_it_should(viewer: Controller) -> None:
