@@ -43,11 +43,11 @@ class ManyGrasps(Cutter):
                 return
             collection = self._state.collection
 
-            def done(number: int, work: Work) -> bool:
+            def refined(number: int, work: Work) -> bool:
                 heeded = work.heeded is collection.group(number).scene.regions
                 return heeded and work.outcome is not None and work.config == config
 
-            wanted = self._without(numbers, done)
+            wanted = self._without(numbers, refined)
             if not wanted:
                 self.notify("all of them are refined with these settings: change the settings, or reset a grasp")
                 return

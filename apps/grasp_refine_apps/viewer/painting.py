@@ -76,7 +76,7 @@ class PaintedFaces:
 
     def _painted(self, regions: Sequence[Region], verb: str, hit: np.ndarray, brush: Brush) -> tuple[Region, ...]:
         """Return the regions of a kind after a stroke."""
-        before = [region for region in regions if isinstance(region, Faces) and len(region.chosen) == len(hit)]
+        before = self._of_faces(regions)
         chosen = np.any([np.zeros_like(hit), *(region.chosen for region in before)], axis=0)
         after = chosen | hit if brush == verb else chosen & ~hit
         if np.array_equal(after, chosen):
@@ -87,10 +87,12 @@ class PaintedFaces:
 
     def text(self, regions: Sequence[Region]) -> str:
         """Return the numbers of the faces of some regions, a line each, as `faces:FILE` reads them; empty: none."""
-        chosen = [region.chosen for region in regions if isinstance(region, Faces) and len(region.chosen)]
-        if not chosen:
-            return ""
-        return "".join(f"{number}\n" for number in np.unique(self.face[np.any(chosen, axis=0)]))
+        chosen = np.any([np.zeros(len(self.face), dtype=bool), *(r.chosen for r in self._of_faces(regions))], axis=0)
+        return "".join(f"{number}\n" for number in np.unique(self.face[chosen]))
+
+    def _of_faces(self, regions: Sequence[Region]) -> list[Faces]:
+        """Return those regions that are faces of this mesh."""
+        return [region for region in regions if isinstance(region, Faces) and len(region.chosen) == len(self.face)]
 
 
 def faces_file(obj: Object, verb: str) -> str:

@@ -173,3 +173,23 @@ def test_sliders_without_end_and_in_millimetres(tmp_path: Path):
     np.testing.assert_allclose(units(hand), [1e3, 180.0 / np.pi])
     np.testing.assert_allclose(limits(hand, 0, 1e3), (0.0, 70.0))
     assert limits(hand, 1, 180.0 / np.pi) == (-180.0, 180.0)
+
+
+def test_regions_are_applied_as_they_were_written_and_shown_as_they_are(shown: Shown):
+    regions = shown.panel.regions
+    shown.page.change(regions.touch, "above:z=0.02; below:z=0.01")
+    shown.page.change(regions.avoid, "above:z=0.08")
+    shown.page.change(regions.apply, True)
+    until(lambda: shown.controller.state.scene.regions is not None)
+    found = shown.controller.state.scene.regions
+    assert [one.spec for one in found.touch] == ["above:z=0.02", "below:z=0.01"]
+    assert [one.spec for one in found.avoid] == ["above:z=0.08"]
+    shown.press("undo")
+    until(lambda: regions.touch.value == regions.avoid.value == "")
+    assert shown.controller.state.scene.regions is None and regions.clear.disabled
+    shown.press("redo")
+    until(lambda: regions.avoid.value == "above:z=0.08")
+    shown.page.change(regions.clear, True)
+    until(lambda: shown.controller.state.scene.regions is None)
+    shown.page.change(regions.brush, "touch")
+    until(lambda: shown.controller.state.brush == "touch" and regions.advice.visible)
