@@ -19,6 +19,7 @@ from grasp_refine.core.short_repr import labels
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.spec import ProblemSpec
@@ -221,6 +222,21 @@ def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: P
     grasps = load_grasps(tmp_path / name)
     np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)
     assert grasps.pregrasp is not None and grasps.squeeze is not None
+    assert not shown.other.downloads()
+
+
+def test_painted_faces_go_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
+    obj = shown.controller.state.scene.object
+    assert not shown.panel.faces.visible
+    (tmp_path / "some.txt").write_text("0 7 12")
+    shown.controller.set_regions("", f"above:z=0.02; faces:{tmp_path / 'some.txt'}")
+    assert shown.panel.faces.visible
+    shown.one.change(shown.panel.faces, True)
+    name, content = shown.one.download()
+    (tmp_path / name).write_bytes(content)
+    again = contact_regions(obj, avoid=f"faces:{tmp_path / name}")
+    assert again is not None and np.flatnonzero(again.avoid[0].chosen).tolist() == [0, 7, 12]
+    assert shown.told(f"--avoid faces:{name}")
     assert not shown.other.downloads()
 
 
