@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import viser
@@ -11,6 +11,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
+from grasp_refine.validation.simulation import LIFT
 from grasp_refine_apps.viewer.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
 from grasp_refine_apps.viewer.comparison import compared_pose
 from grasp_refine_apps.viewer.contacts import Contacts
@@ -70,7 +71,7 @@ class View:
                 self._place_cameras(state, nodes)
             if state.motion is not self._motion:
                 self._motion = state.motion
-                if isinstance(state.motion, ShownWay):
+                if _travels(state.motion):
                     self._place_cameras(state, nodes)
             nodes.draw(state)
 
@@ -115,7 +116,12 @@ class View:
         points = transform_points(state.T_world_object, nodes.corners(state.shown))
         if isinstance(state.motion, ShownWay):
             ends = [nodes.corners(state.motion.pose(k), state.motion.T_object[k], arm=True) for k in (0, -1)]
-            points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
+        elif _travels(state.motion):
+            # Objects that are lost may be anywhere.
+            ends = [nodes.corners(pose) for pose in map(state.motion.pose, (0, -1)) if pose.finite]
+        else:
+            ends = []
+        points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
         compared = compared_pose(state)
         if compared is not None:
             points = np.concatenate([points, transform_points(state.T_world_object, nodes.corners(compared))])
@@ -125,12 +131,12 @@ class View:
         return np.concatenate([points, other])
 
     def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, for two side by side or one over the other, or for a whole way."""
+        """Place all cameras for one grasp, for two side by side or one over the other, or for a whole way or lift."""
         camera = self._camera
         if camera is None:
             return
         points = None
-        if state.side_by_side or isinstance(state.motion, ShownWay) or compared_pose(state) is not None:
+        if state.side_by_side or _travels(state.motion) or compared_pose(state) is not None:
             points = self._points(state, nodes)
         back = camera.position - camera.look_at
         back /= np.linalg.norm(back)
@@ -143,6 +149,11 @@ class View:
             found = camera if points is None else fit_camera(points, points.mean(axis=0), back, aspect)
             place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
             place.position, place.look_at = found.position, found.look_at
+
+
+def _travels(motion: ShownMotion | ShownWay | None) -> TypeGuard[ShownMotion | ShownWay]:
+    """Return whether the hand goes somewhere else than to the grasp."""
+    return isinstance(motion, ShownWay) or (motion is not None and motion.direction in LIFT)
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Coroutine, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, trans
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
+from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from grasp_refine_apps.viewer.state import DisplayOptions
 from grasp_refine_apps.viewer.view import View
 from open_viewer import controller, example, settled
@@ -57,8 +60,8 @@ def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, vie
         view.draw(viewer.state)
 
 
-def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -> None:
-    camera, points = view.server.initial_camera, view.nodes.corners(viewer.state.shown)
+def assert_sees(camera: Any, points: np.ndarray) -> None:
+    """Assert that a camera has points (N, 3) in its picture, up to few corners that are cut."""
     forward = np.array(camera.look_at) - np.array(camera.position)
     distance = np.linalg.norm(forward)
     forward /= distance
@@ -69,6 +72,28 @@ def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -
     assert (seen[:, 2] > 0).all()
     assert (np.abs(seen[:, 1]) < opening * seen[:, 2]).mean() > 0.99
     assert (np.abs(seen[:, 0]) < 1.1 * opening * seen[:, 2]).mean() > 0.99
+
+
+def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -> None:
+    assert_sees(view.server.initial_camera, view.nodes.corners(viewer.state.shown))
+
+
+def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> None:
+    """From the first frame to the last one, 0.3 m higher, though the object fell off."""
+    shown, count = viewer.state.shown, 4
+    T_root = np.tile(shown.T_object_root, (count, 1, 1))
+    T_root[:, 2, 3] += np.linspace(0.0, 0.3, count)
+    T_object = np.tile(np.eye(4), (count, 1, 1))
+    T_object[-1, 2, 3] = -50.0
+    zeros, q = np.zeros(count), np.tile(shown.q, (count, 1))
+    names = "allegro", "mug", "lift", "tabletop", "lost"
+    numbers = zeros, np.full(count, 2), zeros, T_root, q, T_object, zeros, zeros, np.zeros(3), ()
+    viewer.show_motion(ShownMotion(*names, *numbers))
+    view.draw(viewer.state)
+    for T in (T_root[0], T_root[-1]):
+        assert_sees(view.server.initial_camera, view.nodes.corners(Pose(T, shown.q)))
+    away = np.array(view.server.initial_camera.position) - np.array(view.server.initial_camera.look_at)
+    assert np.linalg.norm(away) < 5.0
 
 
 def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View, viewer: Controller) -> None:
