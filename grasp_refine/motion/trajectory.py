@@ -10,13 +10,14 @@ from jaxtyping import Float
 from grasp_refine.core.se3 import distances
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.way import Way
 
 DEFAULT_SPEED_RAD_S = 1.0
 """Speed limit of joints in rad/s whose file gives none; slides move by `Hand.per_radian` of it, 0.1 m/s."""
 
-ROOT_SPEED = (0.25, 1.0)
-"""Speed limits of a hand that floats, in m/s and rad/s."""
+PALM_SPEED = (0.25, 1.0)
+"""Speed limits of the palm, in m/s, the reduced speed of ISO 10218-1, and rad/s."""
 
 SPEED_SHARE = 0.5
 """Share of the speed limits that is used."""
@@ -59,7 +60,9 @@ def speed_limits(hand: Hand) -> Float[np.ndarray, " n"]:
 
 
 def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajectory:
-    """Return a way with times at which no joint is faster than a share of its limit; each leg begins and ends at rest.
+    """Return a way with times at which no joint, nor the palm, is faster than a share of its limit.
+
+    Each leg begins and ends at rest.
 
     Args:
         hand: The hand, or the hand on its arm.
@@ -70,10 +73,9 @@ def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajector
     time, T, q, waypoints = [np.zeros(1)], [], [], [0]
     for number, known in enumerate(way.legs):
         leg = known if len(known) > MIN_SAMPLES else known.at(np.linspace(0.0, len(known) - 1, MIN_SAMPLES + 1))
-        moved, turned = distances(leg.T_world_root[:-1], leg.T_world_root[1:])
-        slowest = [np.abs(np.diff(leg.q, axis=0)) / limits, moved[:, None] / (ROOT_SPEED[0] * share)]
-        slowest += [turned[:, None] / (ROOT_SPEED[1] * share)]
-        each = np.concatenate(slowest, axis=1).max(axis=1, initial=0.0)
+        T_palm = palm_poses(hand, leg.T_world_root, leg.q)
+        palm = np.stack(distances(T_palm[:-1], T_palm[1:]), axis=1) / (share * np.array(PALM_SPEED))
+        each = np.concatenate([np.abs(np.diff(leg.q, axis=0)) / limits, palm], axis=1).max(axis=1, initial=0.0)
         total = float(each.sum())
         place = np.concatenate([[0.0], np.cumsum(each)]) / total if total else np.linspace(0.0, 1.0, len(leg))
         times = time[-1][-1] + _smooth_times(place) * max(PEAK * total, MIN_LEG_S)

@@ -22,7 +22,7 @@ from grasp_refine.hands.mount import mount
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import Sweep
-from grasp_refine.motion.trajectory import SPEED_SHARE, speed_limits, trajectory
+from grasp_refine.motion.trajectory import PALM_SPEED, SPEED_SHARE, speed_limits, trajectory
 from grasp_refine.motion.way import LEGS, Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import Object, load_object
@@ -239,10 +239,14 @@ def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Ob
     assert abs(timed.time[0]) < 1e-12 and (np.diff(timed.time) > 0).all()
     speed = np.abs(np.diff(timed.q, axis=0)) / np.diff(timed.time)[:, None]
     assert (speed <= SPEED_SHARE * limits + 1e-9).all()
+    T_palm = palm_poses(whole, timed.T_world_root, timed.q)
+    moved, turned = distances(T_palm[:-1], T_palm[1:])
+    fast = np.stack([moved, turned], axis=1) / np.diff(timed.time)[:, None] / PALM_SPEED
+    assert SPEED_SHARE - 0.01 < fast.max() <= SPEED_SHARE + 1e-9
     slow = trajectory(whole, way, share=0.1)
     assert (np.abs(np.diff(slow.q, axis=0)) / np.diff(slow.time)[:, None] <= 0.1 * limits + 1e-9).all()
     assert slow.time[-1] > 2 * timed.time[-1]
-    fastest = (speed / limits).max(axis=1)
+    fastest = np.concatenate([speed / limits, fast], axis=1).max(axis=1)
     for at in timed.waypoints[1:-1]:
         assert fastest[at - 1] < 0.7 * fastest.max() and fastest[at] < 0.7 * fastest.max()
     for place, stage in zip(timed.waypoints[1:4], range(3), strict=True):
