@@ -19,7 +19,7 @@ from grasp_refine.motion.way import WayOptions
 from grasp_refine.motion.way_files import check_way_file
 from grasp_refine.objects.region_spec import is_of_file
 from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.problem import Draft, UncutGroup
+from grasp_refine.pipeline.problem import Draft, Problem, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
@@ -149,6 +149,12 @@ class Run:
             console.print(
                 f"ways are not followed in simulation: {protocol.name} pushes; --protocol scene lifts", soft_wrap=True
             )
+        elif planned is not None and protocol is not None and _floats(problem):
+            console.print(
+                "the simulation puts a table under the object, of which refinement and ways do not know: give --table",
+                style="yellow",
+                soft_wrap=True,
+            )
         if profile is not None:
             console.print(profile_table(profile))
         if not outcome.usable.any():
@@ -258,6 +264,12 @@ class Run:
 def _file_digest(file: tuple[Path, float] | None, digests: Digests) -> str:
     """Return the hash of the file of a mesh; empty: it is of none."""
     return "" if file is None else str(digests.file(file[0])["sha256"])
+
+
+def _floats(problem: Problem) -> bool:
+    """Return whether an object of a problem has nothing around it."""
+    scenes = [group.scene for group in problem.groups]
+    return any(scene.table is None and scene.environment is None for scene in scenes)
 
 
 def _aimed(draft: Draft, config: Config) -> bool:

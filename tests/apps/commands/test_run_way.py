@@ -12,13 +12,15 @@ from grasp_refine_apps.cli import main
 pytestmark = pytest.mark.usefixtures("workplace")
 
 
+GIVEN = "--hand franka_hand --object box:0.04,0.04,0.08 --grasps sample:1 --validate --way way.json".split()
+
+
 @pytest.mark.parametrize(("protocol", "lifts"), [("scene", True), ("dexgraspbench", False)])
 def test_ways_are_followed_by_protocols_that_lift(
     protocol: str, lifts: bool, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A gripper lifts its box by 10 cm off the table; a protocol that pushes is named."""
-    given = "--hand franka_hand --object box:0.04,0.04,0.08 --grasps sample:1 --table -0.04 --validate"
-    assert main(["run", *given.split(), "--protocol", protocol, "--way", "way.json", "--json", "run.json"]) == 0
+    assert main(["run", *GIVEN, "--table", "-0.04", "--protocol", protocol, "--json", "run.json"]) == 0
     (grasp,) = json.loads(Path("way.json").read_text())["grasps"]
     (refined,) = json.loads(Path("run.json").read_text())["grasps"]
     assert {key: grasp.get(key) for key in refined["way"]} == refined["way"]
@@ -26,6 +28,12 @@ def test_ways_are_followed_by_protocols_that_lift(
     out, _ = capfd.readouterr()
     assert grasp["status"] == "free" and ("followed" in grasp) == lifts
     assert ("1 of 1 held and lifted" in out) == lifts and ("dexgraspbench pushes" in out) != lifts
+    assert "give --table" not in out
     if lifts:
         found = grasp["followed"]
         assert found["held"] and abs(found["lifted_m"] - 0.1) < 5e-3 and found["hits"] == []
+
+
+def test_a_table_of_the_simulation_alone_is_told(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", *GIVEN, "--protocol", "tabletop"]) == 0
+    assert "give --table" in capfd.readouterr().out
