@@ -9,7 +9,7 @@ from grasp_refine.results.margins_table import LIMITS
 
 
 @dataclass(frozen=True)
-class GraspMargins:
+class HoldingMargins:
     """Margins of one grasp, as `refine-grasp validate --margins` finds them."""
 
     count: int

@@ -13,7 +13,7 @@ from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 from grasp_refine.validation.validate import BARELY
-from grasp_refine_apps.viewer.margins import GraspMargins
+from grasp_refine_apps.viewer.margins import HoldingMargins
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class TrialResult:
     """Penetration of hand and object at the pregrasp, metres."""
     label: float | None = None
     """Share of the protocol's offsets of the object with which the grasp held; None without offsets."""
-    margins: GraspMargins | None = None
+    margins: HoldingMargins | None = None
     """Margins, where a document has them."""
     motion: Motion | None = None
     """Closing motion of the hand, for another simulation; None where that is not known."""

@@ -24,7 +24,7 @@ from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS
-from grasp_refine_apps.viewer.margins import GraspMargins
+from grasp_refine_apps.viewer.margins import HoldingMargins
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 
 COMMANDS = ("run", "validate")
@@ -242,7 +242,7 @@ def _entry(grasp: _Json, protocol: Protocol | None, closing: Mapping[When, Mappi
 
 
 def _trial(
-    simulation: _Json, protocol: Protocol | None, closing: Mapping[str, str], margins: GraspMargins | None
+    simulation: _Json, protocol: Protocol | None, closing: Mapping[str, str], margins: HoldingMargins | None
 ) -> TrialResult:
     """Read the simulation result of one grasp."""
     directions, closed = simulation["directions"], simulation["closing"].or_empty({})
@@ -260,7 +260,7 @@ def _trial(
     )
 
 
-def _margins(given: _Json) -> GraspMargins:
+def _margins(given: _Json) -> HoldingMargins:
     """Read the margins of one grasp."""
     trials = given["trials"]
     joint, worst = trials[JOINT], given["worst"].or_empty("").text()
@@ -268,7 +268,7 @@ def _margins(given: _Json) -> GraspMargins:
     if len(interval) != 2:
         raise joint["interval"].error("two numbers")
     limits = {limit.name: given[limit.name].number() for limit in LIMITS}
-    return GraspMargins(
+    return HoldingMargins(
         count=len(joint["held"].list()),
         probability=joint["probability"].number(),
         interval=(interval[0], interval[1]),
