@@ -34,6 +34,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.objects.object import load_object
+from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.scene.plane import Plane
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.scene import Scene
@@ -97,6 +98,9 @@ REFUSED = {
     "refine(hand, box)": "Scene",
     "refine(scene, Descent())": "Config",
     'metrics(hand, "mug", T, q)': 'load_object("mug")',
+    "contact_regions(box, avoid=3)": "3",
+    "contact_regions(box, avoid=None)": "None",
+    "contact_regions(box, avoid=[None])": "None",
     'match_joints("grasps.npz", hand)': 'load_grasps("grasps.npz")',
     'match_joints(grasps, "allegro")': 'load_hand("allegro")',
     'sample_grasps("allegro", box, 1)': 'load_hand("allegro")',

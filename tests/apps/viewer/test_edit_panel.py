@@ -184,9 +184,10 @@ def test_regions_are_applied_as_they_were_written_and_shown_as_they_are(shown: S
     found = shown.controller.state.scene.regions
     assert [one.spec for one in found.touch] == ["above:z=0.02", "below:z=0.01"]
     assert [one.spec for one in found.avoid] == ["above:z=0.08"]
+    until(lambda: not regions.clear.disabled)  # the page shows them
     shown.press("undo")
-    until(lambda: regions.touch.value == regions.avoid.value == "")
-    assert shown.controller.state.scene.regions is None and regions.clear.disabled
+    until(lambda: regions.touch.value == regions.avoid.value == "" and regions.clear.disabled)
+    assert shown.controller.state.scene.regions is None
     shown.press("redo")
     until(lambda: regions.avoid.value == "above:z=0.08")
     shown.page.change(regions.clear, True)

@@ -114,7 +114,7 @@ def test_iterations_are_played_to_the_end(shown: Shown):
     until(lambda: shown.controller.state.outcome is not None)
     last = len(shown.controller.state.trace) - 1
     play = shown.panel.timeline.bar.button
-    until(lambda: not play.disabled)
+    until(lambda: not play.disabled and shown.controller.state.job is None)
     label = play.label
     # The last changes of the run, in which no frame is shown, may still come.
     shown.controller.listen(lambda state: None if state.frame is None else seen.append(state.frame))
