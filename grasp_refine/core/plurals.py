@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 THIN_SPACE = "\u202f"
 """Thousands separator: a thin space that does not break lines."""
 
@@ -14,3 +16,8 @@ def whole(number: int) -> str:
 def count_text(number: int, noun: str, plural: str | None = None) -> str:
     """Number and noun, in the plural, by default with an s, except for 1: 1 convex piece, 2 convex pieces."""
     return f"{whole(number)} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def first_of(texts: Sequence[str], most: int) -> list[str]:
+    """The first texts, at most so many, and how many others there are: a, b, and 3 more."""
+    return [*texts[:most], *([f"and {len(texts) - most} more"] if len(texts) > most else [])]

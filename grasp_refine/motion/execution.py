@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join
-from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.cores import thread_count
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import distances, inverse, transform_from_pose
+from grasp_refine.core.se3 import distances, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
-from grasp_refine.motion.paths import HandPath
-from grasp_refine.motion.trajectory import Trajectory
-from grasp_refine.motion.way import LEGS
+from grasp_refine.motion.trajectory import Trajectory, trajectory
+from grasp_refine.motion.way import LEGS, Way
 from grasp_refine.validation.simulation import CHUNK_GRASPS, Course
 from grasp_refine.validation.stepping import Conditions, Rows
-from grasp_refine.validation.world import HAND, OBJECT_GEOM, OTHER_GEOM, SCENE, World
+from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
 
 CLOSE, LIFT = LEGS.index("close"), LEGS.index("lift")
 
@@ -54,22 +52,28 @@ def execute(
     return join(*parts) if parts else _execute(world, hand, (), threads)
 
 
+def follow(world: World, hand: Hand, ways: Sequence[Way], *, threads: int | None = None) -> Executions:
+    """Follow those of N ways that are free, as `execute` does, by the speed limits of the joints."""
+    timed = [trajectory(hand, way) if way.free else None for way in ways]
+    return execute(world, hand, timed, threads=threads)
+
+
 def _execute(world: World, hand: Hand, trajectories: Sequence[Trajectory | None], threads: int | None) -> Executions:
     """Follow few trajectories, all at the same time."""
     protocol, count = world.protocol, len(trajectories)
     seconds = protocol.steps_per_move * protocol.timestep
-    ticked = {row: _Ticked.of(one, seconds) for row, one in enumerate(trajectories) if one is not None}
-    ends = np.array([len(ticked[row].path) - 1 if row in ticked else 0 for row in range(count)], dtype=int)
+    sampled = {row: one.sampled(seconds)[2:] for row, one in enumerate(trajectories) if one is not None}
+    ends = np.array([len(sampled[row][0]) - 1 if row in sampled else 0 for row in range(count)], dtype=int)
     followed = ends > 0
     longest = max(int(ends.max(initial=0)), 1) + 1
     T, q = np.tile(np.eye(4), (count, longest, 1, 1)), np.zeros((count, longest, len(hand.joint_names)))
-    for row, one in ticked.items():
+    for row, (path, _) in sampled.items():
         at = np.minimum(np.arange(longest), ends[row])
-        T[row], q[row] = one.path.T_world_root[at], one.path.q[at]
+        T[row], q[row] = path.T_world_root[at], path.q[at]
     course = Course.of(world, T, q, followed)
-    rows = Rows(world, Conditions.nominal(world, count), followed, usable_cores() if threads is None else threads)
+    rows = Rows(world, Conditions.nominal(world, count), followed, thread_count(threads))
     start = np.tile(np.eye(4), (count, 1, 1))
-    rows.place(course.root(0, 0.0), course.joints[:, 0], np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
+    rows.place(course.root(0, 0.0), course.joints[:, 0], pose_from_transform(start))
     watch = _Contacts(world, count)
     T_palm = palm_poses(hand, T.reshape(-1, 4, 4), q.reshape(-1, q.shape[-1])).reshape(T.shape)
     tracking = np.zeros((2, count))
@@ -79,15 +83,15 @@ def _execute(world: World, hand: Hand, trajectories: Sequence[Trajectory | None]
         rows.step(protocol.steps_per_move)
         ran = np.flatnonzero(rows.running)
         for row in ran.tolist():
-            watch.note(row, int(ticked[row].leg[tick]), *rows.contacts(row))
+            watch.note(row, int(sampled[row][1][tick]), *rows.contacts(row))
         away = distances(T_palm[ran, tick], _palm(world, hand, rows, T[:, tick], q[:, tick])[ran])
         tracking[:, ran] = np.maximum(tracking[:, ran], away)
         over = rows.running & (ends == tick)
         ended[over], pushed[over] = rows.object_poses()[over], rows.pushed()[over]
         rows.running &= ~over
     wanted = start.copy()
-    for row, one in ticked.items():
-        begin = int((one.leg < LIFT).sum()) - 1
+    for row, (_, leg) in sampled.items():
+        begin = int((leg < LIFT).sum()) - 1
         rise = (T_palm[row, ends[row], :3, 3] - T_palm[row, begin, :3, 3]) @ world.up
         wanted[row, :3, 3] += rise * world.up
     moved, turned = distances(wanted, ended)
@@ -110,22 +114,6 @@ def _execute(world: World, hand: Hand, trajectories: Sequence[Trajectory | None]
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Ticked:
-    """A trajectory at even times."""
-
-    path: HandPath
-    leg: Int[np.ndarray, " K"]
-    """Index (K,) in `LEGS` of each set point."""
-
-    @classmethod
-    def of(cls, one: Trajectory, seconds: float) -> _Ticked:
-        """Return the set points of a trajectory, so many seconds apart."""
-        time = np.append(np.arange(0.0, one.time[-1], seconds), one.time[-1])
-        place = np.interp(time, one.time, np.arange(len(one), dtype=float))
-        return cls(HandPath(one.T_world_root, one.q).at(place), np.searchsorted(one.waypoints[1:-1], place))
-
-
 def _palm(
     world: World, hand: Hand, rows: Rows, T: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
 ) -> Float[np.ndarray, "N 4 4"]:
@@ -135,9 +123,8 @@ def _palm(
         root = transform_from_pose(qpos[:, world.root_at : world.root_at + 7])
         return palm_poses(hand, root @ inverse(world.hand.T_base_root), q)
     arm = np.flatnonzero(hand.arm_joints)
-    at = [int(world.model.joint(f"{HAND}/{hand.joint_names[joint]}").qposadr[0]) for joint in arm]
     q = q.copy()
-    q[:, arm] = qpos[:, at]
+    q[:, arm] = qpos[:, world.joints_at[[world.hand.joints.index(hand.joint_names[joint]) for joint in arm]]]
     return palm_poses(hand, T, q)
 
 

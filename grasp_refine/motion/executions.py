@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.core.plurals import first_of
 from grasp_refine.core.short_repr import brief
 from grasp_refine.validation.trials import PUSHED_M
 
@@ -74,8 +75,7 @@ class Executions:
             f"{int(self.clean.sum())}{self._tracking()}"
         ]
         others = [(row, text) for row in ran.tolist() if (text := self._incident(row))]
-        told += [f"grasp {labels[row] if labels else row}: {text}" for row, text in others[:most]]
-        return told + ([f"and {len(others) - most} more"] if len(others) > most else [])
+        return told + first_of([f"grasp {labels[row] if labels else row}: {text}" for row, text in others], most)
 
     def _tracking(self) -> str:
         """Return text on the largest tracking error; empty where none is known."""
@@ -95,9 +95,7 @@ class Executions:
             for name, away in zip(self.neighbours, self.pushed_m[row].tolist(), strict=True)
             if away >= PUSHED_M
         ]
-        hits = list(self.hits[row][:MAX_TOLD_HITS])
-        hits += [f"and {more} more"] if (more := len(self.hits[row]) - MAX_TOLD_HITS) > 0 else []
-        return "; ".join([*lost, *pushed, *hits])
+        return "; ".join([*lost, *pushed, *first_of(self.hits[row], MAX_TOLD_HITS)])
 
     def document(self, row: int) -> dict[str, Any] | None:
         """Return what a JSON file tells of a grasp; None where there was no way to follow."""

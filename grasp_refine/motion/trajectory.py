@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from grasp_refine.core.se3 import distances
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.paths import HandPath
 from grasp_refine.motion.way import Way
 
 DEFAULT_SPEED_RAD_S = 1.0
@@ -50,6 +51,23 @@ class Trajectory:
     def __len__(self) -> int:
         """Return the number of set points."""
         return len(self.time)
+
+    def sampled(
+        self, seconds: float
+    ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"], HandPath, Int[np.ndarray, " S"]]:
+        """Return set points at even times, and the last one.
+
+        Args:
+            seconds: Time between them.
+
+        Returns:
+            Times (S,) in seconds, places (S,) between the set points of the trajectory, the path of S poses, and the
+            numbers (S,) of their legs.
+        """
+        time = np.append(np.arange(0.0, self.time[-1], seconds), self.time[-1])
+        place = np.interp(time, self.time, np.arange(len(self), dtype=float))
+        leg = np.searchsorted(self.waypoints[1:-1], place)
+        return time, place, HandPath(self.T_world_root, self.q).at(place), leg
 
 
 def speed_limits(hand: Hand) -> Float[np.ndarray, " n"]:

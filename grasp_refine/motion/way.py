@@ -129,7 +129,7 @@ def ways(
     planner = _Planner(scene, prepared, options or WayOptions())
     beyond = Way(WayStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
     none = Way(WayStatus.NO_GRASP, "there is no grasp", ())
-    known = scene.posed & np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
+    known = scene.posed & motion.finite
     return tuple(
         planner.free_way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
         for row, out_of_reach in enumerate(scene.out_of_reach)

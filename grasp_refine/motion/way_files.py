@@ -12,6 +12,7 @@ import numpy as np
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import save_json
 from grasp_refine.core.npz_files import save_npz
+from grasp_refine.core.plurals import first_of
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
@@ -67,8 +68,7 @@ class PlannedWays:
         several, named = len(set(self.object.tolist())) > 1, zip(self.object, self.index, strict=True)
         labels = [f"{name} {index}" if several else str(index) for name, index in named]
         others = [(label, way) for label, way in zip(labels, self.ways, strict=True) if not way.free]
-        lines += [f"way of grasp {label} {way.status.label}: {way.why}" for label, way in others[:most]]
-        lines += [f"and {len(others) - most} more"] if len(others) > most else []
+        lines += first_of([f"way of grasp {label} {way.status.label}: {way.why}" for label, way in others], most)
         return lines if self.executions is None else lines + self.executions.lines(most, labels)
 
     def entry(self, number: int) -> dict[str, Any]:

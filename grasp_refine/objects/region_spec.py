@@ -63,7 +63,8 @@ def contact_regions(obj: Object, touch: Regions = (), avoid: Regions = ()) -> Co
     found = ContactRegions(_regions(obj, touch, "touch"), _regions(obj, avoid, "avoid"))
     if not (found.touch or found.avoid):
         return None
-    if not _holds_any(obj, found.signed_distance(_surface_points(obj))[0]):
+    # Each region alone holds some of the surface.
+    if found.avoid and not _holds_any(obj, found.signed_distance(_surface_points(obj))[0]):
         raise GraspRefineError(f"{obj.name}: nothing of it is left to touch: {found.text}")
     return found
 
@@ -136,14 +137,16 @@ def _regions(obj: Object, given: Regions, option: str) -> tuple[Region, ...]:
     several = (given,) if isinstance(given, str | Region) else given
     if not isinstance(several, Iterable):
         raise GraspRefineError(f"{option}: must be regions, or their specifications, got {quote_value(given)}")
-    found = []
+    found: list[Region] = []
     for one in several:
         if not isinstance(one, str | Region):
             raise GraspRefineError(f"{option}: a region is a text or a Region, got {quote_value(one)}")
         found.append(one if isinstance(one, Region) else _region(obj, one, f"{option} {one}"))
-        if not _holds_any(obj, found[-1].signed_distance(_surface_points(obj))[0]):
+    points = _surface_points(obj) if found else np.zeros((0, 3))
+    for region in found:
+        if not _holds_any(obj, region.signed_distance(points)[0]):
             raise GraspRefineError(
-                f"{option} {found[-1].spec}: holds none of the surface of {obj.name}, which is at {_extent(obj)} "
+                f"{option} {region.spec}: holds none of the surface of {obj.name}, which is at {_extent(obj)} "
                 "in its own frame, in metres"
             )
     return tuple(found)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
@@ -161,7 +160,7 @@ def _simulate(
         world = cache.get("world", (hand, *given), partial(build_world, model, *given))
         simulations = engine_of(engine, world)
         tell = listener.simulating(group)
-        refined = Motion(transform_from_pose(part.stage_pose), part.stage_q)
+        refined = part.motion
         worlds.append(world)
         motions.append(refined)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):

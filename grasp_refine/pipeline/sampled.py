@@ -14,6 +14,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import check_object
 from grasp_refine.pipeline.problem import Group, Problem, UncutGroup
 from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
@@ -67,10 +68,9 @@ def sampled_problem(
     began = time.perf_counter()
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
     regions = regions_of(obj, spec.touch, spec.avoid, environment)
-    wanted = () if regions is None else regions.touch
-    unwanted = () if regions is None else regions.avoid
+    where = regions or ContactRegions()
     grasps = sample_grasps(
-        hand, obj, count, seed=seed, table=table, environment=environment, touch=wanted, avoid=unwanted
+        hand, obj, count, seed=seed, table=table, environment=environment, touch=where.touch, avoid=where.avoid
     )
     notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
     notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")

@@ -10,14 +10,11 @@ from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join as rows_of_all
 from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.motion.trajectory import trajectory
 from grasp_refine.motion.way import WayOptions, ways
 from grasp_refine.motion.way_files import PlannedWays, join
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.scene import SCENE
@@ -37,10 +34,8 @@ def plan_ways(
     parts = []
     for group in problem.groups:
         part, scene = refined.outcome.select(group.place), group.scene
-        after = replace(scene, T_world_root=transform_from_pose(part.hand_pose), q=part.q)
-        motion = Motion(transform_from_pose(part.stage_pose), part.stage_q)
         prepared = cache.get("prepared", (problem.hand, scene.object), partial(HandObject.of, scene))
-        planned = ways(after, motion, options, prepared)
+        planned = ways(part.posed(scene), part.motion, options, prepared)
         parts.append(PlannedWays(problem.hand, part.object, part.row, part.index, planned))
     return join(parts, problem.order)
 
@@ -67,7 +62,7 @@ def follow_ways(
         GraspRefineError: an argument of another type, ways of other grasps, a protocol that pushes, or MuJoCo cannot
             compile the hand or the world.
     """
-    from grasp_refine.motion.execution import execute
+    from grasp_refine.motion.execution import follow
     from grasp_refine.validation.validate import model_of
     from grasp_refine.validation.world import build_world
 
@@ -85,6 +80,5 @@ def follow_ways(
         given = group.scene.object, protocol, group.scene.table, group.scene.environment
         world = cache.get("world", (problem.hand, *given), partial(build_world, model, *given))
         ways = [planned.ways[place] for place in group.place.tolist()]
-        timed = [trajectory(problem.hand, way) if way.free else None for way in ways]
-        parts.append(execute(world, problem.hand, timed, threads=threads))
+        parts.append(follow(world, problem.hand, ways, threads=threads))
     return replace(planned, executions=take(rows_of_all(*parts), problem.order))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import inverse, pose_from_transform, transform_points
+from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.refine import Refinement
@@ -80,6 +80,15 @@ class Outcome:
     def usable(self) -> np.ndarray:
         """True where a grasp (N,) was refined at all: it had links to touch with, and its queries succeeded."""
         return ~np.isin(self.status, UNUSABLE)
+
+    @property
+    def motion(self) -> Motion:
+        """Pregrasps, grasps and squeezes."""
+        return Motion(transform_from_pose(self.stage_pose), self.stage_q)
+
+    def posed(self, scene: Scene) -> Scene:
+        """Return the scene of N grasps with the refined ones."""
+        return replace(scene, T_world_root=transform_from_pose(self.hand_pose), q=self.q)
 
     @property
     def aimed(self) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import take
@@ -38,6 +38,11 @@ class Motion:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.q)
+
+    @property
+    def finite(self) -> Bool[np.ndarray, " N"]:
+        """True where all poses and joint values of a grasp (N,) are finite."""
+        return np.isfinite(self.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(self.q).all(axis=(1, 2))
 
     def select(self, rows: np.ndarray) -> Motion:
         """Return the grasps `rows`, in that order."""

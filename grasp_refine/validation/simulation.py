@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from grasp_refine.core import profiling
 from grasp_refine.core.arguments import check_kind, check_shape
-from grasp_refine.core.cores import usable_cores
+from grasp_refine.core.cores import thread_count
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.core.short_repr import brief
@@ -127,15 +127,14 @@ def close(
         engine: As for `simulate`.
     """
     protocol = world.protocol
-    finite = np.isfinite(motion.T_world_root).all(axis=(1, 2, 3)) & np.isfinite(motion.q).all(axis=(1, 2))
-    finite &= conditions.finite
+    finite = motion.finite & conditions.finite
     grasp, arm = STAGES.index("grasp"), world.hand.on_arm
     beyond = np.zeros(len(motion), dtype=bool)
     if arm is not None:
         beyond = is_out_of_reach(arm, motion.T_world_root[:, grasp], motion.q[:, grasp])
     start = np.where(finite[:, None, None], conditions.T_world_object, np.eye(4))
     course = Course.of(world, motion.T_world_root, motion.q, finite)
-    rows = engine(world, conditions, finite, _threads(threads), on_step)
+    rows = engine(world, conditions, finite, thread_count(threads), on_step)
     rows.place(course.root(0, 0.0), course.joints[:, 0], pose_from_transform(start))
     start_touch = rows.touching(np.flatnonzero(finite))
     deep = finite & (start_touch.depth > protocol.deepest)
@@ -209,7 +208,7 @@ def push(
     start = closed.conditions.T_world_object[grasp]
     reason = closed.reason[grasp]
     undecided = reason == Reason.HELD
-    rows = engine(world, closed.conditions.select(grasp), undecided, _threads(threads), on_step)
+    rows = engine(world, closed.conditions.select(grasp), undecided, thread_count(threads), on_step)
     rows.resume(closed.state[grasp])
     if closed.conditions.wrench is not None:
         rows.push(closed.conditions.wrench.reshape(-1, 6))
@@ -293,10 +292,6 @@ def _lift(rows: Simulations, protocol: Protocol, check: int) -> float:
 def _steps(protocol: Protocol) -> int:
     """Return the number of simulation steps of a whole trial."""
     return 2 * protocol.moves * protocol.steps_per_move + protocol.checks * protocol.steps_per_check
-
-
-def _threads(threads: int | None) -> int:
-    return usable_cores() if threads is None else threads
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from scipy.special import expit
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.calibration import Calibration
 from grasp_refine.forces.quality import Quality
 from grasp_refine.forces.squeeze import squeezed
@@ -153,10 +152,7 @@ def samples(source: Source) -> Samples:
 def refined(group: Group, config: Config, prepared: HandObject) -> tuple[Scene, Motion]:
     """Return the refined grasps of a group, and the motion that closes the hand to them."""
     outcome = refine_group(group, config, prepared=prepared)
-    T = transform_from_pose(outcome.hand_pose)
-    return replace(group.scene, T_world_root=T, q=outcome.q), Motion(
-        transform_from_pose(outcome.stage_pose), outcome.stage_q
-    )
+    return outcome.posed(group.scene), outcome.motion
 
 
 def fit(found: Samples) -> Calibration:

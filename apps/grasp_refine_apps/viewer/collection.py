@@ -173,14 +173,16 @@ class Collection:
 
     def work(self, number: int) -> Work:
         """Return a grasp as in its file, with its simulation result if that is known."""
-        scene, pose = self.scene(number), self.pose(number)
-        T = np.eye(4)
-        if scene.environment is not None:
-            # What is up in the scene is up in the picture.
-            T[:3, :3] = scene.environment.T_world_object[:3, :3]
-        return Work(
-            pose, targets_of(scene), T, counted=self.counted[number], trial=self.trials.get(number), of_file=pose
-        )
+        targets, pose = targets_of(self.scene(number)), self.pose(number)
+        T = self.T_world_object(number)
+        return Work(pose, targets, T, counted=self.counted[number], trial=self.trials.get(number), of_file=pose)
+
+    def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose (4, 4) in which the object is shown at first: what is up in a scene is up in the picture."""
+        T, environment = np.eye(4), self.group(number).scene.environment
+        if environment is not None:
+            T[:3, :3] = environment.T_world_object[:3, :3]
+        return T
 
     def with_columns(self, *columns: Column) -> Collection:
         """Return the collection with additional or replaced columns."""

@@ -82,7 +82,7 @@ class Editor(Store):
             start = {
                 "pose": now.initial,
                 "targets": targets_of(now.scene),
-                "T_world_object": now.collection.work(now.number).T_world_object,
+                "T_world_object": now.collection.T_world_object(now.number),
                 "counted": now.collection.counted[now.number],
             }
             of_file = now.initial.same(now.collection.pose(now.number))

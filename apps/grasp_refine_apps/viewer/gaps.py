@@ -11,16 +11,13 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.scene.hand_object import POINT
 from grasp_refine_apps.viewer.depth import DepthField, DepthPatch, clipped, near_triangles
-from grasp_refine_apps.viewer.shapes import Shape
+from grasp_refine_apps.viewer.shapes import Shape, raised
 
 REACH_M = 0.003
 """Distance in metres up to which a surface is coloured."""
 
 EDGE_M = 0.0012
 """Longest edge of the triangles in metres."""
-
-LIFT_M = 1.5e-4
-"""Height in metres over the surface at which the patch is drawn, so that it is in front of it."""
 
 
 class GapField:
@@ -61,8 +58,6 @@ def gap_patch(shape: Shape, T_object_link: Float[np.ndarray, "4 4"], gaps: GapFi
         T_object_link: Pose of the link.
         gaps: Distance from the object.
     """
-    import trimesh
-
     found = near_triangles(shape, T_object_link, gaps.field, REACH_M + EDGE_M, EDGE_M)
     if found is None:
         return None
@@ -70,7 +65,6 @@ def gap_patch(shape: Shape, T_object_link: Float[np.ndarray, "4 4"], gaps: GapFi
     distance = gaps(transform_points(T_object_link, vertices), depth, REACH_M + EDGE_M)
     if distance.min() >= REACH_M:
         return None
-    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
-    faces = faces[(distance[faces] < REACH_M).any(axis=1)]
-    rim = clipped(vertices + LIFT_M * normals, faces, REACH_M - distance)
-    return DepthPatch(rim.vertices, faces, rim.depth - REACH_M)
+    near = faces[(distance[faces] < REACH_M).any(axis=1)]
+    rim = clipped(raised(vertices, faces), near, REACH_M - distance)
+    return DepthPatch(rim.vertices, near, rim.depth - REACH_M)

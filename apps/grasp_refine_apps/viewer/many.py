@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.store import BUSY_MESSAGE
 from grasp_refine_apps.viewer.validated import TrialResult
 from grasp_refine_apps.viewer.validating import PosedGrasp, protocol_of, run_trial, world_cache
-from grasp_refine_apps.viewer.work import Work
+from grasp_refine_apps.viewer.work import NO_RESULTS, Work
 from grasp_refine_apps.viewer.worker import Control
 
 
@@ -139,15 +138,8 @@ class ManyGrasps(Cutter):
     ) -> None:
         """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
         counted = Counted(outcome.touching[0], config.margin)
-        refined: dict[str, Any] = {"pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
-        refined |= {
-            "config": config,
-            "heeded": regions,
-            "refined_at": now(),
-            "trial": None,
-            "tested_at": None,
-            "way": None,
-        }
+        refined = {**NO_RESULTS, "pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
+        refined |= {"config": config, "heeded": regions, "refined_at": now()}
 
         def change(work: Work) -> Work:
             steps = (*work.undo_steps, *work.snapshots)[-MAX_STEPS:]

@@ -8,6 +8,7 @@ from threading import Lock
 
 import numpy as np
 
+from grasp_refine.core.plurals import first_of
 from grasp_refine.motion.sweep import TOUCHING_M
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject, moving_links
@@ -112,8 +113,5 @@ class _Around:
 
 def overlaps_text(overlaps: Sequence[Overlap]) -> str:
     """Return text that names the deepest overlaps; empty: there is none."""
-    if not overlaps:
-        return ""
-    more = len(overlaps) - MAX_NAMED
-    named = "; ".join(map(str, overlaps[:MAX_NAMED]))
-    return f"in the way: {named}" + (f"; and {more} more" if more > 0 else "")
+    named = "; ".join(first_of([str(overlap) for overlap in overlaps], MAX_NAMED))
+    return f"in the way: {named}" if named else ""

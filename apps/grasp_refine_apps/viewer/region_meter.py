@@ -8,6 +8,7 @@ from threading import Lock
 
 import numpy as np
 
+from grasp_refine.core.plurals import first_of
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_selection import contact_misses
 from grasp_refine.validation.formulas import COSTLY_M
@@ -52,10 +53,8 @@ class RegionMeter:
 
 def elsewhere_text(found: Sequence[Elsewhere]) -> str:
     """Return text that names the links that are farthest from where they may touch; empty: there is none."""
-    if not found:
-        return ""
-    more = len(found) - MAX_NAMED
-    return f"touches elsewhere: {'; '.join(map(str, found[:MAX_NAMED]))}" + (f"; and {more} more" if more > 0 else "")
+    named = "; ".join(first_of([str(one) for one in found], MAX_NAMED))
+    return f"touches elsewhere: {named}" if named else ""
 
 
 def _elsewhere(contacts: Contacts, regions: ContactRegions) -> tuple[Elsewhere, ...]:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine_apps.viewer.colors import Color
 from grasp_refine_apps.viewer.scene_nodes import Meshes
-from grasp_refine_apps.viewer.shapes import Shape
+from grasp_refine_apps.viewer.shapes import Shape, raised
 
 TOUCH_COLOR, AVOID_COLOR = (70, 175, 90), (215, 65, 55)
 """Colours of the faces where hands may touch, and of the others."""
@@ -21,9 +21,6 @@ OPACITY = 0.5
 
 EDGE_SHARE = 0.04
 """Longest edge of the faces, as a share of the diagonal of the object."""
-
-LIFT_M = 1.5e-4
-"""Height in metres over the surface at which they are drawn, so that they are in front of it."""
 
 
 class RegionNodes:
@@ -71,11 +68,8 @@ class RegionNodes:
 
     @cached_property
     def _surface_lifted(self) -> Float[np.ndarray, "V 3"]:
-        """The same vertices (V, 3), `LIFT_M` higher."""
-        import trimesh
-
-        vertices, faces = self._fine
-        return vertices + LIFT_M * trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+        """Those vertices (V, 3) in front of the surface."""
+        return raised(*self._fine)
 
 
 def bisected(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt32
+from jaxtyping import Float, Float32, Int, UInt32
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.geometry.pieces import Piece
@@ -43,6 +43,9 @@ CREASE_ANGLE_DEG = 35.0
 
 MAX_FACES = 20_000
 """Maximum faces of a drawn mesh; larger ones are decimated."""
+
+LIFT_M = 1.5e-4
+"""Height in metres over a surface at which what is drawn on it is in front of it."""
 
 CELL_GROWTH = 1.25
 """Factor from one size of the cells of decimation to the next."""
@@ -214,3 +217,10 @@ def decimate(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
         size *= CELL_GROWTH
     means = np.stack([np.bincount(cell, vertices[:, axis]) for axis in range(3)], axis=1) / count[:, None]
     return trimesh.Trimesh(means, joined[np.sort(first)], process=False)
+
+
+def raised(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
+    """Return the vertices (V, 3) of a surface `LIFT_M` over it, along their normals."""
+    import trimesh
+
+    return vertices + LIFT_M * np.asarray(trimesh.Trimesh(vertices, faces, process=False).vertex_normals)

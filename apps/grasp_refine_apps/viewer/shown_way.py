@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse
 from grasp_refine.hands.palm import palm_poses
-from grasp_refine.motion.paths import HandPath
 from grasp_refine.motion.sweep import SPACING_M, Obstruction
 from grasp_refine.motion.trajectory import trajectory
 from grasp_refine.motion.way import LEGS, Way, WayStatus, ways
@@ -143,10 +142,7 @@ def shown_way(scene: Scene, way: Way, prepared: HandObject) -> ShownWay:
     if not way.legs:
         raise GraspRefineError(f"no way to show: {way.why}")
     hand, timed = scene.hand, trajectory(scene.hand, way)
-    time = np.append(np.arange(0.0, timed.time[-1], 1.0 / FRAME_RATE_HZ), timed.time[-1])
-    place = np.interp(time, timed.time, np.arange(len(timed)))
-    path = HandPath(timed.T_world_root, timed.q).at(place)
-    leg = np.clip(np.searchsorted(timed.waypoints, place, side="left") - 1, 0, len(way.legs) - 1)
+    time, place, path, leg = timed.sampled(1.0 / FRAME_RATE_HZ)
     q = path.q.copy()
     if len(way.legs) > SQUEEZE:
         # Set points press into the object, fingers stay where they touch it.

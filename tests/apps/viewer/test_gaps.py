@@ -11,8 +11,8 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine_apps.viewer.colors import distance_colors
 from grasp_refine_apps.viewer.depth import DepthField
-from grasp_refine_apps.viewer.gaps import LIFT_M, REACH_M, GapField, gap_patch
-from grasp_refine_apps.viewer.shapes import Shape
+from grasp_refine_apps.viewer.gaps import REACH_M, GapField, gap_patch
+from grasp_refine_apps.viewer.shapes import LIFT_M, Shape
 
 HALF = np.array([0.01, 0.02, 0.03])
 

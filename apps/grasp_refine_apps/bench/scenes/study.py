@@ -10,11 +10,10 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import read_pose
-from grasp_refine.core.se3 import transform, transform_from_pose
+from grasp_refine.core.se3 import transform
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
-from grasp_refine.motion.execution import execute
-from grasp_refine.motion.trajectory import trajectory
+from grasp_refine.motion.execution import follow
 from grasp_refine.motion.way import ways
 from grasp_refine.objects.object import load_object
 from grasp_refine.pipeline.facade import problem_of
@@ -23,7 +22,6 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import list_scenes, load_scene
-from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.validate import model_of
 from grasp_refine.validation.world import build_world
@@ -157,13 +155,11 @@ class SceneTask:
             (group,) = problem.groups
             outcome = refine_group(group, Config(seed=self.seed))
             share(0.4)
-            refined = replace(group.scene, T_world_root=transform_from_pose(outcome.hand_pose), q=outcome.q)
-            after = Motion(transform_from_pose(outcome.stage_pose), outcome.stage_q)
+            refined = outcome.posed(group.scene), outcome.motion
             counts, pushed = [], []
-            for stage, (given, motion) in enumerate([(group.scene, group.motion()), (refined, after)]):
+            for stage, (given, motion) in enumerate([(group.scene, group.motion()), refined]):
                 planned = ways(given, motion)
-                timed = [trajectory(whole, way) if way.free else None for way in planned]
-                found = execute(world, whole, timed, threads=1)
+                found = follow(world, whole, planned, threads=1)
                 counts.append([sum(way.free for way in planned), found.held.sum(), (found.held & found.clean).sum()])
                 pushed.append(np.nanmax(found.pushed_m, initial=0.0))
                 share(0.7 + 0.3 * stage)

@@ -143,7 +143,7 @@ def _nothing_to_reset(state: State) -> bool:
     """Return whether there is nothing to reset."""
     return (
         state.trace is None
-        and np.array_equal(state.T_world_object, state.collection.work(state.number).T_world_object)
+        and np.array_equal(state.T_world_object, state.collection.T_world_object(state.number))
         and state.pose.same(state.initial)
         and [target.values for target in state.targets] == [target.values for target in targets_of(state.scene)]
     )
