@@ -109,7 +109,7 @@ class ScenesStudy:
         return Report("Grasps in scenes", tables)
 
 
-def _both(counts: tuple[int, int]) -> str:
+def _both(counts: Sequence[int]) -> str:
     return f"{counts[0]} → {counts[1]}"
 
 
