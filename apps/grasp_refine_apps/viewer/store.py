@@ -42,8 +42,9 @@ class Store:
 
     @property
     def state(self) -> State:
-        """The present state."""
-        return self._state
+        """The present state; not one within a change, such as between the end of a job and the start of the next."""
+        with self._lock:
+            return self._state
 
     def listen(self, listener: Callable[[State], None]) -> None:
         """Call `listener` with every new state; it must return at once and call no command."""
