@@ -31,5 +31,5 @@ class Calibration:
         return expit(self.offset - self.costs(shortcomings).sum(axis=1))
 
 
-CALIBRATION = Calibration(offset=7.28, weights=(4.17, 8.83, 1.07, 1.53, 6.9))
-"""Fit of all sets, for `slippery`, `pushed`, `deep`, `open` and `strained` of `Quality`."""
+CALIBRATION = Calibration(offset=7.28, weights=(4.17, 8.83, 1.07, 1.53, 6.9, 2.04))
+"""Fit of all sets, for `slippery`, `pushed`, `deep`, `open`, `strained` and `yielding` of `Quality`."""

@@ -14,6 +14,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
 from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.stiffness import object_motion
 from grasp_refine.forces.torques import joint_torques, limit_shares
 from grasp_refine.forces.wrench import center_of_mass, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
@@ -34,7 +35,14 @@ HOLDING_PRESSURE_N = 3.5
 """Sum of the pressures, in newtons, at which torques must be within their limits: hands that cannot make so much begin
 to lose the object of the protocol that `calibration` is fitted to, whichever hand it is."""
 
-SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained")
+YIELDING_RAD_N = 0.015
+"""Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
+
+YIELDING_SHARE = 0.05
+"""Share of that excess in the score, where it costs about as much, beside the other shortcomings, as in `calibration`:
+with all of it, attempts that hold are passed over for stiffer ones."""
+
+SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained", "yielding")
 """Fields of `Quality` that its score and its probability are made of."""
 
 
@@ -55,6 +63,9 @@ class Quality:
     """Excess (N,) of the torque of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, over its
     limit, as a share of that limit; 0 where the actuators can make all torques. Where set points end, the limit is the
     torque with which the actuator presses after the joint gave way by `GIVE_RAD`."""
+    yielding: Float[np.ndarray, " N"]
+    """Excess (N,) of the angle by which the object turns for each newton of the pushes, their mean, over
+    `YIELDING_RAD_N`, as a share of that (see `stiffness`); 0 where contacts are far enough apart."""
     weakest_push: Float[np.ndarray, "N 3"]
     """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
     deepest_link: Int[np.ndarray, " N"]
@@ -67,14 +78,14 @@ class Quality:
     __repr__ = brief
 
     @property
-    def shortcomings(self) -> Float[np.ndarray, "N 5"]:
-        """The fields `SHORTCOMINGS` (N, 5)."""
+    def shortcomings(self) -> Float[np.ndarray, "N 6"]:
+        """The fields `SHORTCOMINGS` (N, 6)."""
         return np.stack([getattr(self, name) for name in SHORTCOMINGS], axis=1)
 
     @property
     def score(self) -> Float[np.ndarray, " N"]:
-        """Sum of the shortcomings (N,); infinite where a grasp has no forces."""
-        total = self.shortcomings.sum(axis=1)
+        """Sum of the shortcomings (N,), `yielding` by `YIELDING_SHARE`; infinite where a grasp has no forces."""
+        total = self.slippery + self.pushed + self.deep + self.open + self.strained + YIELDING_SHARE * self.yielding
         return np.where(np.isnan(total), np.inf, total)
 
     @property
@@ -122,6 +133,8 @@ def quality(
         force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link)
     share = limit_shares(hand, torque, frames.q[:, None]).max(axis=1)
+    motion = object_motion(hand, chain, frames, points, pushed.pressure.mean(axis=1), center, pushes / PUSH_SHARE)
+    turn = np.where(pushed.solved.all(axis=1), np.linalg.norm(motion[..., 3:], axis=-1).mean(axis=1), np.nan)
     distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
     wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure[:, 0] * np.maximum(points.gap - wanted, 0.0)
@@ -134,6 +147,7 @@ def quality(
         deep=depth.max(axis=1, initial=0.0) / DEEP,
         open=total / DEEP,
         strained=np.maximum(share.max(axis=1, initial=0.0) - 1.0, 0.0),
+        yielding=np.maximum(turn / YIELDING_RAD_N - 1.0, 0.0),
         weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
         farthest_contact=points.link[np.arange(len(gap)), farthest],

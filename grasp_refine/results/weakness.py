@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_refine.forces.calibration import CALIBRATION
-from grasp_refine.forces.quality import DEEP, LOW_FRICTION, SHORTCOMINGS, Quality
+from grasp_refine.forces.quality import DEEP, LOW_FRICTION, SHORTCOMINGS, YIELDING_RAD_N, Quality
 
 NEGLIGIBLE_COST = 0.5
 """Log odds below which the costliest shortcoming is not told."""
@@ -47,6 +47,11 @@ def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], jo
     if shortcoming == "strained":
         needed = 1.0 + quality.strained[i]
         return f"against pushes {joints[quality.strained_joint[i]]} needs {needed:.0%} of the torque that it can make"
+    if shortcoming == "yielding":
+        turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i])
+        return (
+            f"its contacts are close together: the object turns by about {turn:.1f} degrees for each newton of a push"
+        )
     return f"contact of {links[quality.farthest_contact[i]]} is open"
 
 

@@ -13,7 +13,8 @@ from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
 from grasp_refine.forces.programs import NUM_EDGES
-from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, Quality, quality
+from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, YIELDING_RAD_N, Quality, quality
+from grasp_refine.forces.stiffness import CONTACT_STIFFNESS, TORSION_LEVER_M
 from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -96,6 +97,18 @@ def test_contacts_all_around_balance_every_push(free: Hand, ball: Object) -> Non
     normal = -np.array([[[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]]) / np.sqrt(3.0)
     found = of(free, ball, (-0.03 * normal).tolist(), normal.tolist())
     assert found.score[0] < 1e-3 and found.value[0] > 0.999
+
+
+@pytest.mark.parametrize("apart", [0.004, 0.06])
+def test_the_object_yields_where_contacts_beside_it_are_close(free: Hand, ball: Object, apart: float) -> None:
+    """Two opposing contacts at x turn under pushes along y, and about their normals under those along z."""
+    x, half = 0.03, 0.5 * apart
+    rigid = replace(free, actuator=replace(free.actuator, kp=np.full(len(free.joint_names), 1e9)))
+    found = of(rigid, ball, [[[x, half, 0], [x, -half, 0]]], [[[0, -1, 0], [0, 1, 0]]])
+    about_z, about_y = (2.0 * CONTACT_STIFFNESS * lever**2 for lever in (half, TORSION_LEVER_M))
+    turn = (x / about_z + x / about_y) / 3.0
+    assert found.yielding[0] == pytest.approx(max(turn / YIELDING_RAD_N - 1.0, 0.0), rel=0.02)
+    assert (found.yielding[0] > 10.0) == (apart < 0.01)
 
 
 @pytest.mark.parametrize("slope", [0.05, 0.12, 0.3])

@@ -124,7 +124,7 @@ def test_there_is_no_quality_without_contacts_and_it_falls_with_depth(hand: Hand
     # That deep, 2 mm over `quality.DEEP` = 1 cm are added to the shortcomings; the forces are the same.
     odds = np.log(found.quality / (1.0 - found.quality))
     assert np.isnan(found.quality[0]) and 0.0 < found.quality[2] < found.quality[1] < 1.0
-    (cost,) = CALIBRATION.costs(np.array([[0.0, 0.0, 0.2, 0.0, 0.0]])).sum(axis=1)
+    (cost,) = CALIBRATION.costs(np.array([[0.0, 0.0, 0.2, 0.0, 0.0, 0.0]])).sum(axis=1)
     np.testing.assert_allclose(odds[1] - odds[2], cost, atol=1e-3)
 
 

@@ -3,8 +3,9 @@
 Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples FILE] [--every N]`, where ASSETS is a
 folder of hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry
 refined, and refined from one start and from several: what people will ask about. Refined grasps of generators are also
-simulated with weak actuators, for the last shortcoming: its weight is fitted with all others held. The reliability is
-told on each set with a fit on all others, where a set is one generator with one hand.
+simulated with weak actuators, for what strains them: its weight is fitted with all others held. The reliability is
+told on each set with a fit on all others, where a set is one generator with one hand. Grasps of the ends of long
+objects, and of a handle, have contacts close together, about which objects turn: the weight of that is fitted likewise.
 """
 
 from __future__ import annotations
@@ -54,6 +55,18 @@ NUM_SAMPLED = 8
 """Number of grasps sampled for a hand and an object."""
 SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:0.05,0.05,0.12")
 """Objects for sampled grasps."""
+NUM_AT_ENDS = 12
+"""Number of grasps sampled for a hand and the end of an object."""
+END_HANDS = ("allegro", "leap", "shadow_palm")
+"""Hands for grasps at ends."""
+ENDS = {
+    "mug": "box:0.0405,-0.03,0,0.08,0.03,0.09",
+    "bottle": "above:z=0.16",
+    "bowl": "above:x=0.045",
+    "box:0.05,0.05,0.2": "above:z=0.085",
+    "cylinder:0.02,0.24": "above:z=0.1",
+}
+"""Objects, and the end of each that is touched: of a mug its handle."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +115,10 @@ def sources(assets: Path, every: int = 1) -> Iterator[Source]:
                 ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{max(NUM_SAMPLED // every, 1)}")),
                 weak=False,
             )
+    for name in END_HANDS:
+        for obj, end in ENDS.items():
+            sampled = Path(f"sample:{max(NUM_AT_ENDS // every, 1)}")
+            yield Source(f"ends, {name}", ProblemSpec(hand=name, object=obj, touch=(end,), grasps=sampled), weak=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,21 +175,30 @@ def refined(group: Group, config: Config, prepared: HandObject) -> tuple[Scene, 
 def fit(found: Samples) -> Calibration:
     """Return the logistic model of most likelihood, with a ridge; no weight is below 0.
 
-    The weight of the last shortcoming, what strains actuators, is fitted to the grasps that have it, and the others to
-    those that do not: so weak actuators change nothing for others.
+    The weights of the last two shortcomings, what strains actuators and how the object yields, are fitted to the grasps
+    that have the one and not the other, and all others to those that have neither: where actuators are strong and
+    contacts well apart, nothing changes.
     """
     found = take(found, np.isfinite(found.shortcomings).all(axis=1))
-    strained = found.shortcomings[:, -1] > 0.0
-    ample = fit_ample(found.shortcomings[~strained, :-1], found.held[~strained])
-    weak = take(found, strained)
-    odds, root = ample.offset - ample.costs(weak.shortcomings[:, :-1]).sum(axis=1), np.sqrt(weak.shortcomings[:, -1])
+    excess = found.shortcomings[:, -2:] > 0.0
+    plain = ~excess.any(axis=1)
+    ample = fit_ample(found.shortcomings[plain, :-2], found.held[plain])
+    weights = []
+    for column in range(2):
+        some = take(found, excess[:, column] & ~excess[:, 1 - column])
+        odds = ample.offset - ample.costs(some.shortcomings[:, :-2]).sum(axis=1)
+        weights.append(fit_weight(odds, np.sqrt(some.shortcomings[:, column - 2]), some.held))
+    return Calibration(ample.offset, (*ample.weights, *weights))
+
+
+def fit_weight(odds: Float[np.ndarray, " N"], root: Float[np.ndarray, " N"], held: Bool[np.ndarray, " N"]) -> float:
+    """Return the weight of most likelihood of one more predictor (N,), at least 0, with the log odds by all others."""
 
     def loss(weight: float) -> float:
         less = odds - weight * root
-        return float((np.logaddexp(0.0, less) - weak.held * less).sum()) + RIDGE * weight
+        return float((np.logaddexp(0.0, less) - held * less).sum()) + RIDGE * weight
 
-    last = float(minimize_scalar(loss, bounds=(0.0, MAX_WEIGHT), method="bounded").x)
-    return Calibration(ample.offset, (*ample.weights, last))
+    return float(minimize_scalar(loss, bounds=(0.0, MAX_WEIGHT), method="bounded").x)
 
 
 def fit_ample(shortcomings: Float[np.ndarray, "N K"], found_held: Bool[np.ndarray, " N"]) -> Calibration:

@@ -6,23 +6,24 @@ import pytest
 from grasp_refine.forces.calibration import Calibration
 from grasp_refine_apps.authoring.calibrate_quality import Samples, fit, left_out, main
 
-LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0, 4.0))
+LAW = Calibration(4.0, (5.0, 3.0, 0.0, 1.0, 4.0, 2.0))
 
 
 @pytest.fixture(scope="module")
 def drawn() -> Samples:
-    """20,000 grasps of four generators, which hold with the probability of the law."""
+    """30,000 grasps of four generators, which hold with the probability of the law; none has both excesses."""
     rng = np.random.default_rng(0)
-    shortcomings = rng.uniform(0.0, 1.0, (20_000, 5)) ** 2
-    shortcomings[::2, -1] = 0.0
+    shortcomings = rng.uniform(0.0, 1.0, (30_000, 6)) ** 2
+    for first, columns in enumerate(([-2, -1], [-2], [-1])):
+        shortcomings[first::3, columns] = 0.0
     held = rng.uniform(size=len(shortcomings)) < LAW.probability(shortcomings)
     return Samples(np.array(["a", "b", "c", "d"])[rng.integers(0, 4, len(held))], shortcomings, held)
 
 
 def test_the_law_is_found(drawn: Samples) -> None:
     found = fit(drawn)
-    assert found.offset == pytest.approx(LAW.offset, rel=0.08)
-    np.testing.assert_allclose(found.weights, LAW.weights, atol=0.35)
+    assert found.offset == pytest.approx(LAW.offset, rel=0.1)
+    np.testing.assert_allclose(found.weights, LAW.weights, atol=0.4)
 
 
 def test_a_shortcoming_that_seems_to_help_gets_no_weight(drawn: Samples) -> None:
@@ -31,11 +32,14 @@ def test_a_shortcoming_that_seems_to_help_gets_no_weight(drawn: Samples) -> None
     assert fit(odd).weights[2] == 0.0
 
 
-def test_weak_actuators_change_nothing_for_others(drawn: Samples) -> None:
-    strained = drawn.shortcomings[:, -1] > 0.0
-    others = fit(Samples(drawn.source, drawn.shortcomings, drawn.held & ~strained))
-    assert others.offset == fit(drawn).offset and others.weights[:-1] == fit(drawn).weights[:-1]
-    assert others.weights[-1] > fit(drawn).weights[-1] + 10.0
+@pytest.mark.parametrize("column", [-2, -1])
+def test_weak_actuators_and_close_contacts_change_nothing_for_others(drawn: Samples, column: int) -> None:
+    exceeding = drawn.shortcomings[:, column] > 0.0
+    others, before = fit(Samples(drawn.source, drawn.shortcomings, drawn.held & ~exceeding)), fit(drawn)
+    assert others.offset == before.offset and np.delete(others.weights, column) == pytest.approx(
+        np.delete(before.weights, column), abs=0.0
+    )
+    assert others.weights[column] > before.weights[column] + 10.0
 
 
 def test_grasps_are_judged_by_the_others(drawn: Samples) -> None:
