@@ -38,9 +38,8 @@ to lose the object of the protocol that `calibration` is fitted to, whichever ha
 YIELDING_RAD_N = 0.015
 """Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
 
-YIELDING_SHARE = 0.05
-"""Share of that excess in the score, where it costs about as much, beside the other shortcomings, as in `calibration`:
-with all of it, attempts that hold are passed over for stiffer ones."""
+YIELDING_SHARE = 0.02
+"""Share of that excess in the score: with all of it, attempts that hold are passed over for stiffer ones."""
 
 SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained", "yielding")
 """Fields of `Quality` that its score and its probability are made of."""

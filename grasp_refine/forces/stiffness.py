@@ -65,8 +65,9 @@ def object_motion(
         link = np.concatenate([np.repeat(some.link, 3, axis=1), some.link], axis=1)
         twist = _contact_forms(np.where(held, some.point_on_link, 0.0), normal)
         J = np.where(hand.arm_joints, 0.0, chain.to_joint_space(take(frames, rows), twist, link)[..., 6:])
-        AD, JD = (A * D).mT, (J * D).mT
-        K = AD @ A - AD @ J @ np.linalg.solve(joint_stiffness(hand) + JD @ J, JD @ A)
+        JD = (J * D).mT
+        shared = JD @ A
+        K = (A * D).mT @ A - shared.mT @ np.linalg.solve(joint_stiffness(hand) + JD @ J, shared)
         motion[rows] = np.linalg.solve(K + MIN_STIFFNESS * np.eye(6), loads[rows].mT).mT
     return motion
 

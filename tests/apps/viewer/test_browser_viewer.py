@@ -83,9 +83,9 @@ def refine(page: ViserPage) -> np.ndarray:
     page.wait_for_text(CONVERGED)
     page.wait_for_text("The best of all")
     # Iterations of starts that run side by side share a place in the chart, which follows the slider a moment later.
-    last = int(page.value("Iteration"))
 
     def is_whole() -> bool:
+        last = int(page.value("Iteration"))
         return any(plot.x[-1] == last for plot in page.plots())
 
     until(is_whole, "a chart of all iterations")
