@@ -113,7 +113,8 @@ def problem_of(
         environment=scene,
         regions=regions_of(obj, touch, avoid, scene),
     )
-    group = Group(names[0] if names else obj.name, float(np.mean(grasps.scale)), made, grasps, rows, rows, rows)
+    name, scale = (names[0], float(grasps.scale[0])) if names else (obj.name, 1.0)
+    group = Group(name, scale, made, grasps, rows, rows, rows)
     doubts = convention_notes([made])
     all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import RenderableType
 
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
@@ -93,8 +94,10 @@ class RefinedGrasps:
             overwrite: Whether existing files are replaced.
 
         Raises:
-            GraspRefineError: a file exists, or cannot be written.
+            GraspRefineError: there are no grasps, a file exists, or it cannot be written.
         """
+        if not len(self.outcome):
+            raise GraspRefineError(f"{path}: there are no grasps to save")
         path, names = Path(path), list(dict.fromkeys(self.outcome.object.tolist()))
         one = len(names) == 1
         paths = {names[0]: path} if one else result_paths(path, self.problem.hand.name, tuple(names))

@@ -252,7 +252,9 @@ def _numbers_in_brackets(outcome: Outcome, which: np.ndarray) -> str:
 
 
 def _summary_lines(outcome: Outcome) -> list[Text]:
-    """Return lines on improved measures, and on the cost."""
+    """Return lines on improved measures, and on the cost; none without grasps."""
+    if not len(outcome):
+        return []
     # The quality has a line of its own.
     measures = [measure for measure in COMPARED if measure is not QUALITY]
     changes = [_improvement(measure, outcome[measure.key][outcome.usable]) for measure in measures]

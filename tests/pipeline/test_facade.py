@@ -113,6 +113,15 @@ def test_a_notebook_shows_the_same_table(refined: gr.RefinedGrasps):
     assert all(word in page for word in plain.split() if word.isalnum())
 
 
+def test_no_grasps_are_refined_to_none(gripper: gr.Hand, refined: gr.RefinedGrasps, workplace: Path):
+    box, grasps = refined.problem.groups[0].scene.object, refined.before
+    none = gr.refine(gripper, box, grasps.select(np.zeros(0, dtype=int)))
+    assert len(none.after) == len(none.quality) == 0 and "0 of 0 grasps" in str(none)
+    with refused(gr.GraspRefineError, "none.npz", "no grasps"):
+        none.save("none.npz")
+    assert not (workplace / "none.npz").exists()
+
+
 def test_a_file_that_exists_is_kept(refined: gr.RefinedGrasps, workplace: Path):
     (path,) = refined.save("mine.npz")
     content = path.read_bytes()
