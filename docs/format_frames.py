@@ -51,7 +51,7 @@ class Drawing:
     frame: str
     """Name of the hand's frame."""
     pose: str
-    """What the arrow is called."""
+    """Name of the arrow."""
     arrow: str = "object to hand"
     """object to hand, hand to object, or world to both."""
     thing: str = "object: mesh × scale"

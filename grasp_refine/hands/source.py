@@ -16,7 +16,7 @@ from grasp_refine.core.names import exists, expand_user, is_file
 from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML, HandToml, only_file, read_hand_toml
 
 ON_ARM = "_on_"
-"""What is between the names of a hand and its arm in the name of both."""
+"""Separator of the names of a hand and its arm in the name of both."""
 
 
 def list_hands() -> tuple[str, ...]:

@@ -35,7 +35,7 @@ class Obstruction:
     first: str
     """Link of the hand or its arm, or the object that it carries."""
     second: str
-    """What it runs into: a link, the object, the table, or a body of the scene."""
+    """Obstacle that it runs into: a link, the object, the table, or a body of the scene."""
     place: tuple[float, float, float]
     """Deepest point (3,) in the object's frame, metres."""
     depth: float

@@ -46,7 +46,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 class WayStatus(IntEnum):
-    """What is known of the way of a grasp."""
+    """Finding on the way of a grasp."""
 
     FREE = 0
     BLOCKED = 1
@@ -85,15 +85,15 @@ class Way:
     """The way of one grasp."""
 
     status: WayStatus
-    """What is known of it."""
+    """Finding on it."""
     why: str
-    """What is in the way, or out of reach, and on which leg; empty where the way is free."""
+    """Obstacle in the way, or leg out of reach, in words; empty where the way is free."""
     legs: tuple[HandPath, ...]
     """Paths of `LEGS`, as set points; those up to the first that is not free, none where there is no grasp."""
     direction: tuple[float, float, float] | None = None
     """Unit vector from the pregrasp to the start of the approach, in the object's frame."""
     obstruction: Obstruction | None = None
-    """What the last leg runs into; None: nothing."""
+    """Obstacle that the last leg runs into; None: there is none."""
     other_arm: bool = False
     """Whether the arm reaches the poses of the palm in another configuration than that of the grasp, whose way is not
     free; the fingers are the same."""

@@ -18,7 +18,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import Box, ContactRegions, Faces, HalfSpace, Region
 
 VERBS = ("touch", "avoid")
-"""What hands should do with regions: names of arguments, fields of scenes and jobs, and options."""
+"""Uses of regions by hands: names of arguments, fields of scenes and jobs, and options."""
 
 KINDS = ("box", "above", "below", "plane", "faces", "color")
 """Kinds of regions, before the colon."""

@@ -1,4 +1,4 @@
-"""What names in a specification stand for, and checks that it is what grasps were made with."""
+"""Resolution of names in a specification, and checks that it is what grasps were made with."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Slope:
     self_witness: Witness
     """Witness points of pairs of links (M, S)."""
     nearby: Nearby | None
-    """What is near in the environment; None: nothing can be."""
+    """Nearby bodies of the environment; None: none can be near."""
 
 
 class Objective:

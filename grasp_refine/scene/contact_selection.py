@@ -28,7 +28,7 @@ class ContactSelection:
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
     (`Hand.yielding`) do not."""
     farthest: float = 0.03
-    """If links of fewer than two groups (fingers, palm) are in reach, the nearest contact links up to here count."""
+    """Distance up to which the nearest contact links count where fewer than two groups (fingers, palm) are in reach."""
     links: tuple[str, ...] = ()
     """Links that touch, instead of those near the object. The name of a finger means its contact links."""
 

@@ -29,7 +29,7 @@ GRASPS_AT_ONCE = 64
 """Grasps that are measured together, which bounds the memory."""
 
 SETTLED = ("motion", "box of the hand", "box of the body", "boxes of its pieces", "query")
-"""What settles that a pair is not near, in this order: the last bound less the motion since, boxes, or a query."""
+"""Reasons why a pair is not near, in this order: the last bound less the motion since, boxes, or a query."""
 
 MANY_PAIRS = 2048
 """Pairs from which on bodies are compared with whole hands first."""
@@ -40,7 +40,7 @@ MAX_NEAR = 64
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
-    """What is near the links of M grasps: witness points of at most K pairs of a link and a body each."""
+    """Surroundings of the links of M grasps: witness points of at most K pairs of a link and a body each."""
 
     T_link: Float[np.ndarray, "M L 4 4"]
     """Poses of the links."""

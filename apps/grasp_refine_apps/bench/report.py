@@ -25,7 +25,7 @@ MAX_LABEL_CHARACTERS = 26
 """Width of the first column in a terminal."""
 
 Only = Literal["terminal", "page"]
-"""Where something is shown that is not shown everywhere."""
+"""Place of what is not shown everywhere."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class Column:
     form: str | Callable[[Any], str] = ".3g"
     """Format of a number; or a function that formats any value but None."""
     better: Literal["higher", "lower"] | None = None
-    """Which numbers are better; the best of a table stands out on a page."""
+    """Direction of better numbers; the best of a table stands out on a page."""
     hint: str = ""
     """Explanation of the number."""
     only: Only | None = None
-    """Where the column is shown; None: everywhere."""
+    """Place of the column; None: everywhere."""
     shade: Callable[[Any], Shade] | None = None
     """Colour of the cell of a value; None: plain."""
 
@@ -103,7 +103,7 @@ class Table:
     note: str = ""
     """Paragraph above the table, on a page."""
     only: Only | None = None
-    """Where the table is shown; None: everywhere."""
+    """Place of the table; None: everywhere."""
     folded: bool = False
     """Whether the table is folded on a page."""
 
@@ -150,7 +150,7 @@ class Note:
     text: str
     title: str = ""
     only: Only | None = "page"
-    """Where it is shown; None: everywhere."""
+    """Its place; None: everywhere."""
     verbatim: bool = False
     """Whether lines are kept as they are."""
 
@@ -173,7 +173,7 @@ class Report:
 
     title: str
     parts: Sequence[Table | Chart | Note | Figures]
-    """What is shown, in this order."""
+    """Contents, in this order."""
     failed: bool = False
     """Whether something is wrong, so that the command ends with exit code 1."""
 

@@ -1,4 +1,4 @@
-"""What a benchmark is: jobs that measure, flat rows of their results, and a report of the rows."""
+"""Study of a benchmark: jobs that measure, flat rows of their results, and a report of the rows."""
 
 from __future__ import annotations
 

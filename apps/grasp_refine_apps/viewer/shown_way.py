@@ -38,9 +38,9 @@ class ShownWay:
     object: str
     """Name of the object."""
     status: WayStatus
-    """What is known of the way."""
+    """Finding on the way."""
     why: str
-    """What is in the way, or out of reach, and on which leg; empty where the way is free."""
+    """Obstacle in the way, or leg out of reach, in words; empty where the way is free."""
     time: Float[np.ndarray, " T"]
     """Seconds since the approach began (T,)."""
     leg: Int[np.ndarray, " T"]
@@ -52,7 +52,7 @@ class ShownWay:
     T_object: Float[np.ndarray, "T 4 4"]
     """Poses of the object (T, 4, 4), which the palm lifts."""
     obstruction: Obstruction | None = None
-    """What the last leg runs into; None: nothing."""
+    """Obstacle that the last leg runs into; None: there is none."""
     other_arm: bool = False
     """Whether the arm reaches the palm's poses in another configuration than that of the grasp."""
     met: int | None = None
@@ -74,7 +74,7 @@ class ShownWay:
 
     @property
     def reason(self) -> str:
-        """What is known of the way."""
+        """Finding on the way."""
         return self.status.label
 
     @property

@@ -80,7 +80,7 @@ class DisplayOptions:
     surroundings: bool = True
     """The table and other bodies around the object, where there are any; what is in the way is red."""
     regions: bool = True
-    """Where links may touch the object, green, and where they may not, red, if there are regions."""
+    """Whether regions, if there are any, are tinted: green where links may touch the object, red where they may not."""
     ground: bool = True
     """The ground, with the shadow of hand and object; a cell is 5 cm wide."""
 
@@ -98,7 +98,7 @@ class Shelved:
     number: int
     """Number of the grasp that was shown."""
     works: Works
-    """What was made of them."""
+    """Works on them."""
     listing: Listing
     """Filters and sorting of their list."""
 
@@ -121,7 +121,7 @@ class State:
     initial: Pose
     """Pose of the hand in the input grasp, before any refinement."""
     works: Works
-    """What was made of the grasps; the shown one always has an entry."""
+    """Works on the grasps, by number; the shown one always has an entry."""
     settings: Any
     """Options of refinement: a dataclass with `config` for a `Config`, and `unused` for unused fields."""
     protocol: tuple[str, float | None] = (DEXGRASPBENCH.name, None)
@@ -137,7 +137,7 @@ class State:
     gizmo: Gizmo = "none"
     """Body that can be dragged."""
     brush: Brush = "off"
-    """What the mouse paints on the object."""
+    """Kind of region that the mouse paints on the object."""
     picking: bool = False
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
@@ -168,7 +168,7 @@ class State:
 
     @property
     def work(self) -> Work:
-        """What was made of the shown grasp."""
+        """Work on the shown grasp."""
         return self.works[self.number]
 
     @property

@@ -50,7 +50,7 @@ class Model:
     reversed_joints: tuple[str, ...] = ()
     """Names in files of joints with the opposite sign."""
     apart: str = ""
-    """How far the two models are apart, for the user."""
+    """Note for the user on the distance of the two models."""
     signs: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -48,7 +48,7 @@ ROBOTIQ = (
     *("RIQ_link_2_RIQ_link_3_joint_c", "RIQ_link_2_RIQ_link_3_joint_b"),
 )
 LABELS = {"result": SUCCESS, "fall_time": FALL_TIME}
-"""What its simulation tells of each grasp -> label."""
+"""Verdict of its simulation on a grasp -> label."""
 GRIPPERS = {
     "Allegro": Layout("allegro", BASE, tuple(f"joint_{first + n}.0" for n in range(4) for first in (0, 12, 4, 8))),
     "Barrett": Layout(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Differentiable(Protocol):
-    """What a first-order solver needs of a problem, whose evaluations have a `gradient` (batch, 6 + n).
+    """Requirements of a first-order solver on a problem, whose evaluations have a `gradient` (batch, 6 + n).
 
     It is that of the root as a body twist (v, w), then that of the joint values.
     """

@@ -17,7 +17,7 @@ from grasp_refine.refinement.solvers.status import Status
 
 @runtime_checkable
 class LeastSquares(Protocol):
-    """What Levenberg-Marquardt needs of a problem, beside its evaluation."""
+    """Requirements of Levenberg-Marquardt on a problem, beside its evaluation."""
 
     restarts: bool
     """Whether a stalled member may start elsewhere."""

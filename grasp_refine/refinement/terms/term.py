@@ -60,7 +60,7 @@ class State:
     T_object: Array | None = None
     """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
     nearby: Nearby | None = None
-    """What is near in the environment; before its term has found it, that of a state nearby. None: nothing can be."""
+    """Nearby bodies of the environment; before their term has run, those of a similar state; None: there are none."""
 
     @property
     def frames(self) -> Frames:

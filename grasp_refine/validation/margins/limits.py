@@ -32,7 +32,7 @@ TORQUE_RANGE_NM = (0.02, 1.28)
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What N grasps hold at most, all else as in the protocol; each was tried, and the next step lost the object."""
+    """Extremes at which N grasps hold, all else as in the protocol; each was tried, and the next step lost it."""
 
     friction: Float[np.ndarray, " N"]
     """Lowest friction (N,) at which the grasp holds the pushes of the protocol; NaN: it holds at none."""

@@ -82,7 +82,7 @@ class Margins:
     """True (N, K) where a grasp held in a draw, for each of F kinds of trials: all factors drawn, the push alone, and
     each factor alone."""
     limits: Limits | None
-    """What the grasps hold at most; None: not tried."""
+    """Extremes that the grasps hold at; None: not tried."""
     cpu_s: Float[np.ndarray, " N"]
     """Share of the CPU time (N,), seconds."""
 

@@ -16,7 +16,7 @@ Cone = Literal["elliptic", "pyramidal"]
 
 @dataclass(frozen=True)
 class ContactModel:
-    """How MuJoCo approximates dry friction; the more softly, the faster loaded contacts creep."""
+    """Approximation of dry friction in MuJoCo; the more softly, the faster loaded contacts creep."""
 
     cone: Cone = "elliptic"
     """Friction cone."""

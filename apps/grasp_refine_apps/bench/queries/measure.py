@@ -31,7 +31,7 @@ MAX_PEER_POSES, MAX_PEER_QUERIES = 64, 8192
 
 @dataclass(frozen=True)
 class Measurement:
-    """How cases are measured."""
+    """Settings with which cases are measured."""
 
     methods: tuple[MethodName, ...] = ("contact-kinematics", "distance")
     """Derivative methods of the witness points."""

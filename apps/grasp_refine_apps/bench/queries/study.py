@@ -62,7 +62,7 @@ class QueryStudy:
     count: int = 16
     """Grasps of each example: its own, then disturbed ones."""
     measurement: Measurement = field(default_factory=Measurement)
-    """How cases are measured."""
+    """Settings with which cases are measured."""
     workers: int = 1
 
     def jobs(self, say: Callable[[str], None]) -> list[Job]:
