@@ -13,7 +13,7 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
-from grasp_refine.forces.squeeze import contacts
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, contacts
 from grasp_refine.forces.stiffness import object_motion
 from grasp_refine.forces.torques import joint_torques, limit_shares
 from grasp_refine.forces.wrench import center_of_mass, turn_loads
@@ -35,8 +35,11 @@ HOLDING_PRESSURE_N = 3.5
 """Sum of the pressures, in newtons, at which torques must be within their limits: hands that cannot make so much begin
 to lose the object of the protocol that `calibration` is fitted to, whichever hand it is."""
 
-YIELDING_RAD_N = 0.015
+YIELDING_RAD_N = 0.01
 """Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
+
+MOST_YIELDING = 9.0
+"""Excess over that, as a share of it, which counts as an unstable grasp."""
 
 YIELDING_SHARE = 0.02
 """Share of that excess in the score: with all of it, attempts that hold are passed over for stiffer ones."""
@@ -132,7 +135,8 @@ def quality(
         force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
         torque[rows] = joint_torques(chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link)
     share = limit_shares(hand, torque, frames.q[:, None]).max(axis=1)
-    motion = object_motion(hand, chain, frames, points, pushed.pressure.mean(axis=1), center, pushes / PUSH_SHARE)
+    force = TOTAL_PRESSURE_N * np.nan_to_num(pushed.force.mean(axis=1))
+    motion = object_motion(hand, chain, frames, points, force, center, pushes / PUSH_SHARE)
     turn = np.where(pushed.solved.all(axis=1), np.linalg.norm(motion[..., 3:], axis=-1).mean(axis=1), np.nan)
     distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
     wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
@@ -146,7 +150,7 @@ def quality(
         deep=depth.max(axis=1, initial=0.0) / DEEP,
         open=total / DEEP,
         strained=np.maximum(share.max(axis=1, initial=0.0) - 1.0, 0.0),
-        yielding=np.maximum(turn / YIELDING_RAD_N - 1.0, 0.0),
+        yielding=np.clip(turn / YIELDING_RAD_N - 1.0, 0.0, MOST_YIELDING),
         weakest_push=pushes[np.arange(len(pushes)), np.nan_to_num(pushed.residual).argmax(axis=1), :3] / PUSH_SHARE,
         deepest_link=depth.argmax(axis=1),
         farthest_contact=points.link[np.arange(len(gap)), farthest],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_refine.forces.calibration import CALIBRATION
-from grasp_refine.forces.quality import DEEP, LOW_FRICTION, SHORTCOMINGS, YIELDING_RAD_N, Quality
+from grasp_refine.forces.quality import DEEP, LOW_FRICTION, MOST_YIELDING, SHORTCOMINGS, YIELDING_RAD_N, Quality
 
 NEGLIGIBLE_COST = 0.5
 """Log odds below which the costliest shortcoming is not told."""
@@ -48,6 +48,8 @@ def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], jo
         needed = 1.0 + quality.strained[i]
         return f"against pushes {joints[quality.strained_joint[i]]} needs {needed:.0%} of the torque that it can make"
     if shortcoming == "yielding":
+        if quality.yielding[i] >= MOST_YIELDING:
+            return "unstable: its contacts are close together, or the joints soft, and pressing turns the object away"
         turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i])
         return (
             f"its contacts are close together: the object turns by about {turn:.1f} degrees for each newton of a push"

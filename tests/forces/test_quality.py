@@ -13,7 +13,17 @@ from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
 from grasp_refine.forces.programs import NUM_EDGES
-from grasp_refine.forces.quality import DEEP, LOW_FRICTION, PUSH_SHARE, PUSHES, YIELDING_RAD_N, Quality, quality
+from grasp_refine.forces.quality import (
+    DEEP,
+    LOW_FRICTION,
+    MOST_YIELDING,
+    PUSH_SHARE,
+    PUSHES,
+    YIELDING_RAD_N,
+    Quality,
+    quality,
+)
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.forces.stiffness import CONTACT_STIFFNESS, TORSION_LEVER_M
 from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
@@ -106,9 +116,12 @@ def test_the_object_yields_where_contacts_beside_it_are_close(free: Hand, ball: 
     rigid = replace(free, actuator=replace(free.actuator, kp=np.full(len(free.joint_names), 1e9)))
     found = of(rigid, ball, [[[x, half, 0], [x, -half, 0]]], [[[0, -1, 0], [0, 1, 0]]])
     about_z, about_y = (2.0 * CONTACT_STIFFNESS * lever**2 for lever in (half, TORSION_LEVER_M))
-    turn = (x / about_z + x / about_y) / 3.0
+    turn = (x / (about_z - TOTAL_PRESSURE_N * half) + x / about_y) / 3.0
     assert found.yielding[0] == pytest.approx(max(turn / YIELDING_RAD_N - 1.0, 0.0), rel=0.02)
-    assert (found.yielding[0] > 10.0) == (apart < 0.01)
+    assert (found.yielding[0] > 1.0) == (apart < 0.01)
+    # Closer still, the forces turn it away: as bad as it gets.
+    half = 0.4 * TOTAL_PRESSURE_N / (2.0 * CONTACT_STIFFNESS)
+    assert of(rigid, ball, [[[x, half, 0], [x, -half, 0]]], [[[0, -1, 0], [0, 1, 0]]]).yielding[0] == MOST_YIELDING
 
 
 @pytest.mark.parametrize("slope", [0.05, 0.12, 0.3])

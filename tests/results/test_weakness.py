@@ -32,7 +32,8 @@ def plain(**given: float) -> Quality:
         ({"deep": 0.3}, ("thumb", "3.0 mm")),
         ({"open": 0.4}, ("index",)),
         ({"strained": 0.5}, ("index_base", "150%")),
-        ({"yielding": 9.0}, ("close together", "8.6 degrees")),
+        ({"yielding": 4.0}, ("close together", "2.9 degrees")),
+        ({"yielding": 9.0}, ("unstable",)),
         ({"pushed": 0.2, "deep": 1e-4}, ("-y",)),
     ],
 )

@@ -57,8 +57,8 @@ SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:
 """Objects for sampled grasps."""
 NUM_AT_ENDS = 12
 """Number of grasps sampled for a hand and the end of an object."""
-END_HANDS = ("allegro", "leap", "shadow_palm")
-"""Hands for grasps at ends."""
+OWN_HANDS = ("allegro", "leap", "shadow_palm", "franka_hand")
+"""Hands that come with the program, for sampled grasps and for those at ends."""
 ENDS = {
     "mug": "box:0.0405,-0.03,0,0.08,0.03,0.09",
     "bottle": "above:z=0.16",
@@ -108,14 +108,14 @@ def sources(assets: Path, every: int = 1) -> Iterator[Source]:
         "LEAP", ProblemSpec(hand="leap", object=cube, index=tuple(leap[::every]), grasps=grasps / "leap_cube.npz")
     )
     own = {name: str(hands / name / f"{name}.urdf") for name in ("barrett", "robotiq3f")}
-    for name, hand in {**{name: name for name in ("allegro", "leap", "shadow_palm")}, **own}.items():
+    for name, hand in {**{name: name for name in OWN_HANDS}, **own}.items():
         for obj in SAMPLED_OBJECTS:
             yield Source(
                 f"sampled, {name}",
                 ProblemSpec(hand=hand, object=obj, grasps=Path(f"sample:{max(NUM_SAMPLED // every, 1)}")),
                 weak=False,
             )
-    for name in END_HANDS:
+    for name in OWN_HANDS:
         for obj, end in ENDS.items():
             sampled = Path(f"sample:{max(NUM_AT_ENDS // every, 1)}")
             yield Source(f"ends, {name}", ProblemSpec(hand=name, object=obj, touch=(end,), grasps=sampled), weak=False)

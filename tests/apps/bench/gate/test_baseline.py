@@ -95,8 +95,10 @@ def test_what_is_measured_is_what_is_judged(engine: str, monkeypatch: pytest.Mon
     if engine == "native" and why_not_native():
         pytest.skip(f"no compiled engine: {why_not_native()}")
     monkeypatch.setenv(VARIABLE, engine)
-    monkeypatch.setattr(measures, "ROUNDS", 1)
-    monkeypatch.setattr(measures, "MIN_TIMED_S", 0.0)
+    few = {"ROUNDS": 1, "MIN_TIMED_S": 0.0, "NUM_TASKS": 4, "BATCH_SIZE": 2, "NUM_SINGLES": 2, "NUM_FORCED": 2}
+    few |= {"DESCENT_STEPS": 4, "COAL_QUERIES": 10}
+    for name, value in few.items():
+        monkeypatch.setattr(measures, name, value)
     for group in get_args(Group):
         found = measures.measure(group, lambda share: None)
         assert set(found) == {ratio.name for ratio in _of(engine) if ratio.group == group}
