@@ -48,11 +48,11 @@ def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], jo
         needed = 1.0 + quality.strained[i]
         return f"against pushes {joints[quality.strained_joint[i]]} needs {needed:.0%} of the torque that it can make"
     if shortcoming == "yielding":
-        if quality.yielding[i] >= MOST_YIELDING:
-            return "unstable: its contacts are close together, or the joints soft, and pressing turns the object away"
         turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i])
+        most = " or more" if quality.yielding[i] >= MOST_YIELDING else ""
         return (
-            f"its contacts are close together: the object turns by about {turn:.1f} degrees for each newton of a push"
+            "its contacts are close together, or its joints soft: the object turns by about "
+            f"{turn:.1f} degrees{most} for each newton of a push"
         )
     return f"contact of {links[quality.farthest_contact[i]]} is open"
 

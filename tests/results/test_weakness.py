@@ -33,7 +33,7 @@ def plain(**given: float) -> Quality:
         ({"open": 0.4}, ("index",)),
         ({"strained": 0.5}, ("index_base", "150%")),
         ({"yielding": 4.0}, ("close together", "2.9 degrees")),
-        ({"yielding": 9.0}, ("unstable",)),
+        ({"yielding": 9.0}, ("5.7 degrees or more",)),
         ({"pushed": 0.2, "deep": 1e-4}, ("-y",)),
     ],
 )
