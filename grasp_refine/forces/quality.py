@@ -39,10 +39,10 @@ YIELDING_RAD_N = 0.01
 """Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
 
 MOST_YIELDING = 9.0
-"""Excess over that, as a share of it, which counts as an unstable grasp."""
+"""Largest excess over that, as a share of it, and that of unstable grasps."""
 
 YIELDING_SHARE = 0.02
-"""Share of that excess in the score: with all of it, attempts that hold are passed over for stiffer ones."""
+"""Share of that excess in the score: with more, no more of the chosen attempts hold."""
 
 SHORTCOMINGS = ("slippery", "pushed", "deep", "open", "strained", "yielding")
 """Fields of `Quality` that its score and its probability are made of."""
@@ -67,7 +67,8 @@ class Quality:
     torque with which the actuator presses after the joint gave way by `GIVE_RAD`."""
     yielding: Float[np.ndarray, " N"]
     """Excess (N,) of the angle by which the object turns for each newton of the pushes, their mean, over
-    `YIELDING_RAD_N`, as a share of that (see `stiffness`); 0 where contacts are far enough apart."""
+    `YIELDING_RAD_N`, as a share of that (see `stiffness`): 0 where contacts are far enough apart, and `MOST_YIELDING`
+    where the grasp is unstable."""
     weakest_push: Float[np.ndarray, "N 3"]
     """Direction (N, 3) of the push of `PUSHES` that leaves the largest residual, in the frame of the witness points."""
     deepest_link: Int[np.ndarray, " N"]
