@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from grasp_refine.core.array_records import take
-from grasp_refine.core.se3 import hat
+from grasp_refine.core.se3 import cross, hat
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -118,8 +118,8 @@ def _moved_torques(
     """
     v, w = (frames.axes[:, part, 6:].mT for part in (slice(3), slice(3, 6)))
     moves = chain.joint_mask(link)[..., 6:, None]
-    velocity = v[:, None] + np.cross(w[:, None], point[:, :, None])
-    turning = (moves * np.cross(velocity, force[:, :, None])).sum(axis=1)
+    velocity = v[:, None] + cross(w[:, None], point[:, :, None])
+    turning = (moves * cross(velocity, force[:, :, None])).sum(axis=1)
     before = chain.joint_mask(len(chain.links) + np.arange(len(chain.joints)))[:, 6:]
     half = before * (turning @ w.mT) * (1.0 - 0.5 * np.eye(len(before)))
     change = chain.joint_gains.T @ (half + half.mT) @ chain.joint_gains

@@ -64,17 +64,17 @@ def random_points(seed: int = 0, count: int = 4, newtons: float = 1e-3) -> tuple
     return points_of(0.04 * rng.normal(size=(count, 3)), normal), force
 
 
-@pytest.mark.parametrize("newtons", [0.0, 5.0, 0.9, 1.1])
-def test_two_opposing_contacts_of_a_rigid_hand(hand: Hand, newtons: float) -> None:
+@pytest.mark.parametrize("share", [1e-9, 0.003, 0.9, 1.1])
+def test_two_opposing_contacts_of_a_rigid_hand(hand: Hand, share: float) -> None:
     """Forces that press the object together turn it away, as a rod that buckles: from f = k a on."""
     a = 0.03
     normal = np.array([[-1.0, 0, 0], [1, 0, 0]])
-    f = newtons * CONTACT_STIFFNESS * a if 0.0 < newtons < 2.0 else max(newtons, 1e-6)
+    f = share * CONTACT_STIFFNESS * a
     points = points_of(np.array([[a, 0, 0], [-a, 0, 0]]), normal)
     found = moved(with_stiffness(hand, 1e12), points, f * normal, center=np.zeros(3))
     along, about = 1.0 / (2.0 * CONTACT_STIFFNESS), 1.0 / (2.0 * TORSION_LEVER_M**2 * CONTACT_STIFFNESS)
     turning = 1.0 / (2.0 * a * (a * CONTACT_STIFFNESS - f))
-    if newtons == 1.1:
+    if share > 1.0:
         assert np.isinf(found).all()
     elif not hand.coupled:
         np.testing.assert_allclose(found, np.diag([along] * 3 + [about, turning, turning]), rtol=1e-4, atol=1e-9)
