@@ -1,4 +1,4 @@
-"""Rows of grasp sets: those of one object, by their numbers, by a mask, or by their labels."""
+"""Rows of grasp sets: those of one object, by their numbers, by a mask, by conditions, or the best of each object."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 COMPARISONS: dict[str, Callable[[Any, float], Any]] = {
     ">=": operator.ge, "<=": operator.le, "=": operator.eq, ">": operator.gt, "<": operator.lt,
 }  # fmt: skip
-"""Comparisons of conditions on labels."""
+"""Comparisons of conditions."""
 CONDITION = re.compile(r"\s*([^<>=\s]+)\s*(>=|<=|=|>|<)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*")
-"""Condition on a label: its name, a comparison and a number."""
+"""Condition on values: their name, a comparison and a number."""
 
 
 def choose_rows(
@@ -54,24 +54,43 @@ def choose_rows(
     return rows[np.asarray(index, dtype=int)]
 
 
-def rows_where(labels: Mapping[str, Float[np.ndarray, " N"]], condition: str) -> Int[np.ndarray, " chosen"]:
-    """Return the rows whose label fulfils a condition such as "success=1" or "confidence>=0.5".
+def rows_where(values: Mapping[str, Float[np.ndarray, " N"]], condition: str) -> Int[np.ndarray, " chosen"]:
+    """Return the rows whose value fulfils a condition such as "success=1" or "confidence>=0.5".
 
-    A grasp without the label, NaN, fulfils none.
+    A grasp without the value, NaN, fulfils none.
+
+    Args:
+        values: Values of all grasps (N,), by name.
+        condition: Name, comparison and number.
 
     Raises:
-        GraspFileError: the condition is none, or the grasps have no such label.
+        GraspFileError: the condition is none, or the grasps have no such values.
     """
     found = CONDITION.fullmatch(condition)
     if found is None:
         raise GraspFileError(
-            f"a condition is LABEL, one of {', '.join(COMPARISONS)}, and a number, as in success=1; got '{condition}'"
+            f"a condition is NAME, one of {', '.join(COMPARISONS)}, and a number, as in success=1; got '{condition}'"
         )
     name, sign, number = found.groups()
-    if name not in labels:
-        there = ", ".join(labels) or "none"
-        raise GraspFileError(f"the grasps have no label '{name}'; their labels: {there}")
-    return np.flatnonzero(COMPARISONS[sign](labels[name], float(number)))
+    if name not in values:
+        there = ", ".join(values) or "none"
+        raise GraspFileError(f"the grasps have no label or measure '{name}'; what they have: {there}")
+    return np.flatnonzero(COMPARISONS[sign](values[name], float(number)))
+
+
+def best_rows(
+    values: Float[np.ndarray, " N"], objects: Shaped[np.ndarray, " N"], count: int
+) -> Int[np.ndarray, " chosen"]:
+    """Return the rows (ascending) of the `count` largest values of each object; of equal ones, the first.
+
+    Args:
+        values: Values of all grasps (N,); NaN is never chosen.
+        objects: Names of their objects (N,).
+        count: Most rows of an object.
+    """
+    ranked = np.argsort(-values, kind="stable")
+    ranked = ranked[~np.isnan(values[ranked])]
+    return np.sort(np.concatenate([ranked[objects[ranked] == name][:count] for name in np.unique(objects)]))
 
 
 def row_numbers(indices: ArrayLike, count: int) -> Int[np.ndarray, " chosen"]:

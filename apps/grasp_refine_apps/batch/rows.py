@@ -12,6 +12,7 @@ import numpy as np
 
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
+from grasp_refine.results.result_numbers import ENTRIES, HELD, numbers_of
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
 from grasp_refine.validation.trials import Reason
@@ -19,11 +20,6 @@ from grasp_refine_apps.batch.shard import Shard
 
 Kind = Literal["text", "whole", "number", "flag"]
 """Kind of a column. Text is an array of strings in which "" is null; all others are float64 with NaN as null."""
-
-MEASURED = {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
-"""Column of a measure -> its array in result files; in files of older versions some are missing."""
-HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
-"""Column of a verdict -> its array in the files of simulated grasps."""
 
 _TIMES = tuple(measure for measure in RECORDED if measure.unit == SECOND)
 
@@ -127,14 +123,11 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "row_in_file": np.arange(n, dtype=float),
         "hand": file.per_row("hand", file.text("hand"), n),
         "object": file.per_row("object", file.text("object"), n),
-        "scale": _numbers(file, "scale", n),
+        "scale": numbers_of(file, "scale", n),
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
-        **{
-            column: _numbers(file, key, n) if key in file.entries else np.full(n, np.nan)
-            for column, key in (MEASURED | HELD).items()
-        },
+        **{column: numbers_of(file, entry, n) for column, entry in ENTRIES.items()},
     }
     for side in SIDES:
         columns[f"good_{side}"] = should_hold(columns[f"quality_{side}"]).astype(float)
@@ -142,13 +135,6 @@ def read_rows(shard: Shard, out: Path) -> Rows:
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
     return Rows({name: columns[name] for name in COLUMNS}, tuple(map(str, look)), str(batch.get("stamp")))
-
-
-def _numbers(file: NpzFile, key: str, n: int) -> np.ndarray:
-    """Read an array of a result file as float64 (n,)."""
-    value = file.entries[key]
-    value = value.astype(float) if value.dtype.kind == "b" else file.numbers(key, allowed="nan")
-    return file.per_row(key, value, n)
 
 
 def _provenance(file: NpzFile) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Int
 from rich.console import Console
 from rich.progress import Progress
 from tyro.conf import DisallowNone, Positional, arg
@@ -19,16 +20,18 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement, check_same
-from grasp_refine.grasps.formats.format import Format, Load
-from grasp_refine.grasps.formats.listing import FormatName, format_named
+from grasp_refine.grasps.formats.format import Load
+from grasp_refine.grasps.formats.listing import OURS, FormatName, format_named
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
-from grasp_refine.grasps.rows import rows_where
+from grasp_refine.grasps.rows import best_rows, rows_where
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known, is_known
+from grasp_refine.results.result_numbers import result_numbers
 from grasp_refine.scene.convention_check import joint_notes, position_notes
-from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
+from grasp_refine.validation.measures import QUALITY
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
@@ -63,8 +66,11 @@ class Convert:
     names neither hand nor joints and fits several hands."""
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     """URDF of the hand, if it ships without one."""
-    where: Annotated[DisallowNone[str | None], arg(metavar="CONDITION", help_behavior_hint="(default: all)")] = None
-    """Only grasps whose label fulfils a condition, as in success=1, confidence>=0.5 or energy<2."""
+    where: Annotated[tuple[str, ...], arg(metavar="CONDITION [...]", help_behavior_hint="(default: all)")] = ()
+    """Only grasps that fulfil all of these conditions, on labels (success=1, energy<2) or, of refined grasps, on
+    measures (quality>=0.9, penetration_m<0.001) and whether they held in simulation (held=1)."""
+    best: Annotated[DisallowNone[int | None], arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """Of these, only the N refined grasps of each object of highest quality."""
     json: OptionalFile = None
     """Write a summary of the conversion to this file."""
     overwrite: Overwrite = False
@@ -76,6 +82,7 @@ class Convert:
             GraspRefineError: an input that cannot be used; then nothing is written.
         """
         began = time.perf_counter()
+        check_numbers(self)
         outputs = [path for path in (self.output, self.json) if path is not None]
         for path in outputs:
             check_no_input(path, (self.source,), "is the input; give another name")
@@ -93,16 +100,8 @@ class Convert:
             )
             for path in outputs:
                 check_no_input(path, read.files, "is one of the files of the input; give another name")
-            known = np.flatnonzero(read.grasps.finite)
-            if not len(known):
-                raise GraspRefineError(
-                    f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert"
-                )
-            if self.where is not None:
-                known = np.intersect1d(known, rows_where(read.grasps.labels, self.where))
-                if not len(known):
-                    raise GraspRefineError(f"{self.source}: no grasp has {self.where}: nothing to convert")
-            grasps, left = read.grasps.select(known), len(read.grasps) - len(known)
+            wanted = self._rows(read)
+            grasps, left = read.grasps.select(wanted), len(read.grasps) - len(wanted)
             to, load = format_named(self.to), self._load(grasps)
             parts, lost = to.write(grasps, load)
             if left:
@@ -152,9 +151,40 @@ class Convert:
                 "wall_s": time.perf_counter() - began,
             },
         )
-        for line in _summary(read, self.source, self.output, to, len(parts), difference, loaded is not None):
+        wrote = f"{self.output}: {to.name}, {count_text(len(parts), 'file')}, {count_text(len(grasps), 'grasp')}"
+        for line in _summary(read, self.source, wrote, difference, loaded is not None):
             console.print(line, soft_wrap=True, markup=False)
         return 0
+
+    def _rows(self, read: Reading) -> Int[np.ndarray, " chosen"]:
+        """Return the rows of the grasps to convert: finite, with all conditions fulfilled, the best of their object.
+
+        Raises:
+            GraspRefineError: there is none, or what they are chosen by is not known of them.
+        """
+        rows = np.flatnonzero(read.grasps.finite)
+        if not len(rows):
+            raise GraspRefineError(
+                f"{self.source}: none of its {len(read.grasps)} grasps is finite: nothing to convert"
+            )
+        if not self.where and self.best is None:
+            return rows
+        measured = result_numbers(read.files) if read.format == OURS else {}
+        values = {**measured, **read.grasps.labels}
+        for number, condition in enumerate(self.where, start=1):
+            rows = np.intersect1d(rows, rows_where(values, condition))
+            if not len(rows):
+                raise GraspRefineError(
+                    f"{self.source}: no grasp has {' and '.join(self.where[:number])}: nothing to convert"
+                )
+        if self.best is None:
+            return rows
+        if QUALITY.name not in measured:
+            raise GraspRefineError(f"{self.source}: --best needs the quality of refined grasps, which it does not have")
+        best = best_rows(measured[QUALITY.name][rows], read.grasps.object[rows], self.best)
+        if not len(best):
+            raise GraspRefineError(f"{self.source}: no grasp has a quality: nothing to convert")
+        return rows[best]
 
     def _load(self, grasps: GraspSet) -> Load:
         """Return the loader of the hand of the grasps, by base link."""
@@ -184,14 +214,12 @@ def _object_texts(grasps: GraspSet) -> Sequence[str]:
     return [f"object '{n}' of scale {s:g}" for n, s in zip(grasps.object.tolist(), grasps.scale.tolist(), strict=True)]
 
 
-def _summary(
-    read: Reading, source: Path, output: Path, to: Format, files: int, difference: float, fingertips: bool
-) -> list[str]:
+def _summary(read: Reading, source: Path, wrote: str, difference: float, fingertips: bool) -> list[str]:
     objects = len(np.unique(read.grasps.object))
     what, unit = ("fingertips", " m") if fingertips else ("poses and joints", "")
     return [
         f"read   {source}: {read.format.name}, {count_text(len(read.files), 'file')}",
         f"       {count_text(len(read.grasps), 'grasp')} of hand {read.grasps.hand} on {count_text(objects, 'object')}",
-        f"wrote  {output}: {to.name}, {count_text(files, 'file')}",
+        f"wrote  {wrote}",
         f"check  read again, {what} differ by at most {difference:.2g}{unit} (limit {MAX_DIFFERENCE_M:g}{unit})",
     ]

@@ -15,10 +15,11 @@ import pytest
 from batch_rows import made_up_rows, refined, save_refined, shard
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import from_cell
+from grasp_refine.results.result_numbers import MEASURED
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import index as module
 from grasp_refine_apps.batch.index import index_path, index_writer
-from grasp_refine_apps.batch.rows import COLUMNS, MEASURED, Rows, read_rows
+from grasp_refine_apps.batch.rows import COLUMNS, Rows, read_rows
 from grasp_refine_apps.batch.shard import Shard
 from made_results import save_example_results
 from refusals import refused

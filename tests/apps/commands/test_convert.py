@@ -96,8 +96,13 @@ def test_labels_choose_the_grasps(file: Path, capfd: pytest.CaptureFixture[str])
     labels = {"energy": np.array([2.0, np.nan, 0.5]), "success": np.array([1.0, 0.0, 0.0])}
     grasps = replace(load_grasps(file).select([0, 1, 0]), labels=labels)
     save_npz(Path("labelled.npz"), grasps.arrays())
-    for condition, rows in (("energy<1", [2]), ("success = 0", [1, 2]), ("energy>=-1e3", [0, 2])):
-        assert main(["convert", "labelled.npz", "some.npz", "--to", "ours", "--where", condition, "--overwrite"]) == 0
+    for conditions, rows in (
+        (["energy<1"], [2]),
+        (["success = 0"], [1, 2]),
+        (["energy>=-1e3"], [0, 2]),
+        (["energy>=-1e3", "success=1"], [0]),
+    ):
+        assert main(["convert", "labelled.npz", "some.npz", "--to", "ours", "--where", *conditions, "--overwrite"]) == 0
         some = load_grasps("some.npz")
         np.testing.assert_array_equal(some.hand_pose, grasps.hand_pose[rows])
         np.testing.assert_array_equal(some.labels["energy"], grasps.labels["energy"][rows])
@@ -107,6 +112,44 @@ def test_labels_choose_the_grasps(file: Path, capfd: pytest.CaptureFixture[str])
         assert_names(said, *named)
     said = refused(capfd, "convert", "labelled.npz", "x.npz", "--to", "ours", "--where", "energy>5")
     assert_names(said, "energy>5", "labelled.npz")
+    assert not Path("x.npz").exists()
+
+
+def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.CaptureFixture[str]):
+    grasps = load_grasps(file).select([0, 1, 0, 1, 0])
+    grasps = replace(grasps, q=grasps.q + 1e-3 * np.arange(5)[:, None])
+    results = {
+        "quality_before": np.array([0.9, 0.1, 0.1, 0.1, 0.1]),
+        "quality_after": np.array([0.2, 0.99, 0.95, 0.91, 0.95]),
+        "penetration_after": np.array([0.0, 2e-3, 0.0, 0.0, 1e-4]),
+        "simulation_after": np.array([True, False, True, True, False]),
+    }
+    save_npz(Path("results/one.npz"), grasps.arrays() | results)
+    save_npz(Path("results/two.npz"), grasps.select([1]).arrays() | {"quality_after": np.array([0.5])})
+    for source, options, rows in (
+        ("results/one.npz", ["--where", "held=1"], [0, 2, 3]),
+        ("results/one.npz", ["--where", "quality>=0.95", "penetration_m<1e-3"], [2, 4]),
+        ("results/one.npz", ["--where", "quality_before>0.5"], [0]),
+        ("results/one.npz", ["--best", "1"], [1, 2]),
+        ("results/one.npz", ["--where", "held=1", "--best", "1"], [2, 3]),
+        # Of two files, the second not simulated.
+        ("results", ["--where", "held=0"], [1, 4]),
+        ("results", ["--where", "quality<0.6", "--best", "9"], [0, 1]),
+    ):
+        assert main(["convert", source, "some.npz", "--to", "ours", *options, "--overwrite"]) == 0
+        chosen = load_grasps("some.npz")
+        if "quality<0.6" in options:
+            assert chosen.object.tolist() == ["mug", "bottle"]
+        else:
+            np.testing.assert_array_equal(chosen.q, grasps.q[rows])
+        assert_names(capfd.readouterr().out.splitlines()[2], f"{len(rows)} grasps" if len(rows) > 1 else "1 grasp")
+    for options, named in (
+        (["--where", "hold=1"], ("'hold'", "quality", "penetration_m", "held")),
+        (["--where", "held=1", "quality<0.1"], ("held=1 and quality<0.1",)),
+        (["--best", "0"], ("--best", "at least 1")),
+    ):
+        assert_names(refused(capfd, "convert", "results/one.npz", "x.npz", "--to", "ours", *options), *named)
+    assert_names(refused(capfd, "convert", file.name, "x.npz", "--to", "ours", "--best", "2"), "--best", "quality")
     assert not Path("x.npz").exists()
 
 
