@@ -119,22 +119,16 @@ class _Attempt:
     """True where there are at most two contact points (M,)."""
 
 
-def score_of(
+def judge(
     prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float = 0.0
-) -> Float[np.ndarray, " N"]:
-    """Return the score (N,) of grasps whose links meet nothing but the object, lower is better; inf without forces.
-
-    The residual under the worst of the strong pushes, which counts as much as the shortcomings of `Quality` together,
-    tells which of several attempts holds a heavy object, or one in a simulation whose contacts creep. Grasps near the
-    ends of set points, where a hand cannot press, cost as much as `SHORTFALL_WEIGHT`.
-    """
-    return _judge(prepared, frames, clearance)[0]
-
-
-def _judge(
-    prepared: HandObject, frames: Frames, clearance: Float[np.ndarray, " L"] | float
 ) -> tuple[Float[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
-    """Return the score of grasps, see `score_of`, and whether they have at most two contact points."""
+    """Return the score (N,) of grasps, lower is better, and whether they have at most two contact points (N,).
+
+    Of grasps whose links meet nothing but the object, the residual under the worst of the strong pushes, which counts
+    as much as the shortcomings of `Quality` together, tells which of several attempts holds a heavy object, or one in a
+    simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
+    `SHORTFALL_WEIGHT`. The score is infinite where there are no forces.
+    """
     hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
     cutoff = CONTACTS.cutoff(hand, chain.links)
     witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff)
@@ -267,7 +261,7 @@ class _Search:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
         known = self.free.evaluate(rows, point, None)
-        score, pinches = _judge(prepared, known.frames, self.clearance)
+        score, pinches = judge(prepared, known.frames, self.clearance)
         score = score + self.free.other_depth(known) / DEEP
         if scene.regions is not None:
             score = score + contact_misses(scene.regions, known.witness).max(axis=1) / MISS_SCALE_M

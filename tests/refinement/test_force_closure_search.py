@@ -12,7 +12,7 @@ from grasp_refine.forces.quality import DEEP, Quality, quality
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_SCORE, SHORTFALL_WEIGHT, score_of
+from grasp_refine.refinement.force_closure_search import CLOSE, GOOD_SCORE, SHORTFALL_WEIGHT, judge
 from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
@@ -70,7 +70,7 @@ def judged(scene: Scene, prepared: HandObject, T: np.ndarray, q: np.ndarray) -> 
 
 
 def score(prepared: HandObject, found: Refinement) -> np.ndarray:
-    return score_of(prepared, prepared.chain(found.T_world_root, found.q))
+    return judge(prepared, prepared.chain(found.T_world_root, found.q))[0]
 
 
 def rows(scene: Scene, index: list[int]) -> Scene:
