@@ -144,6 +144,16 @@ class Hand:
         """Joints by name."""
         return {joint.name: joint for joint in self.joints}
 
+    @cached_property
+    def fingers(self) -> tuple[str, ...]:
+        """Names of the fingers: the groups of the contact links."""
+        return tuple(dict.fromkeys(contact.group for contact in self.contacts))
+
+    @property
+    def has_two_fingers(self) -> bool:
+        """Whether it has two fingers, which press against each other, as those of grippers do."""
+        return _are_two_fingers(self.contacts)
+
     @property
     def palm(self) -> str:
         """The link whose pose is the palm's: the base link, or what the arm carries."""
@@ -325,12 +335,16 @@ def load_hand(
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,
-        patches=toml.patches,
+        patches=_are_two_fingers(touching) if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
         mount=toml.mount,
         T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
+
+
+def _are_two_fingers(contacts: Sequence[Contact]) -> bool:
+    return len({contact.group for contact in contacts}) == 2
 
 
 def _couplings(

@@ -83,8 +83,8 @@ class HandToml:
     """Joint of the hand -> its name in the MJCF; the others are found by their names."""
     collision: Literal["urdf", "mjcf"] = "urdf"
     """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`."""
-    patches: bool = False
-    """Whether flat faces of its links touch flat faces of objects in patches, not in points."""
+    patches: bool | None = None
+    """Whether flat faces of its links touch flat faces of objects in patches, not in points; None: with two fingers."""
     rest_pose: dict[str, float] = field(default_factory=dict)
     """Joint values in rad or m; joints that are not named rest in the middle of their range."""
     contacts: tuple[Contact, ...] = ()
@@ -135,7 +135,7 @@ def read_hand_toml(path: Path) -> HandToml:
         mjcf=mjcf,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,
-        patches=_typed(raw.get("patches", False), bool, f"{path}: patches"),
+        patches=None if "patches" not in raw else _typed(raw["patches"], bool, f"{path}: patches"),
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
         coupled=tuple(_coupled(entry, where) for entry, where in _tables(raw, "coupled", path)),

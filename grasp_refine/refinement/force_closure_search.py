@@ -26,6 +26,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.gap_closing import close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
+from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
 from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
@@ -36,7 +37,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 GOOD_SCORE = 0.1
-"""A grasp with at most this score is not tried from another start."""
+"""A grasp with at most this score is not tried from another start; with two fingers, above that of the best pinches."""
 
 PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
@@ -127,7 +128,7 @@ def judge(
     Of grasps whose links meet nothing but the object, the residual under the worst of the strong pushes, which counts
     as much as the shortcomings of `Quality` together, tells which of several attempts holds a heavy object, or one in a
     simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
-    `SHORTFALL_WEIGHT`. The score is infinite where there are no forces.
+    `SHORTFALL_WEIGHT`, and those with two fingers their `pinch_score`. The score is infinite where there are no forces.
     """
     hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
     cutoff = CONTACTS.cutoff(hand, chain.links)
@@ -136,6 +137,8 @@ def judge(
     pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
     score = quality(hand, obj, chain, frames, witness, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
     score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points)
+    if hand.has_two_fingers:
+        score += pinch_score(prepared, frames, witness, points)
     return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2
 
 
@@ -181,7 +184,7 @@ def search(
         found = search.attempt(member, search.perturb(member, np.repeat(first, each) + place), PHASES)
         for k in range(int(each.max())):
             at = np.flatnonzero(place == k)
-            at = at[search.best.score[member[at]] > GOOD_SCORE]
+            at = at[search.best.score[member[at]] > search.good]
             search.take(member[at], take(found, at), PINCH_SHARE)
             search.starts[member[at]] += 1
     return search.result()
@@ -204,6 +207,8 @@ class _Search:
         self.progress, self.on_iteration = progress, on_iteration
         self.q = np.clip(scene.q, scene.hand.lower, scene.hand.upper)
         self.clearance = clearances(config, scene.hand, prepared.chain)
+        self.good = GOOD_SCORE + (BEST_SCORE if scene.hand.has_two_fingers else 0.0)
+        """Score up to which a grasp is not tried from another start."""
         self.free = GraspProblem(replace(scene, q=self.q), Goal.nothing(N, L), config, prepared)
         """Problem in which no link should touch."""
         self.iterations, self.queries, self.starts = np.zeros((3, N), dtype=np.int64)
@@ -240,12 +245,12 @@ class _Search:
 
     def unsatisfied(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows of grasps that are not good yet and have CPU time left."""
-        return rows[(self.best.score[rows] > GOOD_SCORE) & (self.cpu[rows] < self.config.seconds)]
+        return rows[(self.best.score[rows] > self.good) & (self.cpu[rows] < self.config.seconds)]
 
     def take(self, rows: np.ndarray, found: _Attempt, pinch_share: float = 1.0) -> None:
         """Keep attempts at different grasps that are better than the best so far, pinches only by that share."""
         best = self.best.score[rows]
-        least = np.where(self.best.pinches[rows] & (found.score > GOOD_SCORE), pinch_share, 1.0) * best
+        least = np.where(self.best.pinches[rows] & (found.score > self.good), pinch_share, 1.0) * best
         better = found.score < least
         never = self.best.minimum.status[rows] == Status.RUNNING
         kept = rows[better | never]
@@ -306,7 +311,7 @@ class _Search:
         """Report progress; which grasps are good is known after an attempt only."""
         self.ticks += 1
         if self.progress is not None:
-            self.progress(int((self.best.score <= GOOD_SCORE).sum()), self.ticks, loss)
+            self.progress(int((self.best.score <= self.good).sum()), self.ticks, loss)
 
     def _scene(self, rows: np.ndarray) -> Scene:
         scene = self.scene

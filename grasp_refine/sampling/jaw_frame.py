@@ -84,10 +84,9 @@ def jaw_frame(hand: Hand, closure: ClosureFrame) -> JawFrame | None:
     direction in which the fingers approach each other, at every opening, and that lies in part opposite the other pad.
     Jaws may slide, or turn on linkages that keep them parallel; each may have an actuator of its own.
     """
-    names = tuple(dict.fromkeys(contact.group for contact in hand.contacts))
-    if len(names) != 2 or not closure.closing.any():
+    if not hand.has_two_fingers or not closure.closing.any():
         return None
-    first, second = names
+    first, second = names = hand.fingers
     closed = np.where(closure.closing > 0, closure.upper, closure.lower)
     begin, end = (np.where(closure.closing == 0, hand.rest, each) for each in (closure.opened, closed))
     q = np.linspace(begin, end, NUM_WIDTHS)

@@ -26,7 +26,7 @@ class ContactSelection:
     """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
     other_link_distance: float = 0.003
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
-    (`Hand.yielding`) do not."""
+    (`Hand.yielding`) do not, nor does the palm of a hand with two fingers, which nothing presses against."""
     farthest: float = 0.03
     """Distance up to which the nearest contact links count where fewer than two groups (fingers, palm) are in reach."""
     links: tuple[str, ...] = ()
@@ -93,9 +93,10 @@ class ContactSelection:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         unfit = hand.yielding if hand.arm is None else hand.yielding | hand.arm.links
-        firm = tips | ~np.isin(links, list(unfit))
+        names = np.array(link_groups(hand, links))
+        firm = tips | ~np.isin(links, list(unfit)) & ~(hand.has_two_fingers & (names == PALM))
         touching = (distance <= np.where(tips, self.reach, self.other_link_distance)) & firm
-        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
+        group = np.unique(names, return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
             for column in np.argsort(distance[row], kind="stable"):
                 if len(np.unique(group[touching[row]])) >= 2 or distance[row, column] > self.farthest:

@@ -49,7 +49,6 @@ def try_hand(
     row: dict[str, Any] = dict.fromkeys(column.key for column in COLUMNS) | {"hand": name, "trouble": ""}
     try:
         hand = load()
-        fingers = {contact.group for contact in hand.contacts}
         coupled = sum(len(group.joints) - 1 for group in hand.coupled)
         row |= {
             "file": f"{hand.urdf.name} ({'MJCF' if hand.mjcf == hand.urdf else 'URDF'})",
@@ -57,7 +56,7 @@ def try_hand(
                 (
                     count_text(len(hand.joint_names), "joint"),
                     *((f"{coupled} coupled",) if coupled else ()),
-                    count_text(len(fingers), "finger"),
+                    count_text(len(hand.fingers), "finger"),
                 )
             ),
         }
