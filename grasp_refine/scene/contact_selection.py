@@ -26,7 +26,7 @@ class ContactSelection:
     """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
     other_link_distance: float = 0.003
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
-    (`Hand.yielding`) do not, nor does the palm of a hand with two fingers, which nothing presses against."""
+    (`Hand.yielding`) do not, nor does the palm of a hand with two fingers, which does not press."""
     farthest: float = 0.03
     """Distance up to which the nearest contact links count where fewer than two groups (fingers, palm) are in reach."""
     links: tuple[str, ...] = ()
@@ -93,10 +93,9 @@ class ContactSelection:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         unfit = hand.yielding if hand.arm is None else hand.yielding | hand.arm.links
-        names = np.array(link_groups(hand, links))
-        firm = tips | ~np.isin(links, list(unfit)) & ~(hand.has_two_fingers & (names == PALM))
+        firm = tips | ~np.isin(links, list(unfit | _idle(hand)))
         touching = (distance <= np.where(tips, self.reach, self.other_link_distance)) & firm
-        group = np.unique(names, return_inverse=True)[1]
+        group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
             for column in np.argsort(distance[row], kind="stable"):
                 if len(np.unique(group[touching[row]])) >= 2 or distance[row, column] > self.farthest:
@@ -125,6 +124,15 @@ class ContactSelection:
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         groups = np.stack([within[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
         return np.where((groups >= 2)[:, None], within, anywhere)
+
+
+def _idle(hand: Hand) -> set[str]:
+    """Return the links of the palm of a hand with two fingers; of other hands none."""
+    found = {hand.palm}
+    for joint in hand.joints:
+        if joint.parent in found and not joint.movable:
+            found.add(joint.child)
+    return found if hand.has_two_fingers else set()
 
 
 def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:

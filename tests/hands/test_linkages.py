@@ -90,10 +90,11 @@ def test_links_that_only_a_spring_holds_give_way(hand: Hand) -> None:
     found_near = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
     near = replace(found_near, distance=np.full(found_near.distance.shape, 0.001))
     links = links_of(hand)
-    assert ContactSelection().choose(hand, links, near).all()
     weak = replace(hand, yielding=frozenset({"right_finger", "right_inner"}))
-    chosen = dict(zip(links, ContactSelection().choose(weak, links, near)[0].tolist(), strict=True))
-    assert [link for link, touches in chosen.items() if not touches] == ["right_inner"], "fingertips may hold"
+    # Fingertips may hold; nothing presses a palm that carries two fingers.
+    for given, idle in ((hand, {"palm"}), (weak, {"palm", "right_inner"})):
+        touches = ContactSelection().choose(given, links, near)[0]
+        assert {link for link, one in zip(links, touches, strict=True) if not one} == idle
 
 
 def test_a_range_over_which_the_chain_cannot_close_is_left_out() -> None:

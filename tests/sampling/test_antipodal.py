@@ -103,12 +103,12 @@ def test_pairs_lie_in_both_friction_cones_and_in_the_stroke(box: Object) -> None
 def test_both_jaws_touch_opposite_sides(hand: str, source: str, request: pytest.FixtureRequest) -> None:
     gripper: Hand = request.getfixturevalue(hand)
     obj = load_object(source, candidates=512)
-    grasps = sample_grasps(gripper, obj, 8)
+    grasps = sample_grasps(gripper, obj, 16)
     prepared = HandObject(gripper, obj)
     T = transform_from_pose(grasps.hand_pose)
     links = prepared.chain(T, grasps.q).T_world_link
     found = query(prepared.pairs, links, np.broadcast_to(np.eye(4), links.shape))
-    assert len(grasps) == 8 and (found.distance[:, :2] <= CONTACT_DISTANCE_M).all() and found.distance.min() > 0.0
+    assert len(grasps) == 16 and (found.distance[:, :2] <= CONTACT_DISTANCE_M).all() and found.distance.min() > 0.0
     assert ((found.normal[:, 0] * found.normal[:, 1]).sum(axis=1) < -0.9).all()
     jaws = frame_of(gripper)
     axis = T[:, :3, :3] @ jaws.axis
