@@ -41,7 +41,7 @@ def beside(place: list[float], count: int) -> np.ndarray:
 
 
 def test_half_of_the_surface_around_an_edge_turns_away(box: Object) -> None:
-    surface, height = box.body.candidates, np.linspace(-0.05, 0.05, 41)
+    surface, height = box.body.candidates, np.linspace(-0.03, 0.03, 41)
     face, edge = (np.stack([0.025 + 0.0 * height, y + 0.0 * height, height], axis=-1)[None] for y in (0.0, 0.025))
     first, second = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
