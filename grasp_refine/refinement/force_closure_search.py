@@ -37,7 +37,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 GOOD_SCORE = 0.1
-"""A grasp with at most this score is not tried from another start; with two fingers, above that of the best pinches."""
+"""A grasp with at most this score, with two fingers `BEST_SCORE` more, is not tried from another start."""
 
 PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
