@@ -151,7 +151,7 @@ class Hand:
 
     @property
     def has_two_fingers(self) -> bool:
-        """Whether it has two fingers, which press against each other, as those of grippers do."""
+        """True for a hand with two fingers, which press against each other, as those of grippers do."""
         return _are_two_fingers(self.contacts)
 
     @property
@@ -176,6 +176,13 @@ class Hand:
         What has one number for all joints, such as noise and bounds, has it in radians and is multiplied by these.
         """
         return np.where(self.slides, SLIDE_LEVER_M, 1.0)
+
+    def fixed_to(self, link: str) -> frozenset[str]:
+        """Return the names of a link and of those below it that no joint moves against it."""
+        fixed = {link}
+        for joint in self.joints:  # parents before children
+            fixed |= {joint.child} if joint.parent in fixed and not joint.movable else set()
+        return frozenset(fixed)
 
     def joints_to(self, links: Sequence[str]) -> list[Joint]:
         """Return the joints between the base link and any of `links`, parents before children.

@@ -90,7 +90,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
             palm=hand.base_link,
             joints=np.arange(len(arm.joint_names) + len(hand.joint_names)) < len(arm.joint_names),
             links=frozenset(renamed.links_by_name),
-            standing=_standing(renamed),
+            standing=renamed.fixed_to(renamed.base_link),
         ),
         parts=(renamed, hand),
     )
@@ -125,15 +125,7 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
     touching = tuple(contact for contact in hand.contacts if contact.link in below)
     links = frozenset(link.name for link in hand.links) - below
     driven = holding(hand.actuator, hand.slides, names)
-    return replace(hand, contacts=touching, actuator=driven, arm=Arm(palm, names, links, _standing(hand)))
-
-
-def _standing(hand: Hand) -> frozenset[str]:
-    """Return the links that are fixed to the base."""
-    fixed = {hand.base_link}
-    for joint in hand.joints:  # parents before children
-        fixed |= {joint.child} if joint.parent in fixed and not joint.movable else set()
-    return frozenset(fixed)
+    return replace(hand, contacts=touching, actuator=driven, arm=Arm(palm, names, links, hand.fixed_to(hand.base_link)))
 
 
 def _last_link(arm: Hand) -> str:

@@ -93,7 +93,9 @@ class ContactSelection:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
         unfit = hand.yielding if hand.arm is None else hand.yielding | hand.arm.links
-        firm = tips | ~np.isin(links, list(unfit | _idle(hand)))
+        if hand.has_two_fingers:
+            unfit |= hand.fixed_to(hand.palm)
+        firm = tips | ~np.isin(links, list(unfit))
         touching = (distance <= np.where(tips, self.reach, self.other_link_distance)) & firm
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         for row in np.flatnonzero(touching.any(axis=1) | (distance <= self.farthest).any(axis=1)):
@@ -124,15 +126,6 @@ class ContactSelection:
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         groups = np.stack([within[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
         return np.where((groups >= 2)[:, None], within, anywhere)
-
-
-def _idle(hand: Hand) -> set[str]:
-    """Return the links of the palm of a hand with two fingers; of other hands none."""
-    found = {hand.palm}
-    for joint in hand.joints:
-        if joint.parent in found and not joint.movable:
-            found.add(joint.child)
-    return found if hand.has_two_fingers else set()
 
 
 def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
