@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +15,9 @@ from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
 from grasp_refine.hands.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.prefixed_names import prefixed_names
 
+MAX_RADIANS = 2 * math.pi
+"""Largest limit of a hinge that may be meant in radians."""
+
 
 def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
     """Return the hand in the MJCF file `path`, whose bodies stay those of the file and all have names, as joints do.
@@ -21,7 +25,7 @@ def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
     Everything else is left out: what is beside it, its free joint, cameras, lights, sensors, keyframes and textures.
 
     Returns:
-        The hand, the name of its root body, and notes on what is left out.
+        The hand, the name of its root body, and notes on what is left out, or looks wrong.
 
     Raises:
         HandError: it is missing, no MJCF, holds what no hand may have, no hand, or several.
@@ -77,6 +81,9 @@ def _keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
         delete(spec, list(things))
     tops = list(spec.worldbody.bodies)
     jointed = [body for body in tops if _moving_below(body)]
+    # Objects of a scene have all their joints on one body.
+    hands = [body for body in jointed if _num_moving(body) > 1]
+    jointed = hands or jointed
     if len(jointed) != 1:
         found = ", ".join(f"'{body.name}'" for body in jointed) or "none"
         free = ", ".join(f"'{body.name}'" for body in tops if body.joints and not jointed)
@@ -88,7 +95,7 @@ def _keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
     (root,) = jointed
     others = [body for body in tops if body is not root]
     beside = [*others, *spec.worldbody.geoms, *spec.worldbody.sites]
-    notes = []
+    notes = _unit_notes(spec, path)
     if others or spec.worldbody.geoms:
         left_out = count_text(len(others) + len(spec.worldbody.geoms), "thing")
         notes.append(f"{path.name}: beside the hand, {left_out} left out")
@@ -116,6 +123,23 @@ def _moving_below(body: mujoco.MjsBody) -> bool:
     """Return True if a body has joints, or one below it, other than a free one, which objects and hands may have."""
     free = mujoco.mjtJoint.mjJNT_FREE
     return any(joint.type != free for joint in body.joints) or any(_moving_below(child) for child in body.bodies)
+
+
+def _num_moving(body: mujoco.MjsBody) -> int:
+    """Return how many of a body and those below it have joints."""
+    return sum(bool(each.joints) for each in (body, *body.find_all("body")))
+
+
+def _unit_notes(spec: mujoco.MjSpec, path: Path) -> list[str]:
+    """Return a note where the limits of all hinges, which count as degrees, look like radians."""
+    hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+    largest = max((abs(end) for joint in hinges for end in joint.range), default=0.0)
+    if not spec.compiler.degree or not 0.0 < largest <= MAX_RADIANS:
+        return []
+    return [
+        f"{path.name}: no hinge has a limit beyond {largest:.3g} degrees, the unit of an MJCF unless its compiler has "
+        'angle="radian"; if radians are meant, add that'
+    ]
 
 
 def _name_all(spec: mujoco.MjSpec) -> None:

@@ -1,4 +1,4 @@
-"""Couplings of joints that an MJCF of the hand tells: tendons of actuators, joint equalities, closed chains."""
+"""Couplings of joints that an MJCF of the hand tells: tendons, joint equalities, closed chains."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.hands.linkages import linkage_note, linkages
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, read_mjcf
+from grasp_refine.hands.servos import moved_joints
+from grasp_refine.hands.tendon_ties import tendon_ties
 from grasp_refine.hands.tree import Joint, Mimic
 
 MIN_ALIGNMENT = 1.0 - 1e-6
 """Least cosine between the ratios of two groups that are the same, up to scale and sign."""
+
+MIN_ROOM = 0.05
+"""Least share of the smaller range of two joints over which their limits allow a tie by a tendon."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Couplings:
     path: Path
     """The MJCF."""
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
-    """Joint that follows another by a joint equality, or in a closed chain -> that one."""
+    """Joint that follows another by an equality, by a tendon or in a closed chain -> that one."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Joint that drives closed chains -> values at which they can be closed."""
     passive: frozenset[str] = frozenset()
@@ -114,6 +119,9 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
     ours = {other: name for name, other in matched.items()}
     signs = dict(zip(matched, sign.tolist(), strict=True))
     mimics, notes = _mimics(spec, model, mechanism, ours, signs)
+    tied, more = _tendon_mimics(spec, model, mechanism, mimics, ours, signs, path)
+    mimics |= tied
+    notes += more
     driven = [actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON]
     joint_like = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     single = {actuator.target for actuator in spec.actuators if actuator.trntype in joint_like}
@@ -205,6 +213,51 @@ def _mimics(
         found[follower] = mimic
         by_name[follower] = replace(by_name[follower], mimic=mimic)
     return found, notes
+
+
+def _tendon_mimics(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    mechanism: Mechanism,
+    mimics: Mapping[str, Mimic],
+    ours: Mapping[str, str],
+    signs: Mapping[str, float],
+    path: Path,
+) -> tuple[dict[str, Mimic], list[str]]:
+    """Return the independent joints that tendons tie to another one, with that one, and notes.
+
+    Ties that the limits of the joints do not allow are left out: real files have such, and MuJoCo keeps neither.
+    """
+    by_name = {joint.name: joint for joint in mechanism.joints}
+    own = {name for name, joint in by_name.items() if joint.mimic is not None} | mimics.keys()
+    found: dict[str, Mimic] = {}
+    notes = []
+    for tie in tendon_ties(spec, model, moved_joints(spec)):
+        if not {tie.follower, tie.leader} <= ours.keys() or ours[tie.follower] in own:
+            continue
+        follower, leader = ours[tie.follower], ours[tie.leader]
+        sign = signs[follower]
+        mimic = Mimic(leader, sign * signs[leader] * tie.multiplier, sign * tie.offset)
+        if not _has_room(mimic, by_name[leader], by_name[follower]):
+            notes.append(
+                f"tendon '{tie.tendon}' of {path.name} is no coupling: the limits of '{follower}' and '{leader}' do "
+                "not allow it"
+            )
+            continue
+        found[follower] = mimic
+        if tie.play:
+            notes.append(
+                f"tendon '{tie.tendon}' leaves joint '{follower}' {np.degrees(tie.play):.0f} degrees either way from "
+                f"where it follows '{leader}'"
+            )
+    return found, notes
+
+
+def _has_room(mimic: Mimic, leader: Joint, follower: Joint) -> bool:
+    """Return True if a joint can move while one that follows it keeps within its limits."""
+    ends = sorted(mimic.multiplier * value + mimic.offset for value in (leader.lower, leader.upper))
+    room = min(ends[1], follower.upper) - max(ends[0], follower.lower)
+    return bool(room >= MIN_ROOM * min(ends[1] - ends[0], follower.upper - follower.lower))
 
 
 def _group(tendon: Mapping[str, float], joints: Mapping[str, Joint]) -> Coupled | None:

@@ -68,7 +68,7 @@ def _is_direct(actuator: mujoco.MjsActuator) -> bool:
 
 
 def moved_joints(spec: mujoco.MjSpec) -> set[str]:
-    """Return names of the joints that an actuator moves, directly or through a tendon, or an equality."""
+    """Return names of the joints that an actuator moves, directly or through a tendon, or that an equality of joints ties."""
     tendon = mujoco.mjtTrn.mjTRN_TENDON
     driven = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
     moved = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}

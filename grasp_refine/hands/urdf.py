@@ -113,6 +113,8 @@ def _read_xml(path: Path) -> _Element:
         raise HandError(f"{path}: not XML ({reason})") from None
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
+    if root.tag == "mujocoinclude":
+        raise HandError(f"{path}: a part of an MJCF, which other files include; give one of those")
     if root.tag != "robot":
         raise HandError(f"{path}: not a URDF, its outermost element is <{root.tag}> instead of <robot>")
     if any("xacro" in element.tag for element in root.iter()):

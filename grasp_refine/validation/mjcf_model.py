@@ -13,6 +13,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.linkages import linkages
 from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, matched_joints, read_mjcf
 from grasp_refine.hands.servos import moved_joints, other_actuators, rescale_servos, servo_settings
+from grasp_refine.hands.tendon_ties import tendon_ties
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.urdf_model import add_actuators
 
@@ -53,10 +54,11 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
         notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
     moved = moved_joints(spec)
+    moved |= {tie.follower for tie in tendon_ties(spec, model, moved)}
     chained = {name for linkage in linkages(model, moved).linkages for name in linkage.coefficients}
     idle = [joint for joint, name in matched.items() if name not in moved | chained]
     if idle:
-        notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}, neither actuator nor equality")
+        notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}: no actuator, equality or tendon")
     T_base_root = fit.T_base_world @ body_pose(model, root)
     # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
