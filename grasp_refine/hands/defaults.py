@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.short_repr import brief
-from grasp_refine.hands.finger_names import finger_names
+from grasp_refine.hands.fingertips import fingertips
 from grasp_refine.hands.hand_toml import ACTUATOR, Contact, Coupled, HandToml
-from grasp_refine.hands.tree import Joint
+from grasp_refine.hands.tree import Joint, LinkPair
 
 SLIDE_LEVER_M = 0.1
 """Lever in metres at which a prismatic joint is like a revolute one: it moves by so much where that turns by a radian,
@@ -48,7 +48,7 @@ def contacts(
     solid: Collection[str],
     joints: Sequence[Joint],
     outside: Collection[str],
-    closing: Collection[tuple[str, str]] = (),
+    closing: Collection[LinkPair] = (),
 ) -> tuple[tuple[Contact, ...], bool, list[str]]:
     """Contact links, whether they are guessed, and notes on them.
 
@@ -71,37 +71,10 @@ def contacts(
             named.append(contact)
     guessed = not named
     if guessed:
-        named = _guess_contacts(solid, joints, closing)
+        named = list(fingertips(solid, joints, closing))
         guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
         notes.append(f"contact links guessed, a hand.toml can name others: {guess}")
     return tuple(named), guessed, notes
-
-
-def _guess_contacts(
-    solid: Collection[str], joints: Sequence[Joint], closing: Collection[tuple[str, str]]
-) -> list[Contact]:
-    """The last solid link of each branch, each its own group; what is fixed to the base is no branch.
-
-    Where two branches close a chain, the one that ends there is none, or that with fewer links to the base.
-    """
-    above = {joint.child: joint for joint in joints}
-    moving, inner = set(), set()
-    way: dict[str, list[str]] = {name: [] for name in solid}  # the names from the link to the base
-    for name in solid:
-        ancestor = name
-        while ancestor in above:
-            way[name] += ancestor, above[ancestor].name
-            if above[ancestor].movable:
-                moving.add(name)
-            ancestor = above[ancestor].parent
-            inner.add(ancestor)
-    last = [name for name in solid if name in moving - inner]
-    for pair in closing:
-        ends = sorted((name for name in pair if name in last), key=lambda name: len(way[name]))
-        if ends and len(ends) < len({*pair} & {*solid}) or len({len(way[name]) for name in ends}) == 2:
-            last.remove(ends[0])
-    fingers = finger_names([way[name] for name in last])
-    return [Contact(name, finger or name) for name, finger in zip(last, fingers, strict=True)]
 
 
 def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:

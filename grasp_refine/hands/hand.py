@@ -313,16 +313,7 @@ def load_hand(
     driven = actuator(toml, independent, outside)
     if from_mjcf:
         driven = _own_actuator(toml.name or name, base, tree, joints, groups, driven)
-    touching, guessed, about_contacts = contacts(
-        toml,
-        solids,
-        joints,
-        tree.links.keys() - {link.name for link in links},
-        () if couplings is None else couplings.ends,
-    )
-    notes += [*about_contacts, *narrowed, *meshes.notes()]
-    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
-    return Hand(
+    hand = Hand(
         name=toml.name or name,
         urdf=tree.path,
         base_link=base,
@@ -332,9 +323,8 @@ def load_hand(
         lower=np.array([joint.lower for joint in independent]),
         upper=np.array([joint.upper for joint in independent]),
         rest=rest_pose(toml, independent, outside),
-        contacts=touching,
-        contacts_guessed=guessed,
-        notes=tuple(notes),
+        contacts=(),
+        notes=(),
         actuator=driven,
         yielding=frozenset() if couplings is None else couplings.yielding,
         coupled=groups,
@@ -342,16 +332,35 @@ def load_hand(
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,
-        patches=_are_two_fingers(touching) if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
         mount=toml.mount,
         T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
+    closing = () if toml.contacts else _closing(hand, couplings)
+    left_out = tree.links.keys() - hand.links_by_name.keys()
+    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
+    notes += [*about_contacts, *narrowed, *meshes.notes()]
+    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
+    patches = _are_two_fingers(touching) if toml.patches is None else toml.patches
+    return replace(hand, contacts=touching, contacts_guessed=guessed, notes=tuple(notes), patches=patches)
 
 
 def _are_two_fingers(contacts: Sequence[Contact]) -> bool:
     return len({contact.group for contact in contacts}) == 2
+
+
+def _closing(hand: Hand, couplings: Couplings | None) -> tuple[LinkPair, ...]:
+    """The pairs of links that close chains: those of an MJCF, or that share a pin."""
+    ends = () if couplings is None else couplings.ends
+    if ends or all(joint.mimic is None for joint in hand.joints):
+        return ends
+    # Kinematics and queries are built on this module.
+    from grasp_refine.hands.fingertips import branch_ends
+    from grasp_refine.hands.pins import pinned_links
+
+    solid = [link.name for link in hand.links if link.body is not None]
+    return pinned_links(hand, branch_ends(solid, hand.joints))
 
 
 def _couplings(

@@ -103,14 +103,16 @@ def _read_xml(path: Path) -> _Element:
         data = path.read_bytes()
     except OSError as error:
         raise HandError(f"{path}: cannot be read ({error.strerror or error})") from None
-    parser = etree.XMLParser(
-        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
-    )
+    settings = {"resolve_entities": False, "no_network": True, "load_dtd": False}
+    parser = etree.XMLParser(**settings, remove_comments=True, remove_pis=True, recover=True)
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
-        reason = " ".join(str(error.msg).split())
-        raise HandError(f"{path}: not XML ({reason})") from None
+        raise HandError(f"{path}: not XML ({' '.join(str(error.msg).split())})") from None
+    # Elements of Drake have a prefix that files with them do not declare.
+    for error in parser.error_log:
+        if error.domain_name != "NAMESPACE":
+            raise HandError(f"{path}: not XML ({' '.join(error.message.split())})")
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
     if root.tag == "mujocoinclude":

@@ -53,17 +53,17 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
         why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
         notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
-    moved = moved_joints(spec)
-    moved |= {tie.follower for tie in tendon_ties(spec, model, moved)}
-    chained = {name for linkage in linkages(model, moved).linkages for name in linkage.coefficients}
-    idle = [joint for joint, name in matched.items() if name not in moved | chained]
-    if idle:
-        notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}: no actuator, equality or tendon")
     T_base_root = fit.T_base_world @ body_pose(model, root)
     # The pose of the hand in its file has no meaning in another world.
     top = spec.body(root)
     top.pos, top.quat, top.alt.type = np.zeros(3), [1, 0, 0, 0], mujoco.mjtOrientation.mjORIENTATION_QUAT
     placed = compile_mjcf(spec, path)
+    moved = moved_joints(spec)
+    moved |= {tie.follower for tie in tendon_ties(spec, placed, moved)}
+    chained = {name for linkage in linkages(placed, moved).linkages for name in linkage.coefficients}
+    idle = [joint for joint, name in matched.items() if name not in moved | chained]
+    if idle:
+        notes.append(f"joints {', '.join(idle)} follow nothing in {path.name}: no actuator, equality or tendon")
     if placed.actuator_ctrllimited.any():
         notes.append("set points beyond the ctrlrange of the MJCF are clipped")
     matrix, offset = fit.sign[:, None] * matrix[rows], fit.sign * offset[rows]

@@ -1,0 +1,75 @@
+"""Fingertips of a hand: the links at the ends of its branches, which are meant to touch the object."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from grasp_refine.hands.finger_names import finger_names
+from grasp_refine.hands.hand_toml import Contact
+from grasp_refine.hands.tree import Joint, LinkPair
+
+
+def branch_ends(solid: Collection[str], joints: Sequence[Joint]) -> list[str]:
+    """Return the last solid link of each branch, in the order of `solid`.
+
+    What is fixed to the base is no branch, and what is fixed to a link with moving ones further on, such as a sensor on
+    a phalanx, ends none.
+
+    Args:
+        solid: Links with collision geometry.
+        joints: Joints of the hand, parents before children.
+    """
+    above = {joint.child: joint for joint in joints}
+    part = rigid_parts(joints)
+    inner, carriers = set(), set()
+    for name in solid:
+        ancestor = name
+        while ancestor in above:
+            joint = above[ancestor]
+            ancestor = joint.parent
+            inner.add(ancestor)
+            if joint.movable:
+                carriers.add(part.get(ancestor, ancestor))
+    return [name for name in solid if part.get(name) in above and name not in inner and part[name] not in carriers]
+
+
+def fingertips(
+    solid: Collection[str], joints: Sequence[Joint], closing: Collection[LinkPair] = ()
+) -> tuple[Contact, ...]:
+    """Return the ends of the branches that are fingers, a group for each; those fixed to each other are one finger.
+
+    Where two branches close a chain, the one that ends there is no finger, or that with fewer links to the base.
+
+    Args:
+        solid: Links with collision geometry.
+        joints: Joints of the hand, parents before children.
+        closing: Pairs of links that close chains.
+    """
+    above = {joint.child: joint for joint in joints}
+    ends = branch_ends(solid, joints)
+    way: dict[str, list[str]] = {}  # the names from the link to the base
+    for name in ends:
+        way[name] = []
+        ancestor = name
+        while ancestor in above:
+            way[name] += ancestor, above[ancestor].name
+            ancestor = above[ancestor].parent
+    bars = set()
+    for pair in closing:
+        closers = sorted((name for name in pair if name in ends), key=lambda name: len(way[name]))
+        if closers and len(closers) < len({*pair} & {*solid}) or len({len(way[name]) for name in closers}) == 2:
+            bars.add(closers[0])
+    tips = [name for name in ends if name not in bars]
+    part = rigid_parts(joints)
+    first = {part[name]: name for name in reversed(tips)}
+    fingers = finger_names([way[name] for name in first.values()])
+    group = {each: finger or first[each] for each, finger in zip(first, fingers, strict=True)}
+    return tuple(Contact(name, group[part[name]]) for name in tips)
+
+
+def rigid_parts(joints: Sequence[Joint]) -> dict[str, str]:
+    """Return link -> the link by which its rigid part is known, the first one of it; joints parents before children."""
+    part: dict[str, str] = {}
+    for joint in joints:
+        part[joint.child] = joint.child if joint.movable else part.setdefault(joint.parent, joint.parent)
+    return part
