@@ -356,11 +356,9 @@ def _closing(hand: Hand, couplings: Couplings | None) -> tuple[LinkPair, ...]:
     if ends or all(joint.mimic is None for joint in hand.joints):
         return ends
     # Kinematics and queries are built on this module.
-    from grasp_refine.hands.fingertips import branch_ends
     from grasp_refine.hands.pins import pinned_links
 
-    solid = [link.name for link in hand.links if link.body is not None]
-    return pinned_links(hand, branch_ends(solid, hand.joints))
+    return pinned_links(hand)
 
 
 def _couplings(

@@ -1,18 +1,18 @@
 """Pins between links that only a coupling of joints keeps together, as in the linkages of grippers.
 
 A URDF is a tree: the inner knuckle of a parallel gripper hangs from the base, and a mimic joint turns it so that its
-end stays at the finger. There is a point of each that is the same in all states, and the two links are near each other.
+end stays at the finger. There is a point of each that is the same in all states, and what is fixed to them is near.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.fingertips import branch_ends, rigid_parts
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import joint_ranges, link_distances
 from grasp_refine.hands.tree import LinkPair
@@ -30,13 +30,9 @@ NEAR_M = 3e-3
 """Largest distance in metres between links that a pin may join, with a bush or a washer between them."""
 
 
-def pinned_links(hand: Hand, links: Sequence[str]) -> tuple[LinkPair, ...]:
-    """Return the pairs of `links` that one joint moves on two branches, and that share a pin.
-
-    Args:
-        hand: The hand.
-        links: Names of solid links.
-    """
+def pinned_links(hand: Hand) -> tuple[LinkPair, ...]:
+    """Return the pairs of ends of branches that one joint moves, and that share a pin."""
+    links = branch_ends([link.name for link in hand.links if link.body is not None], hand.joints)
     matrix, _, movable = hand.mimic_map()
     row = {name: i for i, name in enumerate(movable)}
     drivers = {}
@@ -46,9 +42,10 @@ def pinned_links(hand: Hand, links: Sequence[str]) -> tuple[LinkPair, ...]:
     pairs = []
     for a, b in combinations(links, 2):
         (joints_a, by_a), (joints_b, by_b) = drivers[a], drivers[b]
-        if len(by_a) == 1 and by_a == by_b and joints_a - joints_b and joints_b - joints_a:
-            pairs.append((a, b, *by_a))
-    return tuple((a, b) for a, b, driver in pairs if _share_pin(hand, (a, b), driver))
+        apart = joints_a - joints_b and joints_b - joints_a
+        if apart and len(by_a) == 1 and by_a == by_b and _share_pin(hand, (a, b), *by_a):
+            pairs.append((a, b))
+    return tuple(pairs)
 
 
 def _share_pin(hand: Hand, pair: LinkPair, driver: int) -> bool:
@@ -59,7 +56,11 @@ def _share_pin(hand: Hand, pair: LinkPair, driver: int) -> bool:
     T_a, T_b = np.moveaxis(Chain(hand, pair)(np.broadcast_to(np.eye(4), (NUM_VALUES, 4, 4)), q).T_world_link, 1, 0)
     if _turn(T_a, T_b) < MIN_TURN_RAD or _play(T_a, T_b) > PIN_PLAY_M:
         return False
-    return bool((link_distances(hand, [pair], q, cutoff=2 * NEAR_M) <= NEAR_M).all())
+    part = rigid_parts(hand.joints)
+    solid = [link.name for link in hand.links if link.body is not None]
+    first, second = ([name for name in solid if part.get(name) == part[end]] for end in pair)
+    distance = link_distances(hand, list(product(first, second)), q, cutoff=2 * NEAR_M)
+    return bool((distance.min(axis=1) <= NEAR_M).all())
 
 
 def _turn(T_a: Float[np.ndarray, "K 4 4"], T_b: Float[np.ndarray, "K 4 4"]) -> float:

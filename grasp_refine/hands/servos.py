@@ -68,7 +68,7 @@ def _is_direct(actuator: mujoco.MjsActuator) -> bool:
 
 
 def moved_joints(spec: mujoco.MjSpec) -> set[str]:
-    """Return names of the joints that an actuator moves, directly or through a tendon, or that an equality of joints ties."""
+    """Return names of joints that an actuator moves, directly or through a tendon, or an equality of joints ties."""
     tendon = mujoco.mjtTrn.mjTRN_TENDON
     driven = {actuator.target for actuator in spec.actuators if actuator.trntype == tendon}
     moved = {actuator.target for actuator in spec.actuators if actuator.trntype != tendon}
@@ -106,7 +106,7 @@ def servo_settings(
     limit are those of a tendon whose length is the sum of ratio x joint value, as `Hand.actuator` has them. Limits of
     the actuator force at joints and tendons count too. Set points are within the ctrlrange of all actuators of a joint
     or group. Armature and dry friction are those of the joint itself, and so is damping, to which that of the servos is
-    added.
+    added. A joint that nothing drives has the limit 0.
 
     Args:
         independent: The independent joints.
@@ -129,7 +129,7 @@ def servo_settings(
     reach = np.where(M > 0, _limits(model)[:, None], 0.0) * M
     own = [model.joint(matched[name]).id for name in names]
     limit = np.minimum(
-        np.where(M.any(axis=0), reach.sum(axis=0), np.inf),
+        reach.sum(axis=0),
         _greatest(model.jnt_actfrclimited[own], model.jnt_actfrcrange[own]) / ratio,
     )
     for rows in groups:

@@ -1,4 +1,4 @@
-"""Joints that a fixed tendon of an MJCF ties to another one: equalities of tendons, and tendons with hardly any play."""
+"""Joints that fixed tendons of an MJCF tie to other ones: equalities of tendons, and limits with hardly any play."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def tendon_ties(spec: mujoco.MjSpec, model: mujoco.MjModel, driven: Collection[s
         driven: Joints that actuators or other equalities move.
     """
     rows = [*_equalities(spec, model), *_limits(spec, model)]
-    moved, ties = set(driven), []
+    moved = set(driven)
+    ties: list[TendonTie] = []
     while True:
         for row in rows:
             followers = [name for name in row.coefficients if name not in moved]

@@ -110,9 +110,9 @@ def _read_xml(path: Path) -> _Element:
     except etree.XMLSyntaxError as error:
         raise HandError(f"{path}: not XML ({' '.join(str(error.msg).split())})") from None
     # Elements of Drake have a prefix that files with them do not declare.
-    for error in parser.error_log:
-        if error.domain_name != "NAMESPACE":
-            raise HandError(f"{path}: not XML ({' '.join(error.message.split())})")
+    for entry in parser.error_log:
+        if entry.domain_name != "NAMESPACE":
+            raise HandError(f"{path}: not XML ({' '.join(entry.message.split())})")
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
     if root.tag == "mujocoinclude":

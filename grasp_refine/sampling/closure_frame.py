@@ -23,6 +23,9 @@ CLOSING_RANGE_SHARE = 0.9
 MIN_CURL_SHARE = 0.1
 """Least share of its length by which a finger that curls gets shorter over that range."""
 
+PARALLEL_TURN_SHARE = 0.05
+"""Largest share of the turning of its joints by which a finger on a linkage turns that keeps it parallel to itself."""
+
 MIN_MEAN_DIRECTION = 0.05
 """Length of the mean of the directions in which the palm is seen, below which it lies on all sides."""
 
@@ -58,7 +61,8 @@ def closure_frame(hand: Hand) -> ClosureFrame:
 
     The last joint of a finger bends it, and so do those above that are parallel to it. They close it in the
     direction in which it curls, that is in which its tip approaches its knuckle, or, for a finger that keeps its
-    length, the centre of all tips. Joints that carry all fingers belong to a wrist and are left out.
+    length or stays parallel to itself, the centre of all tips. Joints that carry all fingers belong to a wrist and are
+    left out.
 
     Raises:
         HandError: no joint of the hand moves a link that is meant to touch.
@@ -82,7 +86,7 @@ def closure_frame(hand: Hand) -> ClosureFrame:
     center, radius = tip_sphere(hand.rest)
     lower = np.where(np.isfinite(hand.lower), hand.lower, hand.rest - 0.5 * np.pi)
     upper = np.where(np.isfinite(hand.upper), hand.upper, hand.rest + 0.5 * np.pi)
-    moves, bends, knuckle = (
+    moves, bends, parallel, knuckle = (
         np.array(each) for each in zip(*(_bending(hand, path) for _, path in fingers), strict=True)
     )
     middle, span = 0.5 * (lower + upper), 0.5 * CLOSING_RANGE_SHARE * (upper - lower) * bends
@@ -93,7 +97,7 @@ def closure_frame(hand: Hand) -> ClosureFrame:
     )
     curl = length[0] - length[1]
     slides = np.array([path[0].kind == "prismatic" for _, path in fingers])
-    stiff = slides | (np.abs(curl) < MIN_CURL_SHARE * np.maximum(*length))
+    stiff = slides | parallel | (np.abs(curl) < MIN_CURL_SHARE * np.maximum(*length))
     closing = np.sign(np.where(stiff, to_center[0] - to_center[1], curl) @ bends)
 
     approach = _away_from(palm, facing, center)
@@ -141,10 +145,12 @@ def _pad(hand: Hand, index: int) -> np.ndarray:
     return bounding_sphere(hand.links_by_name[contact.link].solid)[:3]
 
 
-def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, bool, np.ndarray]:
     """Mask (n,) of the joints that move a finger; the sign (n,) with which they bend it, or 0; and its knuckle (3,).
 
-    Positive bending may close or open the finger; it is the same for all joints of one finger.
+    Before the knuckle comes whether a joint moves the finger parallel to itself, as the bars of a gripper do that turn
+    as far one way as the finger turns back. Its sign is that of the bar at the palm. Positive bending may close or open
+    the finger; it is the same for all joints of one finger.
     """
     matrix, _, movable = hand.mimic_map()
     frames = Chain(hand, [joint.child for joint in path])(np.eye(4)[None], hand.rest[None]).T_world_link[0]
@@ -152,8 +158,12 @@ def _bending(hand: Hand, path: list[Joint]) -> tuple[np.ndarray, np.ndarray, np.
     gains = np.array([matrix[movable.index(joint.name)] for joint in path])
     alike = np.array([axis @ axes[0] for axis in axes])
     kind = np.array([(joint.kind == "prismatic") == (path[0].kind == "prismatic") for joint in path])
-    bends = np.sign(np.where(kind & (np.abs(alike) > MIN_PARALLEL_COSINE), np.sign(alike), 0.0) @ gains)
-    return (gains != 0).any(axis=0), bends, frames[-1, :3, 3]
+    turns = np.where(kind & (np.abs(alike) > MIN_PARALLEL_COSINE), np.sign(alike), 0.0)[:, None] * gains
+    total, travel = turns.sum(axis=0), np.abs(turns).sum(axis=0)
+    still = (travel > 0.0) & (np.abs(total) <= PARALLEL_TURN_SHARE * travel)
+    at_palm = turns[len(turns) - 1 - (turns[::-1] != 0.0).argmax(axis=0), np.arange(turns.shape[1])]
+    bends = np.sign(np.where(still, at_palm, total))
+    return (gains != 0).any(axis=0), bends, bool(still.any()), frames[-1, :3, 3]
 
 
 def _palm(hand: Hand) -> tuple[np.ndarray, np.ndarray]:

@@ -291,6 +291,7 @@ JOINT = '<body name="a"><joint name="j" range="-1 1"/><geom size="0.01"/></body>
         ("<mujoco><worldbody/></mujoco>", ("<worldbody>", "none")),
         ("<mujoco><nothing/></mujoco>", ("nothing",)),
         ("<package/>", ("<package>",)),
+        ("<mujocoinclude/>", ("part", "include")),
         ("{}", ("XML",)),
     ],
 )  # fmt: skip
@@ -299,6 +300,32 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, named: tu
     path.write_text(text)
     with refused(HandError, "hand.xml", *named):
         load_hand(path, candidates=16)
+
+
+def test_an_object_with_joints_beside_the_hand_is_left_out(tmp_path: Path) -> None:
+    """As in Gymnasium's scenes, where it hangs from the world by three slides and three hinges."""
+    joints = "".join(f'<joint name="o{axis}" type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    two = JOINT.replace("</body>", JOINT.replace('"a"', '"b"').replace('"j"', '"k"') + "</body>")
+    path = tmp_path / "hand.xml"
+    path.write_text(BODY.format("", two, f'<body name="thing">{joints}<geom size="0.01"/></body>'))
+    hand = load_hand(path, candidates=16)
+    assert hand.joint_names == ("j", "k") and hand.base_link == "p"
+    assert "thing" not in hand.links_by_name
+
+
+@pytest.mark.parametrize(
+    ("compiler", "span", "told"),
+    [("", "-1 1.5", True), ("", "-1 90", False), ('<compiler angle="radian"/>', "-1 1.5", False)],
+)
+def test_limits_in_degrees_that_look_like_radians_are_told(
+    tmp_path: Path, compiler: str, span: str, told: bool
+) -> None:
+    path = tmp_path / "hand.xml"
+    path.write_text(BODY.format(compiler, JOINT.replace("-1 1", span), ""))
+    notes = [note for note in load_hand(path, candidates=16).notes if "radian" in note]
+    assert bool(notes) == told
+    if told:
+        assert_names(notes[0], "hand.xml", "1.5", 'angle="radian"')
 
 
 def test_links_that_overlap_at_rest_are_kept_apart_unless_the_file_excludes_them(tmp_path: Path) -> None:

@@ -56,6 +56,14 @@ def test_roll_pitch_yaw_is_about_fixed_axes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(origin[:3, 3], [1, 2, 3])
 
 
+def test_elements_of_drake_need_no_declared_prefix(tmp_path: Path) -> None:
+    drake = '<drake:collision_filter_group name="g"><drake:member link="tip"/></drake:collision_filter_group>'
+    read = read_urdf(write(tmp_path, robot().replace("</robot>", drake + "</robot>")))
+    assert [link.name for link in read.links] == ["base", "tip"]
+    with refused(HandError, "hand.urdf", "not XML"):
+        read_urdf(write(tmp_path, robot().replace("</robot>", drake)))
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with refused(HandError, "none.urdf", "No such file or directory"):
         read_urdf(tmp_path / "none.urdf")

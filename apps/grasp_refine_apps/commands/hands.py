@@ -195,7 +195,7 @@ class Hands:
         elif hand.toml is not None:
             message = f"{hand.toml} was used"
         else:
-            message = f"there is no {HAND_TOML} beside the URDF; --write writes one to start from"
+            message = f"there is no {HAND_TOML} beside the file; --write writes one to start from"
         console.print(f"\n{message}", markup=False, soft_wrap=True)
         return NOTHING_USABLE if found.refused else 0
 

@@ -132,6 +132,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     """List missing or suspicious values, each with its consequence."""
     independent = [hand.joints_by_name[name] for name in hand.joint_names]
     unlimited = [hand.joint_names[i] for i in np.flatnonzero(np.isinf(hand.actuator.force_limit))]
+    limp = [hand.joint_names[i] for i in np.flatnonzero(hand.actuator.kp == 0.0)]
     turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > MAX_TURN_RAD]
     far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > MAX_SLIDE_M]
     visible = links_with_visuals(hand.urdf)
@@ -143,6 +144,7 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     found = {
         "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
         f"no effort limit for {{}}: they push as hard as their error times kp; set {limit}": unlimited,
+        "no actuator moves {}: they give way to any push": limp,
         "{} can turn by more than two revolutions: are the limits degrees? They must be radians": [
             name for name in turning if name not in endless
         ],

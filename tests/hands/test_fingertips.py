@@ -1,0 +1,70 @@
+"""Contact links that the program chooses: fingertips, and neither sensors on phalanges nor bars of linkages."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bar_gripper import bar_gripper
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.pins import pinned_links
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
+
+FINGER = """<robot name="r">
+  <link name="palm">{solid}</link><link name="proximal">{solid}</link><link name="distal">{solid}</link>
+  <link name="palm_sensor">{solid}</link><link name="phalanx_sensor">{solid}</link>
+  <link name="pad">{solid}</link><link name="nail">{solid}</link>
+  <joint name="j1" type="revolute"><parent link="palm"/><child link="proximal"/><origin xyz="0 0 0.05"/>
+    <axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="1"/></joint>
+  <joint name="j2" type="revolute"><parent link="proximal"/><child link="distal"/><origin xyz="0 0 0.05"/>
+    <axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="1"/></joint>
+  <joint name="f1" type="fixed"><parent link="palm"/><child link="palm_sensor"/><origin xyz="0.02 0 0"/></joint>
+  <joint name="f2" type="fixed"><parent link="proximal"/><child link="phalanx_sensor"/><origin xyz="0.02 0 0"/></joint>
+  <joint name="f3" type="fixed"><parent link="distal"/><child link="pad"/><origin xyz="0.02 0 0"/></joint>
+  <joint name="f4" type="fixed"><parent link="distal"/><child link="nail"/><origin xyz="-0.02 0 0"/></joint></robot>"""
+
+SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+
+
+def test_sensors_on_phalanges_are_no_fingertips_and_what_is_fixed_together_is_one(tmp_path: Path) -> None:
+    (tmp_path / "r.urdf").write_text(FINGER.format(solid=SOLID))
+    hand = load_hand(tmp_path / "r.urdf", candidates=16)
+    assert [contact.link for contact in hand.contacts] == ["pad", "nail"]
+    assert len(hand.fingers) == 1
+
+
+@pytest.fixture
+def gripper(tmp_path: Path) -> Hand:
+    return bar_gripper(tmp_path)
+
+
+def test_bars_that_are_pinned_to_fingers_are_none(gripper: Hand) -> None:
+    assert sorted(contact.link for contact in gripper.contacts) == ["left_pad", "right_pad"]
+    assert {tuple(sorted(pair, reverse=True)) for pair in pinned_links(gripper)} == {
+        ("left_pad", "left_inner"),
+        ("right_pad", "right_inner"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("bar", "why"),
+    [
+        ({"inner_ratio": 0.8}, "it turns less than the finger's bar, so that no pin could hold"),
+        ({"inner_offset_m": 0.01}, "it is aside of the finger"),
+    ],
+)
+def test_bars_that_no_pin_could_join_stay_fingers(tmp_path: Path, bar: dict[str, float], why: str) -> None:
+    assert len(bar_gripper(tmp_path, **bar).contacts) == 4, why
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_parallel_jaws_on_bars_close(tmp_path: Path, sign: int) -> None:
+    hand = bar_gripper(tmp_path, sign=sign)
+    closure = closure_frame(hand)
+    assert closure.closing == [sign]
+    jaws = jaw_frame(hand, closure)
+    assert jaws is not None
+    # Bars of 50 mm that turn about pivots 30 mm from the middle, with pads 10 mm inside of their ends.
+    angle = sign * jaws.q[:, 0]
+    np.testing.assert_allclose(jaws.width, 2 * (0.03 + 0.05 * np.sin(0.5 - angle) - 0.01), atol=1e-6)
