@@ -215,7 +215,11 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(page: V
     page.page.mouse.move(box["x"] + box["width"], y, steps=4)
     page.page.mouse.up()
     page.wait_for_text("listed, 4 in all")
-    chart.click()
+    # The server may replace the histogram between both halves of a click.
+    chart.hover()
+    page.page.mouse.down()
+    chart.evaluate("svg => svg.replaceWith(svg.cloneNode(true))")
+    page.page.mouse.up()
     until(lambda: "1 to 4 of 4" in page.text(), "all of them")
     page.folder("Sort and filter")
 
