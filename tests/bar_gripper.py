@@ -40,7 +40,7 @@ def _side(name: str, at: int, sign: int, inner_ratio: float, inner_offset_m: flo
     follow = '<mimic joint="left_drive" multiplier="{}"/>'
     return (
         f'<link name="{name}_outer">{bar}</link><link name="{name}_inner">{bar}</link>'
-        f'<link name="{name}_finger">{_box("0.03 0.01 0.006", f"{-at * 0.005} 0 0")}</link>'
+        f'<link name="{name}_finger">{_box("0.03 0.01 0.006", f"{at * 0.005} 0 0")}</link>'
         f'<link name="{name}_pad">{_box("0.004 0.02 0.03", f"{-at * 0.008} 0 0.02")}</link>'
         + joint("drive", "palm", "outer", f"{at * PIVOT_M} 0 0", lean, span, lead)
         + joint("back", f"{name}_outer", "finger", f"0 0 {BAR_M}", f"0 {-at * OPEN_RAD} 0", back, follow.format(-1))
@@ -48,7 +48,7 @@ def _side(name: str, at: int, sign: int, inner_ratio: float, inner_offset_m: flo
             "inner_joint",
             "palm",
             "inner",
-            f"{at * (PIVOT_M - 0.015)} {inner_offset_m} 0",
+            f"{at * (PIVOT_M + 0.015)} {inner_offset_m} 0",
             lean,
             back,
             follow.format(inner_ratio),

@@ -36,7 +36,9 @@ def branch_ends(solid: Collection[str], joints: Sequence[Joint]) -> list[str]:
 def fingertips(
     solid: Collection[str], joints: Sequence[Joint], closing: Collection[LinkPair] = ()
 ) -> tuple[Contact, ...]:
-    """Return the ends of the branches that are fingers, a group for each; those fixed to each other are one finger.
+    """Return the ends of the branches that are fingers: all solid links of the last rigid part, in one group.
+
+    A pad may be behind the link that it is fixed to; which of them touches depends on the grasp.
 
     Where two branches close a chain, the one that ends there is no finger, or that with fewer links to the base.
 
@@ -64,7 +66,7 @@ def fingertips(
     first = {part[name]: name for name in reversed(tips)}
     fingers = finger_names([way[name] for name in first.values()])
     group = {each: finger or first[each] for each, finger in zip(first, fingers, strict=True)}
-    return tuple(Contact(name, group[part[name]]) for name in tips)
+    return tuple(Contact(name, group[part[name]]) for name in solid if part.get(name) in group)
 
 
 def rigid_parts(joints: Sequence[Joint]) -> dict[str, str]:

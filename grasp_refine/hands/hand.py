@@ -22,6 +22,7 @@ from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.fingertips import rigid_parts
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
@@ -152,7 +153,7 @@ class Hand:
     @property
     def has_two_fingers(self) -> bool:
         """True for a hand with two fingers, which press against each other, as those of grippers do."""
-        return _are_two_fingers(self.contacts)
+        return len(self.fingers) == 2
 
     @property
     def palm(self) -> str:
@@ -176,6 +177,11 @@ class Hand:
         What has one number for all joints, such as noise and bounds, has it in radians and is multiplied by these.
         """
         return np.where(self.slides, SLIDE_LEVER_M, 1.0)
+
+    @cached_property
+    def parts_of_links(self) -> dict[str, str]:
+        """Link -> the link by which its rigid part is known: links of a part do not move against each other."""
+        return {self.base_link: self.base_link} | rigid_parts(self.joints)
 
     def fixed_to(self, link: str) -> frozenset[str]:
         """Return the names of a link and of those below it that no joint moves against it."""
@@ -342,12 +348,8 @@ def load_hand(
     touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
-    patches = _are_two_fingers(touching) if toml.patches is None else toml.patches
-    return replace(hand, contacts=touching, contacts_guessed=guessed, notes=tuple(notes), patches=patches)
-
-
-def _are_two_fingers(contacts: Sequence[Contact]) -> bool:
-    return len({contact.group for contact in contacts}) == 2
+    hand = replace(hand, contacts=touching, contacts_guessed=guessed, notes=tuple(notes))
+    return replace(hand, patches=hand.has_two_fingers if toml.patches is None else toml.patches)
 
 
 def _closing(hand: Hand, couplings: Couplings | None) -> tuple[LinkPair, ...]:

@@ -1,8 +1,10 @@
 """Selection of the links that should touch the object, and of their contact points, where none are given."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
 from grasp_refine.core.arguments import check_fields
@@ -14,6 +16,9 @@ from grasp_refine.objects.region import ContactRegions
 CONTACT_DISTANCE_M = 0.002
 """Signed distance in metres within which a link counts as touching."""
 
+FLUSH_M = 5e-4
+"""Difference of signed distances in metres up to which links that are fixed to each other touch together."""
+
 PALM = "palm"
 """Group of the links that carry several fingers, or none."""
 
@@ -23,7 +28,8 @@ class ContactSelection:
     """The links that are part of a grasp: those that are near the object at its start."""
 
     reach: float = 0.01
-    """Contact links (fingertips) within this signed distance of the object touch it, in metres."""
+    """Contact links (fingertips) within this signed distance of the object touch it, in metres; of those fixed to each
+    other, where the program chose them, only the nearest, and what is flush with it."""
     other_link_distance: float = 0.003
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
     (`Hand.yielding`) do not, nor does the palm of a hand with two fingers, which does not press."""
@@ -92,6 +98,8 @@ class ContactSelection:
         if self.links:
             return np.isfinite(distance) & np.isin(links, self.named(hand, links))
         tips = np.isin(links, [contact.link for contact in hand.contacts])
+        if hand.contacts_guessed:
+            distance = _nearest_of_fixed(hand, links, distance, tips)
         unfit = hand.yielding if hand.arm is None else hand.yielding | hand.arm.links
         if hand.has_two_fingers:
             unfit |= hand.fixed_to(hand.palm)
@@ -126,6 +134,20 @@ class ContactSelection:
         group = np.unique(link_groups(hand, links), return_inverse=True)[1]
         groups = np.stack([within[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
         return np.where((groups >= 2)[:, None], within, anywhere)
+
+
+def _nearest_of_fixed(
+    hand: Hand, links: Sequence[str], distance: Float[np.ndarray, "N L"], tips: Bool[np.ndarray, " L"]
+) -> Float[np.ndarray, "N L"]:
+    """Return distances (N, L) that are infinite for contact links behind another one that is fixed to them."""
+    part = np.where(tips, [hand.parts_of_links[link] for link in links], "")
+    found = distance.copy()
+    for one in set(part[tips]):
+        columns = np.flatnonzero(part == one)
+        if len(columns) > 1:
+            own = distance[:, columns]
+            found[:, columns] = np.where(own <= own.min(axis=1, keepdims=True) + FLUSH_M, own, np.inf)
+    return found
 
 
 def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:

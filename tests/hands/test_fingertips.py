@@ -30,7 +30,7 @@ SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 def test_sensors_on_phalanges_are_no_fingertips_and_what_is_fixed_together_is_one(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(FINGER.format(solid=SOLID))
     hand = load_hand(tmp_path / "r.urdf", candidates=16)
-    assert [contact.link for contact in hand.contacts] == ["pad", "nail"]
+    assert [contact.link for contact in hand.contacts] == ["distal", "pad", "nail"]
     assert len(hand.fingers) == 1
 
 
@@ -40,7 +40,8 @@ def gripper(tmp_path: Path) -> Hand:
 
 
 def test_bars_that_are_pinned_to_fingers_are_none(gripper: Hand) -> None:
-    assert sorted(contact.link for contact in gripper.contacts) == ["left_pad", "right_pad"]
+    assert {contact.link for contact in gripper.contacts} == {"left_finger", "left_pad", "right_finger", "right_pad"}
+    assert len(gripper.fingers) == 2
     assert {tuple(sorted(pair, reverse=True)) for pair in pinned_links(gripper)} == {
         ("left_pad", "left_inner"),
         ("right_pad", "right_inner"),
@@ -55,7 +56,7 @@ def test_bars_that_are_pinned_to_fingers_are_none(gripper: Hand) -> None:
     ],
 )
 def test_bars_that_no_pin_could_join_stay_fingers(tmp_path: Path, bar: dict[str, float], why: str) -> None:
-    assert len(bar_gripper(tmp_path, **bar).contacts) == 4, why
+    assert len(bar_gripper(tmp_path, **bar).fingers) == 4, why
 
 
 @pytest.mark.parametrize("sign", [1, -1])

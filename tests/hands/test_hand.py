@@ -23,6 +23,9 @@ FINGERTIPS = {
 }
 """Contact links of the hands in the shared assets, as its README lists them."""
 
+ALONG = {"allegro": ["link_3.0", "link_7.0", "link_11.0", "link_15.0"]}
+"""Other links of their last rigid parts."""
+
 JOINTS = {"allegro": 16, "leap": 16, "shadow": 24, "barrett": 8, "robotiq3f": 11}
 """Independent joints of each; Shadow's bare URDF begins at the palm, without the two of the wrist."""
 
@@ -177,9 +180,12 @@ def test_the_command_hands_shows_them_with_the_users_files(
 def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands" / name)
     assert hand.name == name and len(hand.joint_names) == JOINTS[name] - 2 * (name == "shadow")
-    assert [contact.link for contact in hand.contacts] == FINGERTIPS[name]
-    assert [contact.group for contact in hand.contacts] == FINGERS.get(name, FINGERTIPS[name])
-    assert hand.contacts_guessed and any(", ".join(FINGERTIPS[name]) in note for note in hand.notes)
+    links = [contact.link for contact in hand.contacts]
+    # Phalanges that a tip is fixed to are part of the fingertip.
+    assert [link for link in links if link not in ALONG.get(name, ())] == FINGERTIPS[name]
+    assert set(ALONG.get(name, ())) <= set(links)
+    assert list(hand.fingers) == FINGERS.get(name, FINGERTIPS[name])
+    assert hand.contacts_guessed and any(", ".join(links) in note for note in hand.notes)
     np.testing.assert_array_equal(hand.rest, (hand.lower + hand.upper) / 2)
     known = {hand.base_link}
     for j in hand.joints:
@@ -245,7 +251,7 @@ def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path
     assert any("'2'" in note and "limits" in note for note in hand.notes)
 
 
-def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None:
+def test_contact_links_are_those_of_the_last_rigid_parts_that_move(tmp_path: Path) -> None:
     links = {"palm": TIP, "a1": TIP, "sensor": "", "pad": TIP, "frame": "", "b1": TIP, "mount": TIP, "c1": ""}
     path = write(
         tmp_path,
@@ -258,7 +264,7 @@ def test_contact_links_are_the_last_solid_ones_that_move(tmp_path: Path) -> None
         joint("m", "palm", "mount", "fixed"),
         joint("c", "palm", "c1"),
     )
-    assert load_hand(path).contacts == (Contact("pad", "pad"), Contact("b1", "b1"))
+    assert load_hand(path).contacts == (Contact("a1", "pad"), Contact("pad", "pad"), Contact("b1", "b1"))
 
 
 def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ COLUMNS = (
     Column("penetration_after", "after", "mm", ".2f"),
     Column("held_before", "holds before", "%", ".0f"),
     Column("held_after", "after", "%", ".0f"),
-    Column("trouble", "trouble"),
+    Column("trouble", "trouble", only="page"),
 )
 """Columns of the table: medians of the contact error, means of the penetration, shares of the sampled grasps."""
 
@@ -71,7 +71,9 @@ def try_hand(
 def table_of(rows: Sequence[Row], count: int, objects: Sequence[str], protocol: str) -> Table:
     """Return the table of the rows of several hands; without the last column where nothing went wrong."""
     columns = [column for column in COLUMNS if column.key != "trouble" or any(row["trouble"] for row in rows)]
-    return Table(f"{count} sampled grasps on each of {', '.join(objects)}; protocol {protocol}", columns, rows)
+    return Table(
+        f"{count_text(count, 'sampled grasp')} on each of {', '.join(objects)}; protocol {protocol}", columns, rows
+    )
 
 
 def name_of(source: str) -> str:
@@ -85,14 +87,14 @@ def _grasped(
 ) -> dict[str, Any]:
     """Return the numbers of grasps that were sampled, refined and simulated."""
     measures: dict[str, list[np.ndarray]] = {"contact_error": [], "penetration": [], "held": []}
-    found, asked, trouble = 0, 0, []
+    found, asked, trouble, missed = 0, 0, [], {}
     for source in objects:
         obj = gr.load_object(source)
         asked += count
         try:
             grasps = gr.sample_grasps(hand, obj, count, seed=seed)
         except GraspRefineError as error:
-            trouble.append(str(error))
+            missed[obj.name] = str(error)
             continue
         found += len(grasps)
         row["samples"] = [found, asked]
@@ -103,6 +105,8 @@ def _grasped(
             measures[key].append(refined.outcome[key])
         failed = np.count_nonzero(~refined.outcome.usable)
         trouble += [f"{failed} not refined on {obj.name}"] if failed else []
+    if missed:
+        trouble.append(f"nothing sampled on {', '.join(missed)}: {next(iter(missed.values()))}")
     if not found:
         return {"samples": [found, asked], "trouble": "; ".join(trouble)}
     errors, penetration, held = (np.concatenate(measures[key]) for key in ("contact_error", "penetration", "held"))

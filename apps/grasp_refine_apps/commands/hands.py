@@ -130,6 +130,9 @@ class Hands:
         if self.markdown is not None:
             save_text(self.markdown, f"{table.title}\n\n{table.markdown()}\n")
         screen().print(table.printed())
+        for row in rows:
+            if row["trouble"]:
+                screen().print(f"{row['hand']}: {row['trouble']}", markup=False, soft_wrap=True)
         return 0 if any(row["held_after"] is not None for row in rows) else NOTHING_USABLE
 
     def _list(self) -> int:
