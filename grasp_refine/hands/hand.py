@@ -343,13 +343,13 @@ def load_hand(
         mount=toml.mount,
         T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
-    closing = () if toml.contacts else _closing(hand, couplings)
-    left_out = tree.links.keys() - hand.links_by_name.keys()
+    left_out, closing = tree.links.keys() - set(hand.links_by_name), () if toml.contacts else _closing(hand, couplings)
     touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     hand = replace(hand, contacts=touching, contacts_guessed=guessed, notes=tuple(notes))
-    return replace(hand, patches=hand.has_two_fingers if toml.patches is None else toml.patches)
+    turning = hand.yielding & {contact.link for contact in touching}  # a pad that a spring lets turn takes no torque
+    return replace(hand, patches=hand.has_two_fingers and not turning if toml.patches is None else toml.patches)
 
 
 def _closing(hand: Hand, couplings: Couplings | None) -> tuple[LinkPair, ...]:
