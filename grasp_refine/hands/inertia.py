@@ -60,6 +60,13 @@ class Inertia:
         moments, axes = np.linalg.eigh((self.matrix + self.matrix.T) / 2)
         return moments, axes * np.linalg.det(axes)
 
+    def gyration_radius(self) -> float:
+        """Return the largest radius of gyration in metres about an axis through the centre of mass.
+
+        No mass distribution has one beyond its farthest point.
+        """
+        return float(np.sqrt(max(self.principal()[0][2], 0.0) / self.mass))
+
     def positive(self) -> bool:
         """Return True if the mass and all principal moments are above 0."""
         moments, _ = self.principal()

@@ -25,6 +25,10 @@ from grasp_refine.validation.hand_model import HandModel
 STEEL_DENSITY_KG_M3 = 7850.0
 """Density of steel in kg/m^3, above which a note is returned."""
 
+MAX_GYRATION_SHARE = 2.0
+"""Largest radius of gyration of a link as a share of its reach from the centre of mass; parts that do not collide may
+reach farther."""
+
 DEFAULT_INERTIA = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
 """Inertia of a moving part of which the URDF gives neither mass nor geometry: 1 g."""
 
@@ -216,11 +220,12 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
     kinds: dict[str, list[str]] = {
         f"mass and inertia of {{}} are those of solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
         "inertia of {} follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0": [],
+        "inertia of {} follows from mass and geometry: that of the URDF needs matter far outside of the link": [],
         "inertia of {} balanced: its principal moments broke the triangle inequality": [],
         "{} denser than steel: the URDF gives them more mass than they can have, which slows the simulated hand": [],
         f"{{}} weighs {DEFAULT_INERTIA.mass * 1e3:g} g: the URDF gives neither mass nor geometry": [],
     }
-    without_mass, without_moments, unbalanced, too_dense, without_all = kinds.values()
+    without_mass, without_moments, too_wide, unbalanced, too_dense, without_all = kinds.values()
     weighed = set()
     for link in hand.links:
         inertia = link.inertia
@@ -228,7 +233,10 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
         if link.body is not None and mass > STEEL_DENSITY_KG_M3 / DENSITY * Inertia.of(link.body.pieces).mass:
             too_dense.append(link.name)
         if inertia is not None and inertia.positive():
-            if not inertia.possible():
+            if link.body is not None and inertia.gyration_radius() > MAX_GYRATION_SHARE * _reach(link, inertia.centre):
+                too_wide.append(link.name)
+                inertia = _inertia_of_mass(link, mass)
+            elif not inertia.possible():
                 unbalanced.append(link.name)
         elif mass > 0:
             without_moments.append(link.name)
@@ -245,6 +253,13 @@ def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) 
             without_all.append(first)
             _set_inertia(bodies[first], DEFAULT_INERTIA)
     return [note.format(", ".join(links)) for note, links in kinds.items() if links]
+
+
+def _reach(link: Link, centre: Float[np.ndarray, " 3"]) -> float:
+    """Return the distance in metres of the farthest point of a link's geometry from `centre`."""
+    return max(
+        float(np.linalg.norm(piece.vertices - centre, axis=1).max()) + piece.radius for piece in link.solid.pieces
+    )
 
 
 def _inertia_of_mass(link: Link, mass: float) -> Inertia:
