@@ -38,9 +38,8 @@ def fingertips(
 ) -> tuple[Contact, ...]:
     """Return the ends of the branches that are fingers: all solid links of the last rigid part, in one group.
 
-    A pad may be behind the link that it is fixed to; which of them touches depends on the grasp.
-
-    Where two branches close a chain, the one that ends there is no finger, or that with fewer links to the base.
+    A pad may be behind the link that it is fixed to; which of them touches depends on the grasp. Where two branches
+    close a chain, the one that ends there is no finger, or that with fewer links to the base.
 
     Args:
         solid: Links with collision geometry.

@@ -228,14 +228,15 @@ def _tendon_mimics(
 
     Ties that the limits of the joints do not allow are left out: real files have such, and MuJoCo keeps neither.
     """
-    by_name = {joint.name: joint for joint in mechanism.joints}
-    own = {name for name, joint in by_name.items() if joint.mimic is not None} | mimics.keys()
+    by_name = {joint.name: replace(joint, mimic=mimics.get(joint.name, joint.mimic)) for joint in mechanism.joints}
     found: dict[str, Mimic] = {}
     notes = []
     for tie in tendon_ties(spec, model, moved_joints(spec)):
-        if not {tie.follower, tie.leader} <= ours.keys() or ours[tie.follower] in own:
+        if not {tie.follower, tie.leader} <= ours.keys():
             continue
         follower, leader = ours[tie.follower], ours[tie.leader]
+        if by_name[follower].mimic is not None or followed(by_name[leader], by_name).joint == follower:
+            continue
         sign = signs[follower]
         mimic = Mimic(leader, sign * signs[leader] * tie.multiplier, sign * tie.offset)
         if not _has_room(mimic, by_name[leader], by_name[follower]):
@@ -245,6 +246,7 @@ def _tendon_mimics(
             )
             continue
         found[follower] = mimic
+        by_name[follower] = replace(by_name[follower], mimic=mimic)
         if tie.play:
             notes.append(
                 f"tendon '{tie.tendon}' leaves joint '{follower}' {np.degrees(tie.play):.0f} degrees either way from "

@@ -127,6 +127,16 @@ def test_a_joint_equality_is_a_mimic_joint_that_moves_as_in_the_mjcf(tmp_path: P
     assert len(residual) == 1 and abs(residual[0]) < 1e-12
 
 
+def test_a_tendon_does_not_tie_what_follows_the_other_way_in_the_urdf(tmp_path: Path) -> None:
+    mimic = URDF.replace('<axis xyz="1 0 0"/><limit', '<axis xyz="1 0 0"/><mimic joint="A2" multiplier="2"/><limit')
+    (tmp_path / "r.urdf").write_text(mimic)
+    tied = """<tendon><fixed name="t"><joint joint="rh_A2" coef="2"/><joint joint="rh_B1" coef="-1"/></fixed></tendon>
+      <equality><tendon tendon1="t"/></equality><actuator><position joint="rh_B1"/></actuator>"""
+    (tmp_path / "r.xml").write_text(MJCF.format(parts=tied, sign=1, ref=0.0))
+    hand = load_hand(tmp_path / "r.urdf", mjcf=tmp_path / "r.xml", candidates=16)
+    assert hand.joint_names == ("A1", "A2", "A3")
+
+
 def test_limits_hold_for_mimic_joints_of_the_mjcf(tmp_path: Path) -> None:
     steep = EQUALITY.format(0, "true").replace("0.1 0.5", "0 4")
     hand = loaded(tmp_path, steep)
