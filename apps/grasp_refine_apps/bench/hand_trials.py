@@ -13,6 +13,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.report import Column, Table
 
@@ -60,8 +61,11 @@ def try_hand(
                 )
             ),
         }
-        closing = int(np.count_nonzero(closure_frame(hand).closing))
-        row["closes"] = f"{count_text(closing, 'joint')}, {closure_frame(hand).opening * 1e3:.0f} mm wide"
+        closure = closure_frame(hand)
+        jaws = jaw_frame(hand, closure)
+        width = closure.opening if jaws is None else jaws.width[0]
+        closing = count_text(int(np.count_nonzero(closure.closing)), "joint")
+        row["closes"] = f"{closing}, {width * 1e3:.0f} mm wide"
         row |= _grasped(hand, objects, count, protocol, seed, row)
     except GraspRefineError as error:
         row["trouble"] = str(error)
