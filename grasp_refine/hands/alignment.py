@@ -15,6 +15,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, transform
 from grasp_refine.hands.mimics import curves, mimic_map
 from grasp_refine.hands.tree import Joint
+from grasp_refine.hands.tree_poses import tree_poses
 
 MAX_ANCHOR_DISTANCE_M = 2e-3
 """Largest distance in metres between joint anchors of the same hand."""
@@ -134,15 +135,10 @@ def _hand_joints(
 
     `values` are those of all movable joints, each (batch,).
     """
-    count = len(next(iter(values.values())))
-    T = {mechanism.base_link: np.tile(np.eye(4), (count, 1, 1))}
-    anchors, axes = {}, {}
-    for joint in mechanism.joints:  # parents before children
-        at = T[joint.parent] @ joint.T_parent_child
-        anchors[joint.name], axes[joint.name] = at[:, :3, 3], at[:, :3, :3] @ joint.axis
-        if joint.movable:
-            at = at @ joint.motion(values[joint.name])
-        T[joint.child] = at
+    T = tree_poses(mechanism.base_link, mechanism.joints, values)
+    still = {joint.name: T[joint.parent] @ joint.T_parent_child for joint in mechanism.joints if joint.name in joints}
+    anchors = {name: at[:, :3, 3] for name, at in still.items()}
+    axes = {joint.name: still[joint.name][:, :3, :3] @ joint.axis for joint in mechanism.joints if joint.name in still}
     return np.stack([anchors[name] for name in joints], axis=1), np.stack([axes[name] for name in joints], axis=1)
 
 

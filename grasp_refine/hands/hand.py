@@ -319,7 +319,21 @@ def load_hand(
     driven = actuator(toml, independent, outside)
     if from_mjcf:
         driven = _own_actuator(toml.name or name, base, tree, joints, groups, driven)
-    hand = Hand(
+    closing = () if couplings is None else couplings.ends
+    if not toml.contacts and not closing and any(joint.mimic is not None for joint in joints):
+        # This loads the collision queries, which most hands do without.
+        from grasp_refine.hands.pins import pinned_links
+
+        bodies = {link.name: link.body for link in links if link.body is not None}
+        closing = pinned_links(base, joints, [joint.name for joint in independent], bodies)
+    left_out = tree.links.keys() - {link.name for link in links}
+    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
+    notes += [*about_contacts, *narrowed, *meshes.notes()]
+    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
+    yielding = frozenset() if couplings is None else couplings.yielding
+    # A pad that a spring lets turn takes no torque.
+    firm_jaws = len({contact.group for contact in touching}) == 2 and not yielding & {c.link for c in touching}
+    return Hand(
         name=toml.name or name,
         urdf=tree.path,
         base_link=base,
@@ -329,38 +343,22 @@ def load_hand(
         lower=np.array([joint.lower for joint in independent]),
         upper=np.array([joint.upper for joint in independent]),
         rest=rest_pose(toml, independent, outside),
-        contacts=(),
-        notes=(),
+        contacts=touching,
+        contacts_guessed=guessed,
+        notes=tuple(notes),
         actuator=driven,
-        yielding=frozenset() if couplings is None else couplings.yielding,
+        yielding=yielding,
         coupled=groups,
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,
+        patches=firm_jaws if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
         mount=toml.mount,
         T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
-    left_out, closing = tree.links.keys() - set(hand.links_by_name), () if toml.contacts else _closing(hand, couplings)
-    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
-    notes += [*about_contacts, *narrowed, *meshes.notes()]
-    notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
-    hand = replace(hand, contacts=touching, contacts_guessed=guessed, notes=tuple(notes))
-    turning = hand.yielding & {contact.link for contact in touching}  # a pad that a spring lets turn takes no torque
-    return replace(hand, patches=hand.has_two_fingers and not turning if toml.patches is None else toml.patches)
-
-
-def _closing(hand: Hand, couplings: Couplings | None) -> tuple[LinkPair, ...]:
-    """The pairs of links that close chains: those of an MJCF, or that share a pin."""
-    ends = () if couplings is None else couplings.ends
-    if ends or all(joint.mimic is None for joint in hand.joints):
-        return ends
-    # Kinematics and queries are built on this module.
-    from grasp_refine.hands.pins import pinned_links
-
-    return pinned_links(hand)
 
 
 def _couplings(

@@ -6,16 +6,18 @@ end stays at the finger. There is a point of each that is the same in all states
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.hands.chain import Chain
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.geometry.body import Body
 from grasp_refine.hands.fingertips import branch_ends, rigid_parts
-from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.self_collision import joint_ranges, link_distances
-from grasp_refine.hands.tree import LinkPair
+from grasp_refine.hands.mimics import curves, mimic_map
+from grasp_refine.hands.tree import Joint, LinkPair
+from grasp_refine.hands.tree_poses import tree_poses
 
 NUM_VALUES = 9
 """Number of values of the joint that moves both links, over its range."""
@@ -30,36 +32,62 @@ NEAR_M = 3e-3
 """Largest distance in metres between links that a pin may join, with a bush or a washer between them."""
 
 
-def pinned_links(hand: Hand) -> tuple[LinkPair, ...]:
-    """Return the pairs of ends of branches that one joint moves, and that share a pin."""
-    links = branch_ends([link.name for link in hand.links if link.body is not None], hand.joints)
-    matrix, _, movable = hand.mimic_map()
-    row = {name: i for i, name in enumerate(movable)}
-    drivers = {}
-    for link in links:
-        above = {joint.name for joint in hand.joints_to([link]) if joint.movable}
-        drivers[link] = above, {int(i) for name in above for i in np.flatnonzero(matrix[row[name]])}
+def pinned_links(
+    base_link: str, joints: Sequence[Joint], independent: Sequence[str], bodies: Mapping[str, Body]
+) -> tuple[LinkPair, ...]:
+    """Return the pairs of ends of branches that one joint moves, and that share a pin.
+
+    Args:
+        base_link: Link that the first joints hang from.
+        joints: All joints, parents before children.
+        independent: Names of the n independent ones.
+        bodies: Link -> its collision geometry, of links with any.
+    """
+    above = {joint.child: joint for joint in joints}
+    leader = dict(zip(*_leaders(joints, independent), strict=True))
+    ways: dict[str, set[str]] = {}
+    for link in (ends := branch_ends(bodies, joints)):
+        ways[link], ancestor = set(), link
+        while ancestor in above:
+            ways[link] |= {above[ancestor].name} if above[ancestor].movable else set()
+            ancestor = above[ancestor].parent
     pairs = []
-    for a, b in combinations(links, 2):
-        (joints_a, by_a), (joints_b, by_b) = drivers[a], drivers[b]
-        apart = joints_a - joints_b and joints_b - joints_a
-        if apart and len(by_a) == 1 and by_a == by_b and _share_pin(hand, (a, b), *by_a):
-            pairs.append((a, b))
+    for a, b in combinations(ends, 2):
+        drivers = {leader[name] for name in ways[a] | ways[b]}
+        if ways[a] - ways[b] and ways[b] - ways[a] and len(drivers) == 1:
+            T = _poses(base_link, joints, independent, *drivers)
+            if _turn(T[a], T[b]) >= MIN_TURN_RAD and _play(T[a], T[b]) <= PIN_PLAY_M and _near(T, joints, bodies, a, b):
+                pairs.append((a, b))
     return tuple(pairs)
 
 
-def _share_pin(hand: Hand, pair: LinkPair, driver: int) -> bool:
-    """Return True if two links share a pin over the range of an independent joint."""
-    q = np.tile(hand.rest, (NUM_VALUES, 1))
-    lower, upper = joint_ranges(hand)
-    q[:, driver] = np.linspace(lower[driver], upper[driver], NUM_VALUES)
-    T_a, T_b = np.moveaxis(Chain(hand, pair)(np.broadcast_to(np.eye(4), (NUM_VALUES, 4, 4)), q).T_world_link, 1, 0)
-    if _turn(T_a, T_b) < MIN_TURN_RAD or _play(T_a, T_b) > PIN_PLAY_M:
-        return False
-    part = rigid_parts(hand.joints)
-    solid = [link.name for link in hand.links if link.body is not None]
-    first, second = ([name for name in solid if part.get(name) == part[end]] for end in pair)
-    distance = link_distances(hand, list(product(first, second)), q, cutoff=2 * NEAR_M)
+def _leaders(joints: Sequence[Joint], independent: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Names of the movable joints, and of the independent one that each follows."""
+    matrix, _, movable = mimic_map(joints, independent)
+    return movable, [independent[int(np.abs(row).argmax())] for row in matrix]
+
+
+def _poses(
+    base_link: str, joints: Sequence[Joint], independent: Sequence[str], driver: str
+) -> dict[str, Float[np.ndarray, "K 4 4"]]:
+    """Poses of all links over the range of an independent joint, a turn if it has none, with the others at 0."""
+    (joint,) = (joint for joint in joints if joint.name == driver)
+    q = np.zeros((NUM_VALUES, len(independent)))
+    q[:, independent.index(driver)] = np.linspace(max(joint.lower, -np.pi), min(joint.upper, np.pi), NUM_VALUES)
+    matrix, offset, movable = mimic_map(joints, independent)
+    values = q @ matrix.T + offset + curves(joints, independent)(q)
+    return tree_poses(base_link, joints, dict(zip(movable, values.T, strict=True)))
+
+
+def _near(
+    T: Mapping[str, Float[np.ndarray, "K 4 4"]], joints: Sequence[Joint], bodies: Mapping[str, Body], a: str, b: str
+) -> bool:
+    """Return True if what is fixed to two links is near each other in all states."""
+    part = rigid_parts(joints)
+    pairs = list(product(*([name for name in bodies if part.get(name) == part[end]] for end in (a, b))))
+    table = Pairs(tuple(bodies[one] for one, _ in pairs), tuple(bodies[other] for _, other in pairs))
+    T_a, T_b = (np.stack([T[pair[side]] for pair in pairs], axis=1) for side in (0, 1))
+    distance = query(table, T_a, T_b, cutoff=2 * NEAR_M).distance
     return bool((distance.min(axis=1) <= NEAR_M).all())
 
 

@@ -136,7 +136,7 @@ def classify_pairs(
 ) -> PairClasses:
     """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
     (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
-    at_rest, always = _by_design(hand, link_distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
+    at_rest, always = _by_design(hand, _distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
     overlapping, others = (
         tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
         for which in (at_rest, always & ~at_rest)
@@ -160,7 +160,7 @@ def self_penetration(
     Raises:
         HandError: the hand has no such link, or it has no body.
     """
-    depth = np.maximum(-link_distances(hand, pairs, q, cutoff=0.0), 0.0).max(axis=1, initial=0.0)
+    depth = np.maximum(-_distances(hand, pairs, q, cutoff=0.0), 0.0).max(axis=1, initial=0.0)
     return np.where(np.isfinite(q).all(axis=1), depth, np.nan)
 
 
@@ -176,7 +176,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
         HandError: there are more than `MAX_PAIRS` pairs.
     """
     matrix, _, movable = hand.mimic_map()
-    lower, upper = joint_ranges(hand)
+    lower, upper = _limits(hand)
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
     part = {hand.base_link: hand.base_link}  # the link by which each rigid part is known
     carrier: dict[str, str] = {}  # the part that each part hangs from
@@ -219,17 +219,17 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
 
 def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Bool[np.ndarray, " pairs"]:
     """Mask of the candidates that come near each other, but not by design."""
-    lower, upper = joint_ranges(hand)
+    lower, upper = _limits(hand)
     rng = np.random.default_rng(sampling.seed)
     first = _first_draws(hand, sampling, rng)
     end, within = rng.choice([True, False], (2, sampling.extreme, len(lower)))
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
-    distance = link_distances(hand, candidates, first, sampling.margin)
+    distance = _distances(hand, candidates, first, sampling.margin)
     by_design = np.logical_or(*_by_design(hand, distance, sampling))
     near = np.any(distance < sampling.margin, axis=0)
     for q in np.split(extreme, _ROUND_STARTS):
         left = np.flatnonzero(~near)
-        distance = link_distances(hand, [candidates[p] for p in left], q, sampling.margin)
+        distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
         near[left] = (distance < sampling.margin).any(axis=0)
     return near & ~by_design
 
@@ -238,7 +238,7 @@ def _first_draws(
     hand: Hand, sampling: Sampling, rng: np.random.Generator | None = None
 ) -> Float[np.ndarray, "draws n"]:
     """Joint values at which overlaps by design are found: the rest pose, and uniform draws."""
-    lower, upper = joint_ranges(hand)
+    lower, upper = _limits(hand)
     rng = np.random.default_rng(sampling.seed) if rng is None else rng
     return np.concatenate([hand.rest[None], rng.uniform(lower, upper, (sampling.uniform, len(lower)))])
 
@@ -253,20 +253,10 @@ def _by_design(
     return (distance[0] < 0) & (hand.excluded is None), (distance[1:] < 0).mean(axis=0) > sampling.always
 
 
-def link_distances(
+def _distances(
     hand: Hand, pairs: Sequence[LinkPair], q: Float[np.ndarray, "batch n"], cutoff: float
 ) -> Float[np.ndarray, "batch pairs"]:
-    """Return signed distances (batch, pairs) of links in metres: the cutoff where larger, NaN without a result.
-
-    Args:
-        hand: The hand.
-        pairs: Names of links with bodies; may be empty.
-        q: Independent joint values (batch, n).
-        cutoff: Distance in metres beyond which pairs are not queried.
-
-    Raises:
-        HandError: the hand has no such link, or it has no body.
-    """
+    """Signed distances (batch, pairs) in metres; the cutoff where it is larger, NaN without a result."""
     if not pairs:
         return np.zeros((len(q), 0))
     names = sorted({name for pair in pairs for name in pair})
@@ -288,8 +278,8 @@ def link_distances(
     return distance
 
 
-def joint_ranges(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return lower and upper limits (n,) of the independent joints, one turn where a joint is continuous."""
+def _limits(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Lower and upper limits (n,), one turn where a joint is continuous."""
     return np.where(np.isinf(hand.lower), -np.pi, hand.lower), np.where(np.isinf(hand.upper), np.pi, hand.upper)
 
 

@@ -42,7 +42,9 @@ def gripper(tmp_path: Path) -> Hand:
 def test_bars_that_are_pinned_to_fingers_are_none(gripper: Hand) -> None:
     assert {contact.link for contact in gripper.contacts} == {"left_finger", "left_pad", "right_finger", "right_pad"}
     assert len(gripper.fingers) == 2
-    assert {tuple(sorted(pair, reverse=True)) for pair in pinned_links(gripper)} == {
+    bodies = {link.name: link.body for link in gripper.links if link.body is not None}
+    pins = pinned_links(gripper.base_link, gripper.joints, gripper.joint_names, bodies)
+    assert {tuple(sorted(pair, reverse=True)) for pair in pins} == {
         ("left_pad", "left_inner"),
         ("right_pad", "right_inner"),
     }
