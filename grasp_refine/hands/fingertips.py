@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 from grasp_refine.hands.finger_names import finger_names
 from grasp_refine.hands.hand_toml import Contact
-from grasp_refine.hands.tree import Joint, LinkPair
+from grasp_refine.hands.tree import Joint, LinkPair, joints_above, rigid_parts
 
 
 def branch_ends(solid: Collection[str], joints: Sequence[Joint]) -> list[str]:
@@ -19,18 +19,15 @@ def branch_ends(solid: Collection[str], joints: Sequence[Joint]) -> list[str]:
         solid: Links with collision geometry.
         joints: Joints of the hand, parents before children.
     """
-    above = {joint.child: joint for joint in joints}
     part = rigid_parts(joints)
     inner, carriers = set(), set()
     for name in solid:
-        ancestor = name
-        while ancestor in above:
-            joint = above[ancestor]
-            ancestor = joint.parent
-            inner.add(ancestor)
+        for joint in joints_above(name, joints):
+            inner.add(joint.parent)
             if joint.movable:
-                carriers.add(part.get(ancestor, ancestor))
-    return [name for name in solid if part.get(name) in above and name not in inner and part[name] not in carriers]
+                carriers.add(part[joint.parent])
+    moving = {joint.child for joint in joints if joint.movable}
+    return [name for name in solid if part.get(name) in moving and name not in inner and part[name] not in carriers]
 
 
 def fingertips(
@@ -46,15 +43,9 @@ def fingertips(
         joints: Joints of the hand, parents before children.
         closing: Pairs of links that close chains.
     """
-    above = {joint.child: joint for joint in joints}
     ends = branch_ends(solid, joints)
-    way: dict[str, list[str]] = {}  # the names from the link to the base
-    for name in ends:
-        way[name] = []
-        ancestor = name
-        while ancestor in above:
-            way[name] += ancestor, above[ancestor].name
-            ancestor = above[ancestor].parent
+    # The names from the link to the base.
+    way = {end: [name for joint in joints_above(end, joints) for name in (joint.child, joint.name)] for end in ends}
     bars = set()
     for pair in closing:
         closers = sorted((name for name in pair if name in ends), key=lambda name: len(way[name]))
@@ -68,9 +59,6 @@ def fingertips(
     return tuple(Contact(name, group[part[name]]) for name in solid if part.get(name) in group)
 
 
-def rigid_parts(joints: Sequence[Joint]) -> dict[str, str]:
-    """Return link -> the link by which its rigid part is known, the first one of it; joints parents before children."""
-    part: dict[str, str] = {}
-    for joint in joints:
-        part[joint.child] = joint.child if joint.movable else part.setdefault(joint.parent, joint.parent)
-    return part
+def are_two_fingers(contacts: Sequence[Contact]) -> bool:
+    """Return True if contact links are of two fingers."""
+    return len({contact.group for contact in contacts}) == 2

@@ -22,14 +22,14 @@ from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
-from grasp_refine.hands.fingertips import rigid_parts
+from grasp_refine.hands.fingertips import are_two_fingers
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
 from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_map
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
-from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree
+from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree, rigid_parts
 
 if TYPE_CHECKING:
     from grasp_refine.hands.alignment import Mechanism
@@ -153,7 +153,7 @@ class Hand:
     @property
     def has_two_fingers(self) -> bool:
         """True for a hand with two fingers, which press against each other, as those of grippers do."""
-        return len(self.fingers) == 2
+        return are_two_fingers(self.contacts)
 
     @property
     def palm(self) -> str:
@@ -332,7 +332,7 @@ def load_hand(
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     yielding = frozenset() if couplings is None else couplings.yielding
     # A pad that a spring lets turn takes no torque.
-    firm_jaws = len({contact.group for contact in touching}) == 2 and not yielding & {c.link for c in touching}
+    firm_jaws = are_two_fingers(touching) and not yielding & {contact.link for contact in touching}
     return Hand(
         name=toml.name or name,
         urdf=tree.path,

@@ -151,10 +151,7 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         for name, coefficients in linkage.coefficients.items():
             joint = ours[name]
             if not any(each.name == joint and each.mimic is not None for each in mechanism.joints):
-                offset, multiplier, *higher = (
-                    signs[joint] * signs[driver] ** power * value for power, value in enumerate(coefficients)
-                )
-                mimics[joint] = Mimic(driver, multiplier, offset, tuple(higher))
+                mimics[joint] = _mimic(joint, driver, coefficients, signs)
                 passive.add(joint)
     return Couplings(
         path,
@@ -207,12 +204,19 @@ def _mimics(
             continue
         r1, r2 = (model.qpos0[model.joint(name).qposadr[0]] for name in (equality.name1, equality.name2))
         here = r1 + polynomial(np.polynomial.Polynomial([-r2, 1.0]))
-        values = [signs[follower] * signs[leader] ** power * value for power, value in enumerate(here.coef.tolist())]
-        higher = values[2:] if any(polynomial.coef[2:]) else []
-        mimic = Mimic(leader, values[1], values[0], tuple(higher))
+        values = here.coef.tolist()
+        mimic = _mimic(follower, leader, values if any(polynomial.coef[2:]) else values[:2], signs)
         found[follower] = mimic
         by_name[follower] = replace(by_name[follower], mimic=mimic)
     return found, notes
+
+
+def _mimic(follower: str, leader: str, coefficients: Sequence[float], signs: Mapping[str, float]) -> Mimic:
+    """Return the coupling of the hand's joints that are a polynomial of each other in the MJCF, the constant first."""
+    offset, multiplier, *higher = (
+        signs[follower] * signs[leader] ** power * value for power, value in enumerate(coefficients)
+    )
+    return Mimic(leader, multiplier, offset, tuple(higher))
 
 
 def _tendon_mimics(
@@ -237,8 +241,7 @@ def _tendon_mimics(
         follower, leader = ours[tie.follower], ours[tie.leader]
         if by_name[follower].mimic is not None or followed(by_name[leader], by_name).joint == follower:
             continue
-        sign = signs[follower]
-        mimic = Mimic(leader, sign * signs[leader] * tie.multiplier, sign * tie.offset)
+        mimic = _mimic(follower, leader, (tie.offset, tie.multiplier), signs)
         if not _has_room(mimic, by_name[leader], by_name[follower]):
             notes.append(
                 f"tendon '{tie.tendon}' of {path.name} is no coupling: the limits of '{follower}' and '{leader}' do "

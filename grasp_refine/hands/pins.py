@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.geometry.body import Body
-from grasp_refine.hands.fingertips import branch_ends, rigid_parts
+from grasp_refine.hands.fingertips import branch_ends
 from grasp_refine.hands.mimics import curves, mimic_map
-from grasp_refine.hands.tree import Joint, LinkPair
+from grasp_refine.hands.tree import Joint, LinkPair, joints_above, rigid_parts
 from grasp_refine.hands.tree_poses import tree_poses
 
 NUM_VALUES = 9
@@ -43,14 +43,9 @@ def pinned_links(
         independent: Names of the n independent ones.
         bodies: Link -> its collision geometry, of links with any.
     """
-    above = {joint.child: joint for joint in joints}
     leader = dict(zip(*_leaders(joints, independent), strict=True))
-    ways: dict[str, set[str]] = {}
-    for link in (ends := branch_ends(bodies, joints)):
-        ways[link], ancestor = set(), link
-        while ancestor in above:
-            ways[link] |= {above[ancestor].name} if above[ancestor].movable else set()
-            ancestor = above[ancestor].parent
+    ends = branch_ends(bodies, joints)
+    ways = {end: {joint.name for joint in joints_above(end, joints) if joint.movable} for end in ends}
     pairs = []
     for a, b in combinations(ends, 2):
         drivers = {leader[name] for name in ways[a] | ways[b]}

@@ -19,7 +19,7 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.tree import LinkPair
+from grasp_refine.hands.tree import LinkPair, rigid_parts
 
 SCHEMA = 2
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
@@ -178,19 +178,19 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     matrix, _, movable = hand.mimic_map()
     lower, upper = _limits(hand)
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
-    part = {hand.base_link: hand.base_link}  # the link by which each rigid part is known
+    part = {hand.base_link: hand.base_link} | rigid_parts(hand.joints, moving)
     carrier: dict[str, str] = {}  # the part that each part hangs from
     place = {hand.base_link: np.eye(4)}  # of each link in its part, whose frame is at its joint
     meeting: set[str] = set()  # parts that turn about the same point as those that they hang from
     for joint in hand.joints:  # parents before children
         T = place[joint.parent] @ joint.T_parent_child
         if joint.name in moving:
-            part[joint.child], place[joint.child] = joint.child, np.eye(4)
+            place[joint.child] = np.eye(4)
             carrier[joint.child] = part[joint.parent]
             if joint.kind != "prismatic" and np.linalg.norm(T[:3, 3]) < _SAME_POINT_M and part[joint.parent] in carrier:
                 meeting.add(joint.child)
         else:
-            part[joint.child], place[joint.child] = part[joint.parent], T
+            place[joint.child] = T
     names = [link.name for link in hand.links if link.body is not None]
     solid = {part[name] for name in names}
     left_out = {(own, own) for own in solid}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
@@ -99,6 +99,30 @@ class Joint:
         if self.kind == "prismatic":
             return transform(np.broadcast_to(np.eye(3), (*step.shape, 3)), step)
         return transform(exp_so3(step), np.zeros_like(step))
+
+
+def joints_above(link: str, joints: Sequence[Joint]) -> list[Joint]:
+    """Return the joints from a link up to the base, the last one first."""
+    above = {joint.child: joint for joint in joints}
+    found = []
+    while link in above:
+        found.append(above[link])
+        link = above[link].parent
+    return found
+
+
+def rigid_parts(joints: Sequence[Joint], moving: Collection[str] | None = None) -> dict[str, str]:
+    """Return link -> the first link of its rigid part: the child of a joint that moves, or the base.
+
+    Args:
+        joints: All joints, parents before children.
+        moving: Names of those that move; None: all that are movable.
+    """
+    part: dict[str, str] = {}
+    for joint in joints:
+        own = part.setdefault(joint.parent, joint.parent)
+        part[joint.child] = joint.child if (joint.movable if moving is None else joint.name in moving) else own
+    return part
 
 
 @dataclass(frozen=True, eq=False)

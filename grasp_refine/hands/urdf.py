@@ -103,16 +103,23 @@ def _read_xml(path: Path) -> _Element:
         data = path.read_bytes()
     except OSError as error:
         raise HandError(f"{path}: cannot be read ({error.strerror or error})") from None
-    settings = {"resolve_entities": False, "no_network": True, "load_dtd": False}
-    parser = etree.XMLParser(**settings, remove_comments=True, remove_pis=True, recover=True)
+    safe = {
+        "resolve_entities": False,
+        "no_network": True,
+        "load_dtd": False,
+        "remove_comments": True,
+        "remove_pis": True,
+    }
+    parser = etree.XMLParser(**safe)
     try:
         root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        raise HandError(f"{path}: not XML ({' '.join(str(error.msg).split())})") from None
-    # Elements of Drake have a prefix that files with them do not declare.
-    for entry in parser.error_log:
-        if entry.domain_name != "NAMESPACE":
-            raise HandError(f"{path}: not XML ({' '.join(entry.message.split())})")
+    except etree.XMLSyntaxError:
+        for entry in parser.error_log:
+            if entry.domain_name != "NAMESPACE":
+                reason = f"{' '.join(entry.message.split())}, line {entry.line}, column {entry.column}"
+                raise HandError(f"{path}: not XML ({reason})") from None
+        # Elements of Drake have a prefix that files with them do not declare.
+        root = etree.fromstring(data, etree.XMLParser(**safe, recover=True))
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
     if root.tag == "mujocoinclude":

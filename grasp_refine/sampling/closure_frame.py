@@ -12,6 +12,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, Joint
+from grasp_refine.hands.tree import joints_above
 from grasp_refine.scene.contact_selection import PALM, link_groups
 
 MIN_PARALLEL_COSINE = 0.7
@@ -120,17 +121,13 @@ def closure_frame(hand: Hand) -> ClosureFrame:
 
 def _fingers(hand: Hand) -> list[tuple[list[int], list[Joint]]]:
     """For each group of contacts that can move: its contacts, and its joints from the last one to the palm."""
-    above = {joint.child: joint for joint in hand.joints}
     groups: dict[str, list[int]] = {}
     for i, contact in enumerate(hand.contacts):
         groups.setdefault(contact.group, []).append(i)
     fingers = []
     for contacts in groups.values():
-        path, link = [], hand.contacts[contacts[0]].link
-        while link in above:
-            path += [above[link]] if above[link].movable else []
-            link = above[link].parent
-        fingers.append((contacts, path))
+        above = joints_above(hand.contacts[contacts[0]].link, hand.joints)
+        fingers.append((contacts, [joint for joint in above if joint.movable]))
     carrying = [{joint.name for joint in path} for _, path in fingers if path]
     wrist = set.intersection(*carrying) if len(carrying) > 1 else set()
     own = [(contacts, [joint for joint in path if joint.name not in wrist]) for contacts, path in fingers]

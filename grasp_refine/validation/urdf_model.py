@@ -19,6 +19,7 @@ from grasp_refine.hands.hand import Hand, Link
 from grasp_refine.hands.inertia import DENSITY, Inertia
 from grasp_refine.hands.mimics import Curves
 from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.hands.tree import rigid_parts
 from grasp_refine.validation.geoms import add_piece
 from grasp_refine.validation.hand_model import HandModel
 
@@ -66,11 +67,8 @@ class Parts:
         at = matrix @ fixed + offset + hand.curves(fixed)
         still = {name: float(value) for name, value in zip(names, at, strict=True) if not moves[names.index(name)]}
         joints = tuple(name for name, moving in zip(names, moves, strict=True) if moving)
-        of, carrier = {hand.base_link: hand.base_link}, {}
-        for joint in hand.joints:  # parents before children
-            of[joint.child] = joint.child if joint.name in joints else of[joint.parent]
-            if joint.name in joints:
-                carrier[joint.child] = of[joint.parent]
+        of = {hand.base_link: hand.base_link} | rigid_parts(hand.joints, joints)
+        carrier = {joint.child: of[joint.parent] for joint in hand.joints if joint.name in joints}
         return cls(matrix[moves], offset[moves], hand.curves.take(np.flatnonzero(moves)), joints, still, of, carrier)
 
 

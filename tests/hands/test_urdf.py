@@ -60,7 +60,7 @@ def test_elements_of_drake_need_no_declared_prefix(tmp_path: Path) -> None:
     drake = '<drake:collision_filter_group name="g"><drake:member link="tip"/></drake:collision_filter_group>'
     read = read_urdf(write(tmp_path, robot().replace("</robot>", drake + "</robot>")))
     assert [link.name for link in read.links] == ["base", "tip"]
-    with refused(HandError, "hand.urdf", "not XML"):
+    with refused(HandError, "hand.urdf", "not XML", "robot", "line 1"):
         read_urdf(write(tmp_path, robot().replace("</robot>", drake)))
 
 
