@@ -20,22 +20,22 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import cross, hat, matvec
 from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches, patches_columns
+from grasp_refine.forces.infeasible_torques import InfeasibleTorques, velocities
 from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, SHARE_TOLERANCE, heaviest_link, pyramid_faces
 from grasp_refine.forces.wrench import (
     LEVER_M,
     PLANNING_FRICTION,
     RIDGE,
     basis_spin,
+    center_of_mass,
     grasp_map,
     turn_loads,
 )
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 from grasp_refine.witness.face_patch import NUM_CORNERS
-
-COUPLING_LEVER_M = 0.06
-"""Lever in metres: a torque that the joints of one actuator cannot share counts like the force making it there."""
 
 ACTIVE_TOLERANCE = 1e-7
 """Tolerance, per unit of total pressure, within which a constraint on forces is active."""
@@ -59,7 +59,7 @@ class Balance:
     """The best contact forces of M grasps under each of P loads, over L links, and what remains unbalanced."""
 
     unbalanced: np.ndarray
-    """[F, tau / `LEVER_M`] with the load, then the torques that no actuator can make (M, P, 6 + E)."""
+    """[F, tau / `LEVER_M`] with the load, then the torques that the hand cannot make (M, P, 6 + E)."""
     force: np.ndarray
     """Force on the object at each contact point (M, P, K, 3), columns as in `ContactPoints`, world frame."""
     local: np.ndarray
@@ -77,17 +77,14 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The best contact forces of grasps on one object, and the derivative of their unbalanced part as the hand moves.
-
-    Torques of joints that share an actuator (`Hand.coupled`) should be in its ratio: the deviation is unbalanced too.
-    """
+    """The best contact forces of grasps on one object, and the derivative of their unbalanced part as the hand moves."""
 
     chain: Chain
     """Kinematics of the links whose contacts count."""
     center: Float[np.ndarray, " 3"]
     """The object's centre of mass, world frame."""
-    forms: Float[np.ndarray, "E m"]
-    """Combinations of the chain's joint torques, in N m, that the actuators cannot make, over `COUPLING_LEVER_M`."""
+    infeasible: InfeasibleTorques
+    """Torques that the hand cannot make, which are unbalanced too."""
     loads: Float[np.ndarray, "P 6"]
     """Outer loads on the object in the axes of each grasp, otherwise as for `contact_forces`."""
     friction: float = PLANNING_FRICTION
@@ -96,7 +93,7 @@ class Equilibrium:
     @staticmethod
     def of(hand: Hand, chain: Chain, center: np.ndarray, friction: float = PLANNING_FRICTION) -> Equilibrium:
         """Return the equilibrium of a hand's grasps."""
-        return Equilibrium(chain, center, _infeasible_torques(hand, chain) / COUPLING_LEVER_M, LOADS, friction)
+        return Equilibrium(chain, center, InfeasibleTorques.of(hand, chain), LOADS, friction)
 
     @stage("forces")
     def forces(
@@ -194,8 +191,8 @@ class Equilibrium:
         (M, C), P = p.shape[:2], len(self.loads)
         motion = self.chain.to_joint_space(frames, moving.motion.reshape(M, C * 6, 6), np.repeat(link, 6, axis=-1))
         # What is unbalanced is a . f, summed over the contacts, with forms a of forces at points x: da = b x dx.
-        twists = self._twist_forms(frames, link)
-        forms = _at(twists, p)
+        twists = self.infeasible.twists(frames, link)
+        forms = velocities(twists, p)
         eye, arm = np.zeros((2, M, 3, C, 3))
         eye[:] = np.eye(3)[:, None]
         arm[:] = ((p - self.center) / LEVER_M)[:, None]
@@ -204,8 +201,8 @@ class Equilibrium:
         # Forces turn with their basis, df = Omega x f: d(a . f) = (f x a) . Omega + (f x b) . dx.
         covector = cross(np.stack([f, f], axis=-2)[:, :, None], np.stack([a, b], axis=-2)[:, None])
         J = (covector.reshape(M, -1, C * 6) @ motion).reshape(M, P, a.shape[1], -1)
-        if len(self.forms):
-            J[:, :, 6:] += self._axis_changes(frames, link, p, f)
+        if len(self.infeasible):
+            J[:, :, 6:] += self.infeasible.changes(frames, link, p, f)
         G, _ = grasp_map(np.where(moving.there[..., None], p, np.nan), n, self.center, forms, axes)
         # With K = L L^T, residuals L^T u and rows L^-1 J have the squares u^T K u and the gradient J^T u.
         L = np.linalg.cholesky(np.eye(G.shape[2]) + self._compliance(G, local, link if shared else None) / RIDGE)
@@ -217,52 +214,13 @@ class Equilibrium:
         return share * residual.reshape(M, -1), share * stiff.reshape(M, residual.shape[1] * residual.shape[2], -1)
 
     def forms_at(self, frames: Frames) -> Callable[[np.ndarray | slice, ContactPoints], np.ndarray | None]:
-        """Return the function from grasps and their contact points to the torques that no actuator can make."""
+        """Return the function from grasps and their contact points to the torques that the hand cannot make."""
 
         def forms(rows: np.ndarray | slice, points: ContactPoints) -> np.ndarray | None:
             link = None if points.patches is None else points.link
-            return self.torque_forms(np.nan_to_num(points.point), take(frames, rows), link)
+            return self.infeasible.forms(take(frames, rows), np.nan_to_num(points.point), link)
 
         return forms
-
-    def torque_forms(
-        self, p: Float[np.ndarray, "M K 3"], frames: Frames, link: np.ndarray | None = None
-    ) -> Float[np.ndarray, "M E K 3"] | None:
-        """Torques that no actuator can make, as linear forms of forces at points of links; None: actuators make all.
-
-        Args:
-            p: Points (M, K, 3), world frame.
-            frames: Poses of the links.
-            link: Links of the points, (K,) or (M, K); None: one of each.
-        """
-        if not len(self.forms):
-            return None
-        return _at(self._twist_forms(frames, np.arange(p.shape[1]) if link is None else link), p)
-
-    def _twist_forms(self, frames: Frames, links: np.ndarray) -> Float[np.ndarray, "M E C 6"]:
-        """Twists of links (C,) or (M, C) whose products with wrenches on them are torques that no actuator can make."""
-        axes = frames.axes[..., 6:].mT
-        if links.ndim > 1:
-            every = self._twist_forms(frames, np.arange(len(self.chain.links)))
-            return np.take_along_axis(every, links[:, None, :, None], axis=2)
-        weight = self.forms[:, None] * self.chain.joint_mask(links)[:, 6:]
-        E, C, m = weight.shape
-        return (weight.reshape(E * C, m) @ axes).reshape(len(axes), E, C, 6)
-
-    def _axis_changes(self, frames: Frames, links: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Derivative (M, P, E, 6 + n) of these torques as the axes of the joints move, while the forces rest."""
-        (M, P), chain = f.shape[:2], self.chain
-        used = np.flatnonzero(self.forms.any(axis=0))
-        follows = chain.joint_mask(links)[..., 6 + used]
-        linear, angular = np.split(frames.axes[..., 6 + used].mT[:, None], 2, axis=-1)
-        W = np.concatenate([f, cross(p[:, None] + np.zeros_like(f), f)], axis=-1)
-        force, moment = np.split((follows.T if links.ndim == 1 else follows[:, None].mT) @ W, 2, axis=-1)
-        linear, angular = (part + np.zeros_like(force) for part in (linear, angular))
-        # An axis S moves with its link: d(S . W) = (angular x f) . v + (linear x f + angular x m) . w.
-        turned = cross(linear, force) + cross(angular, moment)
-        by_axis = np.concatenate([cross(angular, force), turned], axis=-1).reshape(M, P * len(used), 6)
-        by_axis = chain.to_joint_space(frames, by_axis, np.tile(len(chain.links) + used, P))
-        return self.forms[:, used] @ by_axis.reshape(M, P, len(used), -1)
 
     def _compliance(self, G: np.ndarray, local: np.ndarray, link: np.ndarray | None) -> np.ndarray:
         """Compliance G N G^T (M, P, R, R) of the forces: N projects onto changes that keep the active constraints.
@@ -354,12 +312,6 @@ def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, ba
     return _Moving(point, normal, motion, there, links, balance.force[:, :, both], balance.local[:, :, both])
 
 
-def _at(twists: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Velocities (M, E, C, 3) at points (M, C, 3) of links with twists (M, E, C, 6)."""
-    linear, angular = np.split(twists, 2, axis=-1)
-    return linear + cross(angular, p[:, None] + np.zeros_like(angular))
-
-
 def _contact_motion(
     witness: Witness, E: np.ndarray, K_link: np.ndarray, K_object: np.ndarray, n: np.ndarray, axes: np.ndarray
 ) -> Float[np.ndarray, "M C 6 6"]:
@@ -376,13 +328,14 @@ def _contact_motion(
     return np.concatenate([turn, -(E @ U_object)], axis=-2)
 
 
-def _infeasible_torques(hand: Hand, chain: Chain) -> Float[np.ndarray, "E m"]:
-    """Unit combinations of torques that no actuator can make, as forms of those of the chain's joints."""
-    rows = [np.zeros((0, len(hand.joint_names)))]
-    for group in hand.coupled:
-        # An orthonormal basis of what is perpendicular to the ratio.
-        _, _, basis = np.linalg.svd(np.array(group.ratio, dtype=np.float64)[None])
-        row = np.zeros((len(group.joints) - 1, len(hand.joint_names)))
-        row[:, [hand.joint_names.index(name) for name in group.joints]] = basis[1:]
-        rows.append(row)
-    return np.concatenate(rows) @ chain.joint_gains.T
+def mode_residual(
+    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints
+) -> Float[np.ndarray, " N"]:
+    """Return the largest torque (N,) in a mode of a linkage that the best forces of grasps leave, without unit.
+
+    It is per unit of total pressure, over `infeasible_torques.LEVER_M`.
+    """
+    equilibrium = Equilibrium.of(hand, chain, center_of_mass(obj))
+    none, axes = np.zeros((len(frames.q), 1, 6)), frames.T_world_root[:, :3, :3]
+    found = points.forces_under(none, equilibrium.center, forms=equilibrium.forms_at(frames), axes=axes)
+    return np.abs(found.unbalanced[:, 0, -len(hand.modes) :]).max(axis=1)

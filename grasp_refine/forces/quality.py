@@ -13,9 +13,10 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.equilibrium import PUSH_SHARE, Equilibrium
+from grasp_refine.forces.infeasible_torques import mode_shares
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, contacts
 from grasp_refine.forces.stiffness import object_motion
-from grasp_refine.forces.torques import joint_torques, limit_shares
+from grasp_refine.forces.torques import GIVE_RAD, joint_torques, limit_shares
 from grasp_refine.forces.wrench import center_of_mass, turn_loads
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
@@ -132,10 +133,12 @@ def quality(
     pushed = points.forces_under(pushes, center, forms=equilibrium.forms_at(frames), axes=axes)
     slippery = points.forces_under(np.zeros((len(pushes), 1, 6)), center, friction=LOW_FRICTION, axes=axes)
     torque = np.zeros((len(pushes), pushes.shape[1], len(hand.joint_names)))
+    in_modes = np.zeros((*torque.shape[:2], len(hand.modes)))
     for rows, some in points.groups():
         force = HOLDING_PRESSURE_N * pushed.force[rows, :, : some.point.shape[1]]
-        torque[rows] = joint_torques(chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link)
-    share = limit_shares(hand, torque, frames.q[:, None]).max(axis=1)
+        made = chain, take(frames, rows), force, np.nan_to_num(some.point_on_link), some.link
+        torque[rows], in_modes[rows] = joint_torques(*made), mode_shares(hand, *made, give=GIVE_RAD)
+    share = np.concatenate([limit_shares(hand, torque, frames.q[:, None]), in_modes], axis=-1).max(axis=1)
     force = TOTAL_PRESSURE_N * np.nan_to_num(pushed.force.mean(axis=1))
     motion = object_motion(hand, chain, frames, points, force, center, pushes / PUSH_SHARE)
     turn = np.where(pushed.solved.all(axis=1), np.linalg.norm(motion[..., 3:], axis=-1).mean(axis=1), np.nan)

@@ -30,6 +30,7 @@ from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
 from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree, rigid_parts
+from grasp_refine.hands.yielding import YieldingMode
 
 if TYPE_CHECKING:
     from grasp_refine.hands.alignment import Mechanism
@@ -101,8 +102,8 @@ class Hand:
     """Remarks for the user on how the files were read."""
     actuator: Actuator
     """Position actuators of the independent joints."""
-    yielding: frozenset[str] = frozenset()
-    """Links of linkages that give way to a push, against springs; only those of `contacts` may hold an object."""
+    modes: tuple[YieldingMode, ...] = ()
+    """Modes in which linkages yield to a push, against springs."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
     excluded: tuple[LinkPair, ...] | None = None
@@ -182,6 +183,11 @@ class Hand:
     def parts_of_links(self) -> dict[str, str]:
         """Link -> the link by which its rigid part is known: links of a part do not move against each other."""
         return {self.base_link: self.base_link} | rigid_parts(self.joints)
+
+    @cached_property
+    def yielding(self) -> frozenset[str]:
+        """Links of linkages that yield to a push; only those of `contacts` may hold an object."""
+        return frozenset(link for mode in self.modes for link in mode.twists)
 
     def fixed_to(self, link: str) -> frozenset[str]:
         """Return the names of a link and of those below it that no joint moves against it."""
@@ -330,9 +336,11 @@ def load_hand(
     touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
-    yielding = frozenset() if couplings is None else couplings.yielding
+    # A URDF may have other frames than the bodies whose twists an MJCF tells.
+    modes = couplings.modes if couplings is not None and from_mjcf else ()
     # A pad that a spring lets turn takes no torque.
-    firm_jaws = are_two_fingers(touching) and not yielding & {contact.link for contact in touching}
+    turning = {link for mode in modes for link in mode.twists}
+    firm_jaws = are_two_fingers(touching) and not turning & {contact.link for contact in touching}
     return Hand(
         name=toml.name or name,
         urdf=tree.path,
@@ -347,7 +355,7 @@ def load_hand(
         contacts_guessed=guessed,
         notes=tuple(notes),
         actuator=driven,
-        yielding=yielding,
+        modes=modes,
         coupled=groups,
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,

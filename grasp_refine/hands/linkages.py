@@ -14,9 +14,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.hands.yielding import YieldingMode
 
 NUM_VALUES = 33
 """Number of values of a driven joint at which its linkage is solved."""
@@ -34,6 +36,15 @@ CLOSED_M = 2e-5
 MAX_DEGREE, CURVE_ERROR = 4, 1e-6
 """Largest degree of a polynomial, that of MuJoCo's equalities, and error in rad or m at which a lower one is enough."""
 
+SPRING_PREFERENCE = 10.0
+"""Weight of joints with springs where a joint is chosen whose value is that of a mode."""
+
+AT_LIMIT = 1e-3
+"""Distance in rad or m from its limit within which a joint is at it."""
+
+MOVING_SHARE = 1e-3
+"""Least movement of a joint or a body that a mode moves, in units of the mode or of its largest."""
+
 MIN_RANGE_SHARE = 0.05
 """Least share of its range over which a driven joint must close the chains."""
 
@@ -50,8 +61,8 @@ class Linkage:
     """Passive joint -> coefficients of its polynomial in the value of the driven joint, the constant first."""
     gap: float
     """Largest distance in metres between the ends of a chain with joints at these values."""
-    yielding: frozenset[str]
-    """Bodies that can move while the driven joint stands still, against springs: closed chains do not hold them."""
+    modes: tuple[YieldingMode, ...]
+    """Modes in which it yields while the driven joint stands still: closed chains do not hold their bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +204,7 @@ class _Closing:
                 for joint, fit in zip(self.passive, fits, strict=True)
                 if joint not in followers
             },
-            yielding=self._yielding(float(values[len(values) // 2]), fitted[len(values) // 2]),
+            modes=self._modes(values, fitted),
             gap=max(self._gap(float(value), x) for value, x in zip(values, fitted, strict=True)),
         )
 
@@ -236,19 +247,62 @@ class _Closing:
             errors.append(data.qpos[one] - model.qpos0[one] - np.atleast_1d(model.eq_data[number, :5] @ power))
         return np.concatenate(errors)
 
-    def _yielding(self, value: float, x: Float[np.ndarray, " p"]) -> frozenset[str]:
-        """Bodies that move with the passive joints in ways that keep the chains closed, to first order."""
+    def _modes(
+        self, values: Float[np.ndarray, " K"], fitted: Float[np.ndarray, "K p"]
+    ) -> tuple[YieldingMode, ...]:
+        """Modes of the passive joints that keep the chains closed, to first order, at values of the driven joint."""
+        model, data = self.model, self.data
+        ways = [self._free_ways(float(value), x) for value, x in zip(values, fitted, strict=True)]
+        D = min(len(way) for way in ways)
+        middle = ways[len(ways) // 2]
+        if D == 0 or len(middle) != D:
+            return ()
+        stiffness = model.jnt_stiffness[self.passive]
+        # Joints with springs have the values of modes, so that each finger has a mode of its own.
+        order = qr(middle * np.where(stiffness > 0.0, SPRING_PREFERENCE, 1.0), pivoting=True, mode="r")[1]
+        own = order[:D]
+        dofs = model.jnt_dofadr[self.passive]
+        Z = np.zeros((len(values), D, len(self.passive)))
+        twists = np.zeros((len(values), D, model.nbody, 6))
+        jacobian = np.zeros((2, 3, model.nv))
+        for k, (value, x) in enumerate(zip(values, fitted, strict=True)):
+            Z[k] = np.linalg.lstsq(ways[k][:, own], np.eye(D), rcond=None)[0] @ ways[k]
+            self._errors(float(value), x)  # places the bodies
+            mujoco.mj_comPos(model, data)
+            for body in range(1, model.nbody):
+                mujoco.mj_jacBody(model, data, jacobian[0], jacobian[1], body)
+                in_body = data.xmat[body].reshape(3, 3).T @ jacobian[:, :, dofs]
+                twists[k, :, body] = np.moveaxis(in_body @ Z[k].T, 2, 0).reshape(D, 6)
+        torque = -stiffness * (fitted - model.qpos_spring[self.at])
+        springs, soft = np.einsum("kdp,kp->kd", Z, torque), np.einsum("kdp,p->kd", Z**2, stiffness)
+        # A joint at a limit is pushed away from it with as much as it takes.
+        away = (fitted < self.lower + AT_LIMIT).astype(int) - (fitted > self.upper - AT_LIMIT).astype(int)
+        pushed = Z * away[:, None]
+        moving = np.abs(Z) > MOVING_SHARE
+        more, less = (np.any(moving & (sign * pushed > 0.0), axis=2) for sign in (1.0, -1.0))
+        names = [model.body(body).name for body in range(model.nbody)]
+        found = []
+        for d in range(D):
+            moved = np.flatnonzero((np.abs(twists[:, d]) > MOVING_SHARE * np.abs(twists[:, d]).max()).any(axis=(0, 2)))
+            found.append(
+                YieldingMode(
+                    joint=model.joint(self.passive[own[d]]).name,
+                    driver=model.joint(self.driver).name,
+                    values=values,
+                    twists={names[body]: twists[:, d, body] for body in moved},
+                    least=np.where(less[:, d], -np.inf, springs[:, d]),
+                    greatest=np.where(more[:, d], np.inf, springs[:, d]),
+                    stiffness=soft[:, d],
+                )
+            )
+        return tuple(found)
+
+    def _free_ways(self, value: float, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, "d p"]:
+        """Orthonormal rows: changes of the passive joints that keep the chains closed, to first order."""
         steps = 1e-6 * np.eye(len(x))
         J = np.stack([self._errors(value, x + dx) - self._errors(value, x - dx) for dx in steps], axis=1) / 2e-6
         _, singular, ways = np.linalg.svd(J)
-        free = ways[(singular > 1e-4 * singular[0]).sum() :]
-        moving = {
-            int(self.model.jnt_bodyid[self.passive[at]]) for at in np.flatnonzero((np.abs(free) > 1e-3).any(axis=0))
-        }
-        for body in range(1, self.model.nbody):  # parents before children
-            if int(self.model.body_parentid[body]) in moving:
-                moving.add(body)
-        return frozenset(self.model.body(body).name for body in moving)
+        return ways[(singular > 1e-4 * singular[0]).sum() :]
 
     def _gap(self, value: float, x: Float[np.ndarray, " p"]) -> float:
         """Largest distance in metres between the ends of a chain."""

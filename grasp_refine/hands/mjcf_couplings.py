@@ -18,6 +18,7 @@ from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, rea
 from grasp_refine.hands.servos import moved_joints
 from grasp_refine.hands.tendon_ties import tendon_ties
 from grasp_refine.hands.tree import Joint, Mimic
+from grasp_refine.hands.yielding import YieldingMode
 
 MIN_ALIGNMENT = 1.0 - 1e-6
 """Least cosine between the ratios of two groups that are the same, up to scale and sign."""
@@ -38,8 +39,8 @@ class Couplings:
     """Joint that drives closed chains -> values at which they can be closed."""
     passive: frozenset[str] = frozenset()
     """Joints that follow in a closed chain."""
-    yielding: frozenset[str] = frozenset()
-    """Bodies of closed chains that give way to a push, by their names in the MJCF."""
+    modes: tuple[YieldingMode, ...] = ()
+    """Modes in which closed chains yield to a push, with the names of bodies in the MJCF."""
     ends: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that close chains, by their names in the MJCF."""
     tendons: tuple[Mapping[str, float], ...] = ()
@@ -140,13 +141,14 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         tendons.append({ours[name]: signs[ours[name]] * value for name, value in joints.items()})
     chained = linkages(model, {name for tendon in pulled for name in joints_of(tendon)} | single)
     notes += chained.open
-    ranges, passive = {}, set()
+    ranges, passive, modes = {}, set(), []
     for linkage in chained.linkages:
         if not {linkage.driver, *linkage.coefficients} <= ours.keys():
             continue
         driver = ours[linkage.driver]
         ends = sorted(signs[driver] * end for end in linkage.range)
         ranges[driver] = ends[0], ends[1]
+        modes += [replace(mode, joint=ours[mode.joint], driver=driver) for mode in linkage.modes]
         notes.append(linkage_note(linkage, path.name))
         for name, coefficients in linkage.coefficients.items():
             joint = ours[name]
@@ -158,7 +160,7 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         mimics,
         ranges=ranges,
         passive=frozenset(passive),
-        yielding=frozenset().union(*(linkage.yielding for linkage in chained.linkages)),
+        modes=tuple(modes),
         ends=chained.ends,
         tendons=tuple(tendons),
         single=frozenset(ours[name] for name in single & ours.keys()),

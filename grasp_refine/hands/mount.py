@@ -82,7 +82,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         actuator=both(holding(arm.actuator, arm.slides), hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),
-        yielding=renamed.yielding | hand.yielding,
+        modes=(*renamed.modes, *hand.modes),
         base_why=f"it is the base of the arm, {arm.name}",
         mount=None,
         T_base_flange=None,
@@ -182,7 +182,7 @@ def _renamed(arm: Hand, hand: Hand) -> Hand:
         joint_names=tuple(joint[name] for name in arm.joint_names),
         coupled=tuple(replace(group, joints=tuple(joint[name] for name in group.joints)) for group in arm.coupled),
         excluded=excluded,
-        yielding=frozenset(link[name] for name in arm.yielding),
+        modes=(),  # nothing of an arm holds the object
         contacts=(),
     )
 

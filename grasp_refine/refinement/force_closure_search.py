@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from grasp_refine.collision.query import query
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.se3 import exp_so3, matvec
+from grasp_refine.forces.equilibrium import mode_residual
 from grasp_refine.forces.quality import DEEP, quality
 from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
 from grasp_refine.forces.strong_pushes import strong_push_residual
@@ -46,6 +47,10 @@ grasps hardly tell which of them holds."""
 
 SHORTFALL_WEIGHT = 0.2
 """Score of a grasp whose set points allow no pressure at all."""
+
+YIELDING_WEIGHT = 0.5
+"""Score of a grasp whose pressure turns the fingers of a linkage, with as much of it as acts at the lever of a torque
+that the hand cannot make (see `infeasible_torques`)."""
 
 MISS_SCALE_M = 0.0025
 """Distance in metres of a contact from where it should be that costs a score of 1."""
@@ -137,6 +142,8 @@ def judge(
     pushed = strong_push_residual(points, obj, frames.T_world_root[:, :3, :3])
     score = quality(hand, obj, chain, frames, witness, clearance, faces).score + np.nan_to_num(pushed, nan=np.inf)
     score += SHORTFALL_WEIGHT * pressure_shortfall(hand, obj, chain, frames, points)
+    if hand.modes:
+        score += YIELDING_WEIGHT * mode_residual(hand, obj, chain, frames, points)
     if hand.has_two_fingers:
         score += pinch_score(prepared, frames, witness, points)
     return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2

@@ -234,7 +234,7 @@ def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.
     known = problem.evaluate(np.arange(len(point.q)), point, None)
     there = (pushing & known.witness.valid)[..., None]
     p, n = (np.where(there, side, np.nan) for side in (known.witness.point_b, known.witness.normal))
-    forms = equilibrium_of(problem).torque_forms(np.where(there, p, 0.0), known.frames)
+    forms = equilibrium_of(problem).infeasible.forms(known.frames, np.where(there, p, 0.0))
     return grasp_map(p, n, equilibrium_of(problem).center, forms, problem.scene.T_world_root[:, :3, :3])[0]
 
 
