@@ -125,9 +125,7 @@ class InfeasibleTorques:
         return found
 
 
-def mode_twists(
-    hand: Hand, chain: Chain, frames: Frames, *, slope: bool = False
-) -> Float[np.ndarray, "N E L 6"]:
+def mode_twists(hand: Hand, chain: Chain, frames: Frames, *, slope: bool = False) -> Float[np.ndarray, "N E L 6"]:
     """Return the spatial twists (N, E, L, 6) of the links of a chain, (v, w), per unit of each of `Hand.modes`.
 
     Args:
@@ -178,9 +176,7 @@ def mode_shares(
     return np.abs(torque) / np.maximum(np.where(torque < 0.0, -least, greatest), MIN_TORQUE)
 
 
-def velocities(
-    twists: Float[np.ndarray, "M E C 6"], p: Float[np.ndarray, "M C 3"]
-) -> Float[np.ndarray, "M E C 3"]:
+def velocities(twists: Float[np.ndarray, "M E C 6"], p: Float[np.ndarray, "M C 3"]) -> Float[np.ndarray, "M E C 3"]:
     """Return the velocities (M, E, C, 3) at points (M, C, 3) of links with twists (M, E, C, 6)."""
     linear, angular = np.split(twists, 2, axis=-1)
     return linear + cross(angular, p[:, None] + np.zeros_like(angular))

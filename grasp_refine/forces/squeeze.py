@@ -162,7 +162,7 @@ def set_point_offsets(
     for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
     the sum of ratio x set point over its joints, which share it in proportion to their ratios.
     """
-    kp = hand.actuator.kp
+    kp = hand.stiffness
     least, greatest = torque_bounds(hand, q)
     give = np.where(kp > 0.0, 1.0 / np.where(kp > 0.0, kp, 1.0), 0.0)
     ahead = np.clip(torque, least, greatest) * give

@@ -85,7 +85,7 @@ def object_motion(
 
 def joint_stiffness(hand: Hand) -> Float[np.ndarray, "n n"]:
     """Return the stiffness (n, n) of the independent joints, in N m/rad or N/m: joints of a tendon give in turn."""
-    kp = np.maximum(hand.actuator.kp, 0.0)
+    kp = hand.stiffness
     K = np.diag(kp)
     for group in hand.coupled:
         joints = [hand.joint_names.index(name) for name in group.joints]

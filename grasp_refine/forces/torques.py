@@ -73,7 +73,7 @@ def torque_bounds(
     for group in hand.coupled:
         joints = [hand.joint_names.index(name) for name in group.joints]
         length[..., joints] = (q[..., joints] @ np.array(group.ratio))[..., None]
-    way, kp = give * hand.per_radian, hand.actuator.kp
+    way, kp = give * hand.per_radian, hand.stiffness
     # Without stiffness there is no torque, however far a set point may be.
     below = kp * np.where(kp > 0.0, np.minimum(ends[:, 0] - length - way, 0.0), 0.0)
     above = kp * np.where(kp > 0.0, np.maximum(ends[:, 1] - length + way, 0.0), 0.0)

@@ -104,6 +104,8 @@ class Hand:
     """Position actuators of the independent joints."""
     modes: tuple[YieldingMode, ...] = ()
     """Modes in which linkages yield to a push, against springs."""
+    compliance: Float[np.ndarray, " n"] | None = None
+    """Compliance (n,) of linkages between actuators and fingertips, in rad per N m or m per N; None: there are none."""
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
     excluded: tuple[LinkPair, ...] | None = None
@@ -183,6 +185,12 @@ class Hand:
     def parts_of_links(self) -> dict[str, str]:
         """Link -> the link by which its rigid part is known: links of a part do not move against each other."""
         return {self.base_link: self.base_link} | rigid_parts(self.joints)
+
+    @cached_property
+    def stiffness(self) -> Float[np.ndarray, " n"]:
+        """Stiffness (n,) of each actuator at the fingertips, in N m per rad or N per m."""
+        kp = np.maximum(self.actuator.kp, 0.0)
+        return kp if self.compliance is None else kp / (1.0 + kp * self.compliance)
 
     @cached_property
     def yielding(self) -> frozenset[str]:
@@ -337,10 +345,9 @@ def load_hand(
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     # A URDF may have other frames than the bodies whose twists an MJCF tells.
-    modes = couplings.modes if couplings is not None and from_mjcf else ()
-    # A pad that a spring lets turn takes no torque.
-    turning = {link for mode in modes for link in mode.twists}
-    firm_jaws = are_two_fingers(touching) and not turning & {contact.link for contact in touching}
+    linked = couplings if from_mjcf and couplings is not None and couplings.linkages else None
+    modes = () if linked is None else linked.modes
+    tips = {contact.link for contact in touching}
     return Hand(
         name=toml.name or name,
         urdf=tree.path,
@@ -356,12 +363,13 @@ def load_hand(
         notes=tuple(notes),
         actuator=driven,
         modes=modes,
+        compliance=None if linked is None else linked.compliance([joint.name for joint in independent], tips),
         coupled=groups,
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=collision,
-        patches=firm_jaws if toml.patches is None else toml.patches,
+        patches=are_two_fingers(touching) if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,
         mount=toml.mount,

@@ -59,10 +59,20 @@ class Linkage:
     """Values in rad or m of the driven joint at which the chains can be closed."""
     coefficients: Mapping[str, tuple[float, ...]]
     """Passive joint -> coefficients of its polynomial in the value of the driven joint, the constant first."""
+    tied: Mapping[str, tuple[float, ...]]
+    """The same of joints that an equality ties to another joint of the linkage."""
     gap: float
     """Largest distance in metres between the ends of a chain with joints at these values."""
     modes: tuple[YieldingMode, ...]
     """Modes in which it yields while the driven joint stands still: closed chains do not hold their bodies."""
+
+    def place(self, model: mujoco.MjModel, data: mujoco.MjData, value: float) -> None:
+        """Set joints and poses of a model to where the chains are closed at a value of the driven joint."""
+        data.qpos[:] = model.qpos0
+        data.qpos[model.joint(self.driver).qposadr] = value
+        for name, coefficients in {**self.coefficients, **self.tied}.items():
+            data.qpos[model.joint(name).qposadr] = np.polynomial.polynomial.polyval(value, coefficients)
+        mujoco.mj_kinematics(model, data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,14 +206,19 @@ class _Closing:
         followers = {int(model.eq_obj1id[number]) for number in self.ties}
         fits = [_fit(values, column) for column in solved.T]
         fitted = np.stack([np.polynomial.polynomial.polyval(values, fit) for fit in fits], axis=1)
+        coefficients, tied = (
+            {
+                model.joint(joint).name: tuple(fit.tolist())
+                for joint, fit in zip(self.passive, fits, strict=True)
+                if (joint in followers) == follows
+            }
+            for follows in (False, True)
+        )
         return Linkage(
             driver=model.joint(self.driver).name,
             range=(float(values[0]), float(values[-1])),
-            coefficients={
-                model.joint(joint).name: tuple(fit.tolist())
-                for joint, fit in zip(self.passive, fits, strict=True)
-                if joint not in followers
-            },
+            coefficients=coefficients,
+            tied=tied,
             modes=self._modes(values, fitted),
             gap=max(self._gap(float(value), x) for value, x in zip(values, fitted, strict=True)),
         )
@@ -247,9 +262,7 @@ class _Closing:
             errors.append(data.qpos[one] - model.qpos0[one] - np.atleast_1d(model.eq_data[number, :5] @ power))
         return np.concatenate(errors)
 
-    def _modes(
-        self, values: Float[np.ndarray, " K"], fitted: Float[np.ndarray, "K p"]
-    ) -> tuple[YieldingMode, ...]:
+    def _modes(self, values: Float[np.ndarray, " K"], fitted: Float[np.ndarray, "K p"]) -> tuple[YieldingMode, ...]:
         """Modes of the passive joints that keep the chains closed, to first order, at values of the driven joint."""
         model, data = self.model, self.data
         ways = [self._free_ways(float(value), x) for value, x in zip(values, fitted, strict=True)]

@@ -8,15 +8,17 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.alignment import Mechanism, align
 from grasp_refine.hands.hand_toml import Coupled
-from grasp_refine.hands.linkages import linkage_note, linkages
+from grasp_refine.hands.linkages import Linkage, linkage_note, linkages
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, read_mjcf
 from grasp_refine.hands.servos import moved_joints
 from grasp_refine.hands.tendon_ties import tendon_ties
+from grasp_refine.hands.transmission import transmission_compliance
 from grasp_refine.hands.tree import Joint, Mimic
 from grasp_refine.hands.yielding import YieldingMode
 
@@ -39,8 +41,10 @@ class Couplings:
     """Joint that drives closed chains -> values at which they can be closed."""
     passive: frozenset[str] = frozenset()
     """Joints that follow in a closed chain."""
-    modes: tuple[YieldingMode, ...] = ()
-    """Modes in which closed chains yield to a push, with the names of bodies in the MJCF."""
+    linkages: tuple[Linkage, ...] = ()
+    """Closed chains, with the names of the MJCF."""
+    model: mujoco.MjModel | None = None
+    """Model of the MJCF; None where it is not used."""
     ends: tuple[tuple[str, str], ...] = ()
     """Pairs of bodies that close chains, by their names in the MJCF."""
     tendons: tuple[Mapping[str, float], ...] = ()
@@ -70,6 +74,25 @@ class Couplings:
             notes.append(f"mimic joints, from {self.path.name}: {pairs}")
         joints = [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints]
         return [_within(joint, self.ranges.get(joint.name)) for joint in joints], notes
+
+    @property
+    def modes(self) -> tuple[YieldingMode, ...]:
+        """Modes in which closed chains yield to a push, with the names of the MJCF."""
+        return tuple(mode for linkage in self.linkages for mode in linkage.modes)
+
+    def compliance(self, independent: Sequence[str], tips: Collection[str]) -> Float[np.ndarray, " n"]:
+        """Return the compliance (n,) of closed chains at the joints that drive them, in rad per N m or m per N.
+
+        Args:
+            independent: Names of the n independent joints, those of the MJCF.
+            tips: Names of the bodies that touch objects.
+        """
+        found = np.zeros(len(independent))
+        for linkage in self.linkages:
+            if self.model is not None and linkage.driver in independent:
+                at = list(independent).index(linkage.driver)
+                found[at] = transmission_compliance(self.model, linkage, tips)
+        return found
 
     def with_tendons(
         self, given: tuple[Coupled, ...], joints: Sequence[Joint]
@@ -141,14 +164,14 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         tendons.append({ours[name]: signs[ours[name]] * value for name, value in joints.items()})
     chained = linkages(model, {name for tendon in pulled for name in joints_of(tendon)} | single)
     notes += chained.open
-    ranges, passive, modes = {}, set(), []
+    ranges, passive, kept = {}, set(), []
     for linkage in chained.linkages:
         if not {linkage.driver, *linkage.coefficients} <= ours.keys():
             continue
         driver = ours[linkage.driver]
         ends = sorted(signs[driver] * end for end in linkage.range)
         ranges[driver] = ends[0], ends[1]
-        modes += [replace(mode, joint=ours[mode.joint], driver=driver) for mode in linkage.modes]
+        kept.append(linkage)
         notes.append(linkage_note(linkage, path.name))
         for name, coefficients in linkage.coefficients.items():
             joint = ours[name]
@@ -160,7 +183,8 @@ def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -
         mimics,
         ranges=ranges,
         passive=frozenset(passive),
-        modes=tuple(modes),
+        linkages=tuple(kept),
+        model=model,
         ends=chained.ends,
         tendons=tuple(tendons),
         single=frozenset(ours[name] for name in single & ours.keys()),
