@@ -117,7 +117,8 @@ class InfeasibleTorques:
             for slope in (False, True)
         )
         W = np.concatenate([f, cross(p[:, None] + np.zeros_like(f), f)], axis=-1)[:, :, None]
-        moved = _carried(*np.split(twist, 2, axis=-1), W).reshape(M, P * E * C, 6)
+        linear, angular = np.split(twist, 2, axis=-1)
+        moved = _carried(linear, angular, W).reshape(M, P * E * C, 6)
         moved = self.chain.to_joint_space(frames, moved, np.tile(link, (1, P * E)))
         found = moved.reshape(M, P, E, C, -1).sum(axis=3)
         drivers = [self.hand.joint_names.index(mode.driver) for mode in self.hand.modes]

@@ -64,8 +64,8 @@ class Quality:
     """Mean gap of the contacts (N,), each counted by its pressure, over `DEEP`."""
     strained: Float[np.ndarray, " N"]
     """Excess (N,) of the torque of any joint under `PUSHES`, with pressures that sum to `HOLDING_PRESSURE_N`, over its
-    limit, as a share of that limit; 0 where the actuators can make all torques. Where set points end, the limit is the
-    torque with which the actuator presses after the joint gave way by `GIVE_RAD`."""
+    limit, as a share of that limit; 0 where the actuators can make all torques. Where set points end, and in modes in
+    which a linkage yields, the limit is the torque that is made after the joint gave way by `GIVE_RAD`."""
     yielding: Float[np.ndarray, " N"]
     """Excess (N,) of the angle by which the object turns for each newton of the pushes, their mean, over
     `YIELDING_RAD_N`, as a share of that (see `stiffness`): 0 where contacts are far enough apart, and `MOST_YIELDING`
@@ -77,7 +77,8 @@ class Quality:
     farthest_contact: Int[np.ndarray, " N"]
     """Index (N,) of the link whose gap, weighted by its pressure, is largest."""
     strained_joint: Int[np.ndarray, " N"]
-    """Index (N,) of the independent joint whose torque is the largest share of its limit."""
+    """Index (N,) of the independent joint whose torque is the largest share of its limit; behind the joints, of the mode
+    in which a linkage yields (`Hand.modes`)."""
 
     __repr__ = brief
 

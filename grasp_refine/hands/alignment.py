@@ -14,7 +14,7 @@ from jaxtyping import Float
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, transform
 from grasp_refine.hands.mimics import curves, mimic_map
-from grasp_refine.hands.tree import Joint
+from grasp_refine.hands.tree import Joint, Tree
 from grasp_refine.hands.tree_poses import tree_poses
 
 MAX_ANCHOR_DISTANCE_M = 2e-3
@@ -60,6 +60,12 @@ class Mechanism:
     """All joints, fixed ones too, parents before children."""
     independent: Sequence[str]
     """The independent ones, in the order of `Hand.joint_names`."""
+
+    @staticmethod
+    def of(name: str, base_link: str, tree: Tree, joints: Sequence[Joint]) -> Mechanism:
+        """Return that of the joints of a hand, which are below `base_link` in the tree of its file."""
+        moving = {joint.name for joint in joints if joint.movable and joint.mimic is None}
+        return Mechanism(name, tree.path, base_link, joints, [joint for joint in tree.joints if joint in moving])
 
 
 def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjModel, path: Path) -> Alignment:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,12 +29,8 @@ from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
 from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_map
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
-from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, Tree, rigid_parts
+from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, rigid_parts
 from grasp_refine.hands.yielding import YieldingMode
-
-if TYPE_CHECKING:
-    from grasp_refine.hands.alignment import Mechanism
-    from grasp_refine.hands.mjcf_couplings import Couplings
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
 __all__ += ["list_hands", "load_hand", "needs_urdf"]
@@ -313,9 +309,13 @@ def load_hand(
     names_there = mjcf_joints(toml, [joint.name for joint in joints if joint.movable], outside)
     couplings = None
     if mjcf_file is not None:
+        # These load MuJoCo, which reading a URDF does without.
+        from grasp_refine.hands.alignment import Mechanism
+        from grasp_refine.hands.mjcf_couplings import mjcf_couplings
+
         # Those of the hand's own file count, even where another MJCF is simulated.
         theirs, named = (tree.path, {}) if from_mjcf else (mjcf_file, names_there)
-        couplings = _couplings(theirs, toml.name or name, base, tree, joints, named)
+        couplings = mjcf_couplings(theirs, Mechanism.of(toml.name or name, base, tree, joints), named)
     if couplings is not None:
         joints, tied = couplings.with_mimics(joints, toml.joints_with_settings)
         notes += [*couplings.notes, *tied]
@@ -332,7 +332,9 @@ def load_hand(
         notes += shared
     driven = actuator(toml, independent, outside)
     if from_mjcf:
-        driven = _own_actuator(toml.name or name, base, tree, joints, groups, driven)
+        from grasp_refine.hands.servos import own_actuator
+
+        driven = own_actuator(Mechanism.of(toml.name or name, base, tree, joints), groups, driven)
     closing = () if couplings is None else couplings.ends
     if not toml.contacts and not closing and any(joint.mimic is not None for joint in joints):
         # This loads the collision queries, which most hands do without.
@@ -344,10 +346,10 @@ def load_hand(
     touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
-    # A URDF may have other frames than the bodies whose twists an MJCF tells.
-    linked = couplings if from_mjcf and couplings is not None and couplings.linkages else None
-    modes = () if linked is None else linked.modes
-    tips = {contact.link for contact in touching}
+    modes: tuple[YieldingMode, ...] = ()
+    compliance = None
+    if from_mjcf and couplings is not None:  # a URDF may have other frames than the bodies of an MJCF
+        modes, compliance = couplings.yielding(independent, touching)
     return Hand(
         name=toml.name or name,
         urdf=tree.path,
@@ -363,7 +365,7 @@ def load_hand(
         notes=tuple(notes),
         actuator=driven,
         modes=modes,
-        compliance=None if linked is None else linked.compliance([joint.name for joint in independent], tips),
+        compliance=compliance,
         coupled=groups,
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,
@@ -375,33 +377,6 @@ def load_hand(
         mount=toml.mount,
         T_base_flange=toml.T_base_flange if base == toml.base_link else None,
     )
-
-
-def _couplings(
-    mjcf: Path, name: str, base_link: str, tree: Tree, joints: Sequence[Joint], named: Mapping[str, str]
-) -> Couplings:
-    """The couplings that an MJCF of the hand tells."""
-    # This loads MuJoCo, which reading a URDF does without.
-    from grasp_refine.hands.mjcf_couplings import mjcf_couplings
-
-    return mjcf_couplings(mjcf, _mechanism(name, base_link, tree, joints), named)
-
-
-def _own_actuator(
-    name: str, base_link: str, tree: Tree, joints: Sequence[Joint], groups: Sequence[Coupled], given: Actuator
-) -> Actuator:
-    """The actuators of the MJCF that the hand comes from; `given` where it has none."""
-    from grasp_refine.hands.servos import own_actuator
-
-    return own_actuator(_mechanism(name, base_link, tree, joints), groups, given)
-
-
-def _mechanism(name: str, base_link: str, tree: Tree, joints: Sequence[Joint]) -> Mechanism:
-    from grasp_refine.hands.alignment import Mechanism
-
-    moving = {joint.name for joint in joints if joint.movable and joint.mimic is None}
-    independent = [joint for joint in tree.joints if joint in moving]
-    return Mechanism(name, tree.path, base_link, joints, independent)
 
 
 def _link(raw: LinkEntry, meshes: LinkMeshes, candidates: int) -> Link:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.alignment import Mechanism, align
-from grasp_refine.hands.hand_toml import Coupled
+from grasp_refine.hands.hand_toml import Contact, Coupled
 from grasp_refine.hands.linkages import Linkage, linkage_note, linkages
 from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.mjcf import compile_mjcf, joints_of, matched_joints, read_mjcf
@@ -75,24 +75,26 @@ class Couplings:
         joints = [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints]
         return [_within(joint, self.ranges.get(joint.name)) for joint in joints], notes
 
-    @property
-    def modes(self) -> tuple[YieldingMode, ...]:
-        """Modes in which closed chains yield to a push, with the names of the MJCF."""
-        return tuple(mode for linkage in self.linkages for mode in linkage.modes)
+    def yielding(
+        self, independent: Sequence[Joint], contacts: Sequence[Contact]
+    ) -> tuple[tuple[YieldingMode, ...], Float[np.ndarray, " n"] | None]:
+        """Return the modes in which closed chains yield, and their compliance (n,); none without closed chains.
 
-    def compliance(self, independent: Sequence[str], tips: Collection[str]) -> Float[np.ndarray, " n"]:
-        """Return the compliance (n,) of closed chains at the joints that drive them, in rad per N m or m per N.
+        The compliance is that at the joints that drive them, in rad per N m or m per N.
 
         Args:
-            independent: Names of the n independent joints, those of the MJCF.
-            tips: Names of the bodies that touch objects.
+            independent: The n independent joints of the hand, with the names of the MJCF.
+            contacts: Its contact links.
         """
-        found = np.zeros(len(independent))
-        for linkage in self.linkages:
-            if self.model is not None and linkage.driver in independent:
-                at = list(independent).index(linkage.driver)
-                found[at] = transmission_compliance(self.model, linkage, tips)
-        return found
+        names = [joint.name for joint in independent]
+        tips = {contact.group: contact.link for contact in contacts}.values()
+        driven = [linkage for linkage in self.linkages if linkage.driver in names]
+        if not driven or self.model is None:
+            return (), None
+        compliance = np.zeros(len(names))
+        for linkage in driven:
+            compliance[names.index(linkage.driver)] = transmission_compliance(self.model, linkage, tips)
+        return tuple(mode for linkage in driven for mode in linkage.modes), compliance
 
     def with_tendons(
         self, given: tuple[Coupled, ...], joints: Sequence[Joint]

@@ -57,7 +57,8 @@ def transmission_compliance(model: mujoco.MjModel, linkage: Linkage, tips: Colle
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_GRAVITY | flags.mjDSBL_ACTUATION
     model.opt.timestep = TIMESTEP_S
-    model.dof_armature[model.joint(linkage.driver).dofadr[0]] = STANDING_ARMATURE
+    for name in (linkage.driver, *(mode.joint for mode in linkage.modes)):
+        model.dof_armature[model.joint(name).dofadr] = STANDING_ARMATURE
     data = mujoco.MjData(model)
     loads = _loads(model, data, linkage, tips)
     if not loads:

@@ -1,9 +1,8 @@
 """Modes in which a linkage yields: motions that its closed chains allow while the driven joint stands still.
 
-Fingers that adapt to objects, as those of underactuated grippers, have more joints than their chains close. Springs, and
-limits of joints against which they press, hold what is left over, and nothing else does: torques of contact forces beyond
-theirs move the finger, however strong the actuator is (Birglen, Laliberté and Gosselin, "Underactuated Robotic Hands",
-2008, chapter 3).
+Fingers that adapt to objects, as those of underactuated grippers, have more joints than their chains close. Springs
+hold what is left over, and limits of joints against which they press: torques of contact forces beyond these move the
+finger, however strong the actuator is (Birglen, Laliberté and Gosselin, "Underactuated Robotic Hands", 2008).
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
             at = int(misses[i].argmax())
             why = f"{links[at]} touches {grasps.regions.reason(grasps.geometry.witness.point_b[i, at])}"
             inside[i] = f"{inside[i]}; {why}" if i in inside else why
-    texts = weaknesses(grasps.quality, links, hand.joint_names)
+    texts = weaknesses(grasps.quality, links, hand.joint_names, tuple(mode.joint for mode in hand.modes))
     return [inside.get(i, text) for i, text in enumerate(texts)]
 
 

@@ -14,13 +14,16 @@ AXES = "xyz"
 """Names of the axes of the object."""
 
 
-def weaknesses(quality: Quality, links: tuple[str, ...], joints: tuple[str, ...]) -> list[str]:
+def weaknesses(
+    quality: Quality, links: tuple[str, ...], joints: tuple[str, ...], passive: tuple[str, ...] = ()
+) -> list[str]:
     """Return for each of N grasps a text on its costliest shortcoming; empty where it costs little, or is not known.
 
     Args:
         quality: Shortcomings of the grasps, in the object's frame.
         links: Names of the links.
         joints: Names of the independent joints.
+        passive: Names of the passive joints of the modes in which linkages yield.
     """
     costs = CALIBRATION.costs(quality.shortcomings)
     known = np.isfinite(costs).all(axis=1)
@@ -32,11 +35,18 @@ def weaknesses(quality: Quality, links: tuple[str, ...], joints: tuple[str, ...]
         elif costs[i, which] < NEGLIGIBLE_COST:
             found.append("")
         else:
-            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints))
+            found.append(_text(quality, SHORTCOMINGS[which], i, links, joints, passive))
     return found
 
 
-def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], joints: tuple[str, ...]) -> str:
+def _text(
+    quality: Quality,
+    shortcoming: str,
+    i: int,
+    links: tuple[str, ...],
+    joints: tuple[str, ...],
+    passive: tuple[str, ...],
+) -> str:
     """Return the text on a shortcoming of grasp `i`."""
     if shortcoming == "slippery":
         return f"with friction {LOW_FRICTION:g} its forces leave {quality.slippery[i]:.0%} of the load unbalanced"
@@ -46,7 +56,11 @@ def _text(quality: Quality, shortcoming: str, i: int, links: tuple[str, ...], jo
         return f"{links[quality.deepest_link[i]]} is {1e3 * DEEP * quality.deep[i]:.1f} mm in the object"
     if shortcoming == "strained":
         needed = 1.0 + quality.strained[i]
-        return f"against pushes {joints[quality.strained_joint[i]]} needs {needed:.0%} of the torque that it can make"
+        which = int(quality.strained_joint[i])
+        if which >= len(joints):
+            held = f"{passive[which - len(joints)]}, which no actuator drives, needs {needed:.0%} of the torque"
+            return f"against pushes {held} of its spring"
+        return f"against pushes {joints[which]} needs {needed:.0%} of the torque that it can make"
     if shortcoming == "yielding":
         turn = np.degrees(YIELDING_RAD_N) * (1.0 + quality.yielding[i])
         most = " or more" if quality.yielding[i] >= MOST_YIELDING else ""
