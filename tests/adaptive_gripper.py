@@ -27,7 +27,10 @@ def _finger(name: str, turn: str, spring: float) -> str:
         <body name="{name}_finger" pos="{u} 0 {w}">
           <joint name="{name}_finger" range="-1 1" damping="0.001"/>
           <geom type="box" pos="0.004 0 0.004" size="0.004 0.006 0.004" mass="0.02"/>
-          <body name="{name}_pad" pos="0 0 0.03"><geom type="box" size="0.004 0.012 0.022" mass="0.03"/></body>
+          <body name="{name}_pad" pos="0 0 0.03">
+            <geom type="box" size="0.004 0.012 0.022" mass="0.03" solref="0.004 1" solimp="0.95 0.99 0.001"
+              priority="1"/>
+          </body>
         </body>
       </body>"""
 

@@ -77,7 +77,7 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The best contact forces of grasps on one object, and the derivative of their unbalanced part as the hand moves."""
+    """The best contact forces of grasps on one object, and how their unbalanced part changes as the hand moves."""
 
     chain: Chain
     """Kinematics of the links whose contacts count."""

@@ -77,8 +77,8 @@ class Quality:
     farthest_contact: Int[np.ndarray, " N"]
     """Index (N,) of the link whose gap, weighted by its pressure, is largest."""
     strained_joint: Int[np.ndarray, " N"]
-    """Index (N,) of the independent joint whose torque is the largest share of its limit; behind the joints, of the mode
-    in which a linkage yields (`Hand.modes`)."""
+    """Index (N,) of the independent joint whose torque is the largest share of its limit; behind the joints come the
+    modes in which linkages yield (`Hand.modes`)."""
 
     __repr__ = brief
 

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.se3 import log_so3
-from grasp_refine.hands.linkages import Linkage
+from grasp_refine.hands.linkages import AT_LIMIT, Linkage
+from grasp_refine.hands.yielding import YieldingMode
 
 LOAD_N = 15.0
 """Force in newtons on each fingertip: that of a squeeze."""
@@ -57,10 +58,10 @@ def transmission_compliance(model: mujoco.MjModel, linkage: Linkage, tips: Colle
     flags = mujoco.mjtDisableBit
     model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_GRAVITY | flags.mjDSBL_ACTUATION
     model.opt.timestep = TIMESTEP_S
-    for name in (linkage.driver, *(mode.joint for mode in linkage.modes)):
-        model.dof_armature[model.joint(name).dofadr] = STANDING_ARMATURE
     data = mujoco.MjData(model)
     loads = _loads(model, data, linkage, tips)
+    for name in (linkage.driver, *(_stop(model, data, linkage, mode) for mode in linkage.modes)):
+        model.dof_armature[model.joint(name).dofadr] = STANDING_ARMATURE
     if not loads:
         return 0.0
     start = data.xipos.copy(), data.ximat.copy()
@@ -73,6 +74,16 @@ def transmission_compliance(model: mujoco.MjModel, linkage: Linkage, tips: Colle
         work -= load.wrench @ np.concatenate([data.xipos[load.body] - start[0][load.body], log_so3(turned)])
     torque = sum(load.wrench @ load.rate for load in loads)
     return max(float(work / torque**2), 0.0)
+
+
+def _stop(model: mujoco.MjModel, data: mujoco.MjData, linkage: Linkage, mode: YieldingMode) -> str:
+    """Name of the joint at whose limit a mode rests; its own joint where there is none."""
+    for name in linkage.coefficients:
+        joint = model.joint(name)
+        at_limit = np.abs(joint.range - data.qpos[joint.qposadr]).min() < AT_LIMIT
+        if model.jnt_limited[joint.id] and at_limit and model.body(model.jnt_bodyid[joint.id]).name in mode.twists:
+            return str(name)
+    return mode.joint
 
 
 def _loads(model: mujoco.MjModel, data: mujoco.MjData, linkage: Linkage, tips: Collection[str]) -> list[_Load]:
