@@ -8,7 +8,8 @@ import pytest
 
 from claw import TIPS, around, claw, objects
 from grasp_refine.core.se3 import exp_se3
-from grasp_refine.forces.equilibrium import COUPLING_LEVER_M, UNSOLVED_VALUE, Equilibrium
+from grasp_refine.forces.equilibrium import UNSOLVED_VALUE, Equilibrium
+from grasp_refine.forces.infeasible_torques import LEVER_M as TORQUE_LEVER_M
 from grasp_refine.forces.programs import MAX_PRESSURE_SHARE, NUM_EDGES
 from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION, RIDGE, grasp_map
 from grasp_refine.hands.chain import integrate
@@ -136,7 +137,7 @@ def test_the_value_is_what_the_forces_leave_unbalanced(hand: Hand, bodies: dict[
         for group in hand.coupled:
             own = torque[:, [hand.joint_names.index(name) for name in group.joints]]
             ratio = np.array(group.ratio) / np.linalg.norm(group.ratio)
-            expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / COUPLING_LEVER_M**2
+            expected += ((own - (own @ ratio)[:, None] * ratio) ** 2).sum(axis=1) / TORQUE_LEVER_M**2
         expected += (total**2).sum(axis=1) + RIDGE * (f**2).sum(axis=(1, 2))
     np.testing.assert_allclose(known.loss, expected / len(equilibrium_of(problem).loads), rtol=1e-9)
 

@@ -11,7 +11,6 @@ from claw import around, capsule, claw
 from grasp_refine.collision.query import QueryStatus, Witness, query
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces.calibration import CALIBRATION
-from grasp_refine.forces.equilibrium import COUPLING_LEVER_M
 from grasp_refine.forces.programs import NUM_EDGES
 from grasp_refine.forces.quality import (
     DEEP,
@@ -25,7 +24,7 @@ from grasp_refine.forces.quality import (
 )
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.forces.stiffness import CONTACT_STIFFNESS, TORSION_LEVER_M
-from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION
+from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
@@ -200,7 +199,6 @@ def test_tendons_are_never_better_than_a_motor_for_each_joint(free: Hand, couple
     one, other = (of(hand, ball, point.tolist(), normal.tolist()) for hand in (free, coupled))
     np.testing.assert_allclose(other.slippery, one.slippery, atol=1e-9)
     assert (other.pushed >= one.pushed - 1e-3).all() and (other.pushed > one.pushed + 1e-3).any()
-    assert COUPLING_LEVER_M > 0 and LEVER_M > 0
 
 
 # torques of the actuators
