@@ -120,9 +120,11 @@ def linkages(model: mujoco.MjModel, driven: Collection[str]) -> Linkages:
 def linkage_note(linkage: Linkage, file: str) -> str:
     """Text for the user on a linkage that was solved."""
     curved = sum(len(coefficients) > 2 for coefficients in linkage.coefficients.values())
+    yielding = ", ".join(mode.joint for mode in linkage.modes)
     return (
         f"closed chains of {file}: {', '.join(linkage.coefficients)} follow '{linkage.driver}' "
         f"({count_text(curved, 'curve')}), which keeps the chains closed within {linkage.gap * 1e3:.2g} mm"
+        + (f"; {yielding} can move while it stands still, and only springs and limits hold them" if yielding else "")
     )
 
 

@@ -49,8 +49,7 @@ SHORTFALL_WEIGHT = 0.2
 """Score of a grasp whose set points allow no pressure at all."""
 
 YIELDING_WEIGHT = 0.5
-"""Score of a grasp whose pressure turns the fingers of a linkage, with as much of it as acts at the lever of a torque
-that the hand cannot make (see `infeasible_torques`)."""
+"""Score of a grasp all of whose pressure turns a finger of a linkage, at the lever of `infeasible_torques`."""
 
 MISS_SCALE_M = 0.0025
 """Distance in metres of a contact from where it should be that costs a score of 1."""
@@ -133,7 +132,8 @@ def judge(
     Of grasps whose links meet nothing but the object, the residual under the worst of the strong pushes, which counts
     as much as the shortcomings of `Quality` together, tells which of several attempts holds a heavy object, or one in a
     simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
-    `SHORTFALL_WEIGHT`, and those with two fingers their `pinch_score`. The score is infinite where there are no forces.
+    `SHORTFALL_WEIGHT`, those whose pressure turns fingers of linkages their `mode_residual` times `YIELDING_WEIGHT`,
+    and those with two fingers their `pinch_score`. The score is infinite where there are no forces.
     """
     hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
     cutoff = CONTACTS.cutoff(hand, chain.links)
