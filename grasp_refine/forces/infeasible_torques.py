@@ -13,14 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from grasp_refine.core.se3 import cross, matvec
+from grasp_refine.forces.torques import MIN_LIMIT
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 
 LEVER_M = 0.06
 """Lever in metres: a torque that cannot be made counts like the force making it there."""
-
-MIN_TORQUE = 1e-6
-"""Smallest bound, in N m or N, by which torques are divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +172,7 @@ def mode_shares(
     torque = np.einsum("npkx,nekx->npe", force, velocities(twist, point))
     bounds = [mode.bounds(frames.q[:, hand.joint_names.index(mode.driver)], give) for mode in hand.modes]
     least, greatest = (np.stack([bound[side] for bound in bounds], axis=-1)[:, None] for side in (0, 1))
-    return np.abs(torque) / np.maximum(np.where(torque < 0.0, -least, greatest), MIN_TORQUE)
+    return np.abs(torque) / np.maximum(np.where(torque < 0.0, -least, greatest), MIN_LIMIT)
 
 
 def velocities(twists: Float[np.ndarray, "M E C 6"], p: Float[np.ndarray, "M C 3"]) -> Float[np.ndarray, "M E C 3"]:
