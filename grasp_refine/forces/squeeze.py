@@ -156,11 +156,11 @@ def set_point_offsets(
 ) -> Float[np.ndarray, "N n"]:
     """Offsets (N, n) of the joints' set points from q, in rad or m, that make torques (N, n) where nothing moves.
 
-    Each actuator makes as much of them as it can: nothing without stiffness, else up to its limit, and to where its set
-    points end (`torques.torque_bounds`); and where it drives
-    several joints through a tendon, the nearest torques in the ratio of the joints, which is for equal ratios the mean
-    for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is
-    the sum of ratio x set point over its joints, which share it in proportion to their ratios.
+    Each actuator, in series with the linkage that it moves (`Hand.stiffness`), makes as much of them as it can: nothing
+    without stiffness, else up to its limit, and to where its set points end (`torques.torque_bounds`). Where it drives
+    several joints through a tendon, it makes the nearest torques in the ratio of the joints, which is for equal ratios
+    the mean for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is the sum of
+    ratio x set point over its joints, which share it in proportion to their ratios.
     """
     kp = hand.stiffness
     least, greatest = torque_bounds(hand, q)

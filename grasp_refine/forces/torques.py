@@ -57,8 +57,9 @@ def torque_bounds(
 ) -> tuple[Float[np.ndarray, "*N n"], Float[np.ndarray, "*N n"]]:
     """Return the least and the greatest torque (..., n) that each actuator can make, in N m or N.
 
-    A position actuator makes kp times the distance to its set point, which ends where `Actuator.set_points` do, and at
-    most its force limit. Bounds of a coupled group are those of its tension, the same for all its joints.
+    A position actuator makes `Hand.stiffness` times the distance to its set point, which ends where
+    `Actuator.set_points` do, and at most its force limit. Bounds of a coupled group are those of its tension, the same
+    for all its joints.
 
     Args:
         hand: The hand.

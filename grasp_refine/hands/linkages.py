@@ -242,10 +242,7 @@ class _Closing:
     def _errors(self, value: float, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, " r"]:
         """Vectors between the ends of the chains in metres, and errors of the equalities of joints in rad or m."""
         model, data = self.model, self.data
-        data.qpos[:] = model.qpos0
-        data.qpos[self.at] = x
-        data.qpos[model.jnt_qposadr[self.driver]] = value
-        mujoco.mj_kinematics(model, data)
+        self._place(value, x)
         errors = []
         for number in self.chains:
             first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
@@ -264,9 +261,16 @@ class _Closing:
             errors.append(data.qpos[one] - model.qpos0[one] - np.atleast_1d(model.eq_data[number, :5] @ power))
         return np.concatenate(errors)
 
+    def _place(self, value: float, x: Float[np.ndarray, " p"]) -> None:
+        """Set the joints and poses of `data`."""
+        self.data.qpos[:] = self.model.qpos0
+        self.data.qpos[self.at] = x
+        self.data.qpos[self.model.jnt_qposadr[self.driver]] = value
+        mujoco.mj_kinematics(self.model, self.data)
+
     def _modes(self, values: Float[np.ndarray, " K"], fitted: Float[np.ndarray, "K p"]) -> tuple[YieldingMode, ...]:
         """Modes of the passive joints that keep the chains closed, to first order, at values of the driven joint."""
-        model, data = self.model, self.data
+        model = self.model
         ways = [self._free_ways(float(value), x) for value, x in zip(values, fitted, strict=True)]
         D = min(len(way) for way in ways)
         middle = ways[len(ways) // 2]
@@ -276,18 +280,8 @@ class _Closing:
         # Joints with springs have the values of modes, so that each finger has a mode of its own.
         order = qr(middle * np.where(stiffness > 0.0, SPRING_PREFERENCE, 1.0), pivoting=True, mode="r")[1]
         own = order[:D]
-        dofs = model.jnt_dofadr[self.passive]
-        Z = np.zeros((len(values), D, len(self.passive)))
-        twists = np.zeros((len(values), D, model.nbody, 6))
-        jacobian = np.zeros((2, 3, model.nv))
-        for k, (value, x) in enumerate(zip(values, fitted, strict=True)):
-            Z[k] = np.linalg.lstsq(ways[k][:, own], np.eye(D), rcond=None)[0] @ ways[k]
-            self._errors(float(value), x)  # places the bodies
-            mujoco.mj_comPos(model, data)
-            for body in range(1, model.nbody):
-                mujoco.mj_jacBody(model, data, jacobian[0], jacobian[1], body)
-                in_body = data.xmat[body].reshape(3, 3).T @ jacobian[:, :, dofs]
-                twists[k, :, body] = np.moveaxis(in_body @ Z[k].T, 2, 0).reshape(D, 6)
+        Z = np.stack([np.linalg.lstsq(way[:, own], np.eye(D), rcond=None)[0] @ way for way in ways])
+        twists = self._twists(values, fitted, Z)
         torque = -stiffness * (fitted - model.qpos_spring[self.at])
         springs, soft = np.einsum("kdp,kp->kd", Z, torque), np.einsum("kdp,p->kd", Z**2, stiffness)
         # A joint at a limit is pushed away from it with as much as it takes.
@@ -311,6 +305,22 @@ class _Closing:
                 )
             )
         return tuple(found)
+
+    def _twists(
+        self, values: Float[np.ndarray, " K"], fitted: Float[np.ndarray, "K p"], Z: Float[np.ndarray, "K D p"]
+    ) -> Float[np.ndarray, "K D bodies 6"]:
+        """Twists of all bodies in their own frames while the passive joints move by `Z`."""
+        model, data = self.model, self.data
+        dofs, jacobian = model.jnt_dofadr[self.passive], np.zeros((2, 3, model.nv))
+        found = np.zeros((*Z.shape[:2], model.nbody, 6))
+        for k, (value, x) in enumerate(zip(values, fitted, strict=True)):
+            self._place(float(value), x)
+            mujoco.mj_comPos(model, data)
+            for body in range(1, model.nbody):
+                mujoco.mj_jacBody(model, data, jacobian[0], jacobian[1], body)
+                in_body = data.xmat[body].reshape(3, 3).T @ jacobian[:, :, dofs]
+                found[k, :, body] = np.moveaxis(in_body @ Z[k].T, 2, 0).reshape(-1, 6)
+        return found
 
     def _free_ways(self, value: float, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, "d p"]:
         """Orthonormal rows: changes of the passive joints that keep the chains closed, to first order."""

@@ -55,14 +55,13 @@ def test_forces_through_the_centre_of_a_finger_do_not_turn_it(hand: Hand) -> Non
 
 def test_changes_are_the_derivative_of_the_forms(hand: Hand) -> None:
     """Finite differences, for forces and points at rest while the hand moves."""
-    coupled = replace(hand, coupled=())
-    links = links_of(coupled)
-    chain = Chain(coupled, links)
+    links = links_of(hand)
+    chain = Chain(hand, links)
     T, q = poses(3), np.array([[0.113], [0.207], [0.391]])
     rng = np.random.default_rng(5)
     L = len(links)
     p, f = 0.1 * rng.normal(size=(3, L, 3)), rng.normal(size=(3, 2, L, 3))
-    infeasible = InfeasibleTorques.of(coupled, chain)
+    infeasible = InfeasibleTorques.of(hand, chain)
 
     def torques(dx: np.ndarray) -> np.ndarray:
         frames = chain(integrate(T, np.tile(dx[:6], (3, 1))), q + dx[6:])

@@ -8,7 +8,7 @@ import pytest
 
 from adaptive_gripper import BAR_M, SPRING_NM_PER_RAD, SPRING_RAD, adaptive_gripper, write_adaptive_gripper
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.linkages import Linkage, linkages
+from grasp_refine.hands.linkages import CLOSED_M, Linkage, linkages
 from grasp_refine.hands.transmission import transmission_compliance
 
 DRIVER = "right_driver"
@@ -30,6 +30,8 @@ def test_a_finger_turns_about_where_its_bars_meet(hand: Hand) -> None:
     by_joint = {mode.joint: mode for mode in hand.modes}
     assert set(by_joint) == {"right_bar", "left_bar"}, "each finger has a mode of its own"
     model, linkage = solved(adaptive_gripper())
+    assert linkage.gap < CLOSED_M
+    assert np.abs(linkage.coefficients["right_coupler"]).max() < 1e-3, "the spring presses it against its limit"
     data = mujoco.MjData(model)
     for side in ("left", "right"):
         mode = by_joint[f"{side}_bar"]
