@@ -11,11 +11,11 @@ from adaptive_gripper import write_adaptive_gripper
 from grasp_refine.core.se3 import exp_so3, transform, transform_points
 from grasp_refine.forces.infeasible_torques import LEVER_M, InfeasibleTorques, mode_shares
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.pipeline.facade import refine
-from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
@@ -95,17 +95,24 @@ def test_shares_are_of_springs_on_one_side_and_none_on_the_other(hand: Hand) -> 
     assert (found > 0.0).sum() == 1
 
 
-def pressure(hand: Hand) -> float:
-    """Pressure in newtons of both fingers on a box that stands between the middles of their pads, after the squeeze."""
-    obj, chain = load_object("box:0.05,0.03,0.01"), Chain(hand, ("right_pad",))
-    values = np.linspace(hand.lower[0], hand.upper[0], 2001)
+def pinch(hand: Hand, above: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of the hand and joint values at which its pads touch what is 5 cm wide at the origin.
+
+    The centre about which a pad turns is `above` metres nearer to the palm; at 0 the pads do not move along x.
+    """
+    chain, values = Chain(hand, ("right_pad",)), np.linspace(hand.lower[0], hand.upper[0], 2001)
     T_pad = chain(np.tile(np.eye(4), (2001, 1, 1)), values[:, None]).T_world_link[:, 0]
-    at = np.abs(T_pad[:, 0, 3] - 0.004 - 0.025).argmin()  # pads of 4 mm either way touch the box
+    at = np.abs(T_pad[:, 0, 3] - 0.004 - 0.025).argmin()  # pads of 4 mm either way
     (mode,) = [mode for mode in hand.modes if mode.joint == "right_bar"]
     twist = mode.twist("right_pad", values[[at]])[0]
-    height = T_pad[at, 2, 3] - twist[0] / twist[4]  # where the pad turns about, and does not move along x
-    T = transform(np.eye(3), np.array([0.0, 0.0, -height]))
-    scene = Scene(hand, obj, T[None], values[[[at]]])
+    centre = T_pad[at, 2, 3] - twist[0] / twist[4]
+    return transform(np.eye(3), np.array([0.0, 0.0, -centre - above])), values[[at]]
+
+
+def pressure(hand: Hand) -> float:
+    """Pressure in newtons of both fingers on a box that stands between the middles of their pads, after the squeeze."""
+    obj, (T, q) = load_object("box:0.05,0.03,0.01"), pinch(hand, 0.0)
+    scene = Scene(hand, obj, T[None], q[None])
     world = build_world(model_of(hand), obj, DEXGRASPBENCH, scene.table)
     closed = close(world, closing_motion(scene), Conditions.nominal(world, 1))
     data = mujoco.MjData(world.model)
@@ -124,10 +131,12 @@ def test_squeezes_press_through_what_gives_way(hand: Hand) -> None:
 
 
 def test_fingers_that_springs_hardly_hold_are_told(tmp_path: Path, hand: Hand) -> None:
-    """Pushes turn them: quality knows, and the text names the joint."""
+    """Springs resist forces beyond the centre about which a pad turns; nearer to the palm, stops of the joints do."""
     weak = load_hand(write_adaptive_gripper(tmp_path, spring=1e-4), candidates=512)
-    ball = load_object("sphere:0.025")
-    firm, soft = (refine(one, ball, sample_grasps(one, ball, 4, seed=1)).outcome for one in (hand, weak))
-    assert firm.quality.min() > 0.9 and soft.quality.min() < 0.1
-    texts = " ".join(soft.weakness)
-    assert "_bar, which no actuator drives, needs" in texts and "_bar" not in " ".join(firm.weakness)
+    T, q = (np.stack(parts) for parts in zip(*(pinch(hand, above) for above in (-0.01, 0.005, 0.01)), strict=True))
+    ball, beyond = load_object("sphere:0.025"), np.array([False, True, True])
+    firm, soft = (refine(one, ball, GraspSet.of(one, T, q)).outcome for one in (hand, weak))
+    assert (firm.quality > 0.9).all()
+    assert (soft.quality[:, 1] < 0.1).tolist() == beyond.tolist() and soft.quality[0, 1] > 0.9
+    named = np.char.find(soft.weakness, "_bar, which no actuator drives, needs") >= 0
+    assert named.tolist() == beyond.tolist() and "_bar" not in " ".join(firm.weakness)
