@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
+from grasp_refine.core.source_version import RELEASE
 from readme import ROOT
 
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
@@ -34,6 +35,6 @@ def test_authors_are_persons_or_groups(cited: dict[str, Any]) -> None:
 def test_it_cites_this_version() -> None:
     assert CITATION["title"] == PROJECT["name"]
     # YAML would read 0.10 as a number.
-    assert isinstance(CITATION["version"], str) and CITATION["version"] == PROJECT["version"]
+    assert isinstance(CITATION["version"], str) and CITATION["version"] == RELEASE
     assert CITATION["license"] == PROJECT["license"]
     assert CITATION["keywords"] == PROJECT["keywords"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from pathlib import Path
 import pytest
 
 from command_line import subprocess_environment
+from git_repository import commit_all
+from grasp_refine.core.source_version import source_version
 from refusals import refused
 
 pytest.importorskip("scikit_build_core", reason="the build backend comes with the extra 'test'")
@@ -73,7 +76,16 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / name, copy)
     for folder in PLACES:
         shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    commit_all(copy)
     return copy
+
+
+@pytest.fixture(scope="module")
+def version(source: Path) -> str:
+    """Version of `source`, with its commit."""
+    found = source_version(source)
+    assert re.fullmatch(r"0\.2\.0\+g[0-9a-f]{7,}", found)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +106,8 @@ def editable(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(checkout, "build_editable", tmp_path_factory.mktemp("editable") / "built")
 
 
-def test_the_wheel_holds_both_packages_with_their_data(source: Path, wheel: Path):
-    assert wheel.name == "grasp_refine-0.1.0-py3-none-any.whl"
+def test_the_wheel_holds_both_packages_with_their_data(source: Path, wheel: Path, version: str):
+    assert wheel.name == f"grasp_refine-{version}-py3-none-any.whl"
     assert contents(wheel) == wanted(source)
     typed = {f"{package}/py.typed" for package in ("grasp_refine", "grasp_refine_apps")}
     assert typed | {"grasp_refine_apps/__init__.py"} <= contents(wheel)
@@ -115,14 +127,16 @@ def test_the_wheel_names_its_command_and_licence(wheel: Path):
         assert b"Apache License" in archive.read(info["LICENSE"])
 
 
-def test_the_sdist_builds_the_same_wheel(source: Path, tmp_path: Path):
+def test_the_sdist_builds_the_same_wheel(source: Path, wheel: Path, tmp_path: Path):
+    """The sdist has no repository, and carries the version with the commit."""
     sdist = build(source, "build_sdist", tmp_path / "sdist")
     with tarfile.open(sdist) as archive:
         archive.extractall(tmp_path / "unpacked", filter="data")
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     assert {path.name for path in (unpacked / SOURCES).iterdir()} >= {"CMakeLists.txt", "module.cpp", "search.h"}
     assert {path.name for path in unpacked.iterdir()} >= {"README.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE"}
-    assert contents(build(unpacked, "build_wheel", tmp_path / "wheel")) == wanted(source)
+    again = build(unpacked, "build_wheel", tmp_path / "wheel")
+    assert again.name == wheel.name and contents(again) == wanted(source)
 
 
 OFFLINE = ("No matching distribution found", "Temporary failure in name resolution", "Connection")
@@ -130,7 +144,7 @@ OFFLINE = ("No matching distribution found", "Temporary failure in name resoluti
 
 
 @pytest.mark.slow
-def test_the_sdist_installs_in_an_empty_environment(source: Path, tmp_path: Path):
+def test_the_sdist_installs_in_an_empty_environment(source: Path, version: str, tmp_path: Path):
     """As on a machine of somebody else: pip builds it and fetches what it declares to need, nothing of ours is near."""
     sdist = build(source, "build_sdist", tmp_path / "sdist")
     home = tmp_path / "home"
@@ -148,12 +162,13 @@ def test_the_sdist_installs_in_an_empty_environment(source: Path, tmp_path: Path
     assert result.returncode == 0, result.stderr
     assert call(home / "venv/bin/pip", "check").returncode == 0, "what is installed fits together"
     program = home / "venv/bin/refine-grasp"
-    assert call(program, "--version").stdout == "refine-grasp 0.1.0\n"
+    assert call(program, "--version").stdout == f"refine-grasp {version}\n"
     run = call(program, "run", "--geometry-only")
     assert run.returncode == 0, run.stderr
     assert "4 of 4" in run.stdout
     assert (home / "grasp-refine-results/allegro_mug.npz").is_file()
-    assert call(program, "doctor").returncode == 0
+    checked = call(program, "doctor")
+    assert checked.returncode == 0 and f"grasp-refine {version} " in checked.stdout
     listed = call(program, "hands")
     assert listed.returncode == 0 and "shadow_palm" in listed.stdout
 
@@ -196,21 +211,22 @@ def in_checkout(source: Path) -> dict[str, str]:
 def test_a_checkout_is_imported_by_the_paths_of_pytest():
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
     paths = [(ROOT / path).resolve() for path in options["pythonpath"]]
-    assert imported(*MODULES, paths=paths) == in_checkout(ROOT) | {"version": "0+not.installed"}
+    assert imported(*MODULES, paths=paths) == in_checkout(ROOT) | {"version": source_version(ROOT)}
 
 
-def test_an_installed_wheel_finds_its_folders(wheel: Path, tmp_path: Path):
+def test_an_installed_wheel_finds_its_folders(wheel: Path, version: str, tmp_path: Path):
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     assert imported(*MODULES, site=site) == {
-        "version": "0.1.0",
+        "version": version,
         **{name: str(site / name.replace(".", "/") / "__init__.py") for name in MODULES},
         **{name: str(site / "grasp_refine" / name) for name in ("robots", "assets_manifest")},
     }
 
 
-def test_an_editable_install_sees_the_checkout(checkout: Path, editable: Path, tmp_path: Path):
+def test_an_editable_install_sees_the_checkout(checkout: Path, editable: Path, version: str, tmp_path: Path):
+    """Its files and its commit as they are now, not as they were when it was installed."""
     site = tmp_path / "site"
     with zipfile.ZipFile(editable) as archive:
         archive.extractall(site)
@@ -223,8 +239,11 @@ def test_an_editable_install_sees_the_checkout(checkout: Path, editable: Path, t
         path.parent.mkdir(exist_ok=True)
         path.write_text("")
         (path.parent / "__init__.py").touch()
+    assert version in editable.name
+    commit_all(checkout)
+    assert source_version(checkout) != version
     assert imported(*MODULES, *later, site=site) == in_checkout(checkout) | {
-        "version": "0.1.0",
+        "version": source_version(checkout),
         **{name: str(path) for name, path in later.items()},
     }
 

@@ -36,7 +36,7 @@ def ours(command: str) -> list[str] | None:
 
 OTHERS = {
     "python3 -m venv .venv": "the two commands that set it up are run by .ci/run",
-    ".venv/bin/pip install": "likewise; the viewer's libraries come with the extra that tests need",
+    ".venv/bin/pip install": "likewise",
     "pip install": "likewise, for Drake",
     ".venv/bin/pytest": "likewise",
     ".venv/bin/ruff": ".ci/run runs it",

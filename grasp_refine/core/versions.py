@@ -6,8 +6,11 @@ import platform
 import re
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+
+from grasp_refine.core.source_version import RELEASE, source_version
 
 NAME = "grasp-refine"
 
@@ -50,11 +53,12 @@ class Requirement:
 
 
 def requirements() -> tuple[Requirement, ...]:
-    """Packages that the program needs, by its installed metadata or, in a checkout not installed, by pyproject.toml."""
+    """Packages that the program needs, by pyproject.toml of the checkout that runs, or by its installed metadata."""
+    root = _checkout()
     try:
-        lines = requires(NAME) or []
+        lines = (requires(NAME) or []) if root is None else _pyproject_requirements(root)
     except PackageNotFoundError:
-        lines = _checkout_requirements()
+        lines = []
     found = []
     for line in lines:
         name, bounds, marker = _REQUIREMENT.match(line).groups()  # type: ignore[union-attr]  # ours all match
@@ -65,12 +69,17 @@ def requirements() -> tuple[Requirement, ...]:
     return tuple(found)
 
 
+@cache
 def own_version() -> str:
-    """Return the version of the program from its installed metadata."""
+    """Return the version with the commit of the checkout that runs, or of the installed build: "0.2.0+g1234567".
+
+    Git is asked when the version is first needed, since the commit may have moved after an editable installation.
+    """
+    root = _checkout()
     try:
-        return version(NAME)
+        return version(NAME) if root is None else source_version(root)
     except PackageNotFoundError:
-        return "0+not.installed"
+        return RELEASE
 
 
 def versions() -> dict[str, str]:
@@ -83,11 +92,14 @@ def versions() -> dict[str, str]:
     }
 
 
-def _checkout_requirements() -> list[str]:
-    file = Path(__file__).resolve().parents[2] / "pyproject.toml"
-    if not file.is_file():
-        return []
-    project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
+def _checkout() -> Path | None:
+    """Return the folder of the checkout that runs, installed as an editable or not at all; None: a wheel's files run."""
+    root = Path(__file__).resolve().parents[2]
+    return root if (root / "pyproject.toml").is_file() and (root / "apps" / "grasp_refine_apps").is_dir() else None
+
+
+def _pyproject_requirements(root: Path) -> list[str]:
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project.get("optional-dependencies", {})
     return project["dependencies"] + [
         f"{line}; extra == '{extra}'" for extra, lines in extras.items() for line in lines

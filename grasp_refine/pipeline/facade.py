@@ -265,12 +265,12 @@ def view(grasps: RefinedGrasps | Problem) -> Any:
         grasps: Refined grasps, or a problem.
 
     Raises:
-        GraspRefineError: no viewer is installed.
+        GraspRefineError: no viewer is registered, as in a checkout that is not installed.
     """
     check_kind("grasps", grasps, RefinedGrasps | Problem)
     viewers = entry_points(group=VIEWERS)
     if not viewers:
-        raise GraspRefineError("no viewer is installed: pip install 'grasp-refine[viewer]'")
+        raise GraspRefineError("no viewer is registered: install grasp-refine again, a checkout by pip install -e .")
     problem = grasps
     if isinstance(grasps, RefinedGrasps):
         after = grasps.after

@@ -11,7 +11,7 @@ from grasp_refine.core.versions import Requirement, requirements, versions
 def test_requirements_are_those_of_the_project():
     needs = {need.name: need for need in requirements()}
     assert needs["torch"].range == ">=2.6,<2.14" and needs["torch"].extra is None
-    assert needs["viser"].extra == "viewer"
+    assert needs["viser"].extra is None and needs["drake"].extra == "drake"
     assert versions()["numpy"] == np.__version__
 
 

@@ -12,7 +12,6 @@ import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,10 +90,8 @@ class View:
         """Serve the page until interrupted; return the exit code.
 
         Raises:
-            GraspRefineError: a file cannot be used, the port is taken, or viser is not installed.
+            GraspRefineError: a file cannot be used, or the port is taken.
         """
-        if find_spec("viser") is None:
-            raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
         from grasp_refine_apps.viewer.access import PUBLIC_WARNING
         from grasp_refine_apps.viewer.page import close_server, open_server
         from grasp_refine_apps.viewer.panels.banner import Banner
@@ -209,13 +206,7 @@ class View:
 
 
 def show(problem: Problem) -> Viewer:
-    """Show a problem in a browser, and return the viewer: the entry point of `grasp_refine.view`.
-
-    Raises:
-        GraspRefineError: viser is not installed.
-    """
-    if find_spec("viser") is None:
-        raise GraspRefineError("the viewer needs viser: pip install 'grasp-refine[viewer]'")
+    """Show a problem in a browser, and return the viewer: the entry point of `grasp_refine.view`."""
     from grasp_refine_apps.viewer.collection import Collection
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.page import open_server

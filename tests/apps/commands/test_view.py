@@ -36,8 +36,6 @@ from open_viewer import settled
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon
 
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
 
 def opened(*files: Path, inputs: Inputs | None = None) -> Controller:
     """What the files mean; closed, only its state is looked at."""
@@ -120,12 +118,6 @@ def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:
         port = str(taken.getsockname()[1])
         assert main(["view", "--port", port, "--no-open"]) == 2
     assert_names(capsys.readouterr().err, f"127.0.0.1:{port}")
-
-
-def test_without_viser_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("grasp_refine_apps.commands.view.find_spec", lambda name: None)
-    with refused(GraspRefineError, "pip install 'grasp-refine[viewer]'"):
-        View().execute()
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """One headless Chromium for all tests."""
-    pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
     pytest.importorskip("playwright", reason="playwright comes with the extra 'test'")
     if chromium() is None:
         pytest.skip("there is no chromium: apt-get install chromium")
@@ -38,7 +37,8 @@ def problem() -> Problem:
 @pytest.fixture
 def server() -> Iterator[Any]:
     """A viser server with nothing on it."""
-    viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
+    import viser
+
     opened = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     yield opened
     opened.stop()

@@ -10,14 +10,11 @@ import pytest
 
 from browser import ViserPage, until
 from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.animation import Film, Frame, animation_html  # noqa: E402
 from grasp_refine_apps.viewer.camera import FirstCamera
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses, visual_shapes
 from open_viewer import example
-
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.animation import Film, Frame, animation_html  # noqa: E402
 
 STEPS = 11
 

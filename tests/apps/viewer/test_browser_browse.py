@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 
 from browser import ViserPage, until
 from grasp_refine.assets.embedded import resource_dir
@@ -22,11 +23,8 @@ from grasp_refine_apps.viewer.columns import STATUS
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.listing import NO_MARK
 from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
 from made_results import save_example_results
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel  # noqa: E402
 
 
 @dataclass

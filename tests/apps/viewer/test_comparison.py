@@ -90,7 +90,6 @@ def test_opening_the_other_file_compares_it_with_the_first(viewer: Controller, o
 
 
 def test_the_list_of_open_files_chooses_what_is_compared(viewer: Controller, other: Collection) -> None:
-    pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
     from grasp_refine_apps.viewer.panels.browse_panel import NOTHING, BrowsePanel
 
     with shown_panel(BrowsePanel, viewer) as (panel, page):

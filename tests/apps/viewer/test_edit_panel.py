@@ -15,17 +15,14 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.viewer import editing
+from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, targets_text
+from grasp_refine_apps.viewer.panels.joints import limits, units
 from open_viewer import controller, settled, shown_panel
 from plate_gripper import URDF
 from websocket_page import Page, until
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer import editing  # noqa: E402
-from grasp_refine_apps.viewer.collection import Collection  # noqa: E402
-from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, targets_text  # noqa: E402
-from grasp_refine_apps.viewer.panels.joints import limits, units  # noqa: E402
 
 TIP = "link_3.0_tip"
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import viser
 from PIL import Image
 
 from grasp_refine.core.se3 import exp_se3, pose_from_transform
@@ -29,18 +30,15 @@ from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.panels import export_panel
+from grasp_refine_apps.viewer.panels.banner import banner_text
+from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png, shelf_titles
+from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES
+from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, uploads_under_way
 from refusals import assert_names
 from uploaded import gripper_zip
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.panels import export_panel  # noqa: E402
-from grasp_refine_apps.viewer.panels.banner import banner_text  # noqa: E402
-from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png, shelf_titles  # noqa: E402
-from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES  # noqa: E402
-from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, uploads_under_way  # noqa: E402
-from viser_client import Client  # noqa: E402
-from websocket_page import until  # noqa: E402
+from viser_client import Client
+from websocket_page import until
 
 BOX = trimesh.creation.box((0.04, 0.05, 0.06)).export(file_type="stl")
 

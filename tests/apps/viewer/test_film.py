@@ -8,6 +8,7 @@ import pytest
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.animation import MAX_FRAMES, Film, film_of, motion_film, refinement_film  # noqa: E402
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shapes import LinkPoses
@@ -17,10 +18,6 @@ from grasp_refine_apps.viewer.trace import Trace, subsample
 from grasp_refine_apps.viewer.work import Work
 from open_viewer import example
 from refusals import assert_names, refused
-
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.animation import MAX_FRAMES, Film, film_of, motion_film, refinement_film  # noqa: E402
 
 AWAY = 0.04
 """Metres by which the hand comes nearer in the film."""

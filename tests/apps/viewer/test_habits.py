@@ -10,13 +10,10 @@ import pytest
 
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.viewer.controller import Controller
-from open_viewer import controller
-
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
 from grasp_refine_apps.viewer.page import close_server, open_server  # noqa: E402
 from grasp_refine_apps.viewer.panels.app import Viewer, badge  # noqa: E402
 from grasp_refine_apps.viewer.panels.habits import Habits, title  # noqa: E402
+from open_viewer import controller
 
 
 @pytest.fixture

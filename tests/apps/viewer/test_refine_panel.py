@@ -12,17 +12,14 @@ import pytest
 from grasp_refine.pipeline.problem import Problem
 from grasp_refine.validation.measures import COMPARED
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves
+from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, job_text, outcome_text
+from grasp_refine_apps.viewer.panels.timeline import numbers
+from grasp_refine_apps.viewer.trace import Trace
 from open_viewer import controller, shown_panel
 from refusals import assert_names
 from websocket_page import Page, until
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves  # noqa: E402
-from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel, job_text, outcome_text  # noqa: E402
-from grasp_refine_apps.viewer.panels.timeline import numbers  # noqa: E402
-from grasp_refine_apps.viewer.trace import Trace  # noqa: E402
 
 
 def trace_of(count: int, n: int = 2) -> Trace:

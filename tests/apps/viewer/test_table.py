@@ -16,13 +16,10 @@ from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, REASON, Column
 from grasp_refine_apps.viewer.listing import Listing
+from grasp_refine_apps.viewer.panels.browse_panel import metrics_html  # noqa: E402
 from grasp_refine_apps.viewer.table import ROWS_PER_PAGE, page_of, pages, shown_columns, table_html
 from made_results import save_example_results
 from open_viewer import made_trial
-
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.panels.browse_panel import metrics_html  # noqa: E402
 
 EVIL = "</td><script>alert(1)</script><img src=x onerror=alert(2)>\"' onclick=alert(3) x='"
 

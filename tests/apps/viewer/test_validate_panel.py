@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 
 from grasp_refine.pipeline.problem import Problem
+from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.panels.play_bar import PLAY
+from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
+from grasp_refine_apps.viewer.shown_motion import ShownMotion
 from open_viewer import controller, example, shown_panel
 from websocket_page import Page, until
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.controller import Controller  # noqa: E402
-from grasp_refine_apps.viewer.panels.play_bar import PLAY  # noqa: E402
-from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel  # noqa: E402
-from grasp_refine_apps.viewer.shown_motion import ShownMotion  # noqa: E402
 
 
 @dataclass

@@ -12,12 +12,9 @@ from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.panels.validate_panel import motion_html, notes_html, trial_html  # noqa: E402
 from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
 from refusals import assert_names
-
-pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.panels.validate_panel import motion_html, notes_html, trial_html  # noqa: E402
 
 OWN = {"pregrasp": "own", "squeeze": "own"}
 

@@ -8,12 +8,9 @@ from typing import Any
 
 import pytest
 
+from grasp_refine_apps.viewer.panels import widgets
+from grasp_refine_apps.viewer.panels.widgets import LiveInput, on_change, on_click
 from websocket_page import Page, until
-
-viser = pytest.importorskip("viser", reason="the viewer comes with the extra 'viewer'")
-
-from grasp_refine_apps.viewer.panels import widgets  # noqa: E402
-from grasp_refine_apps.viewer.panels.widgets import LiveInput, on_change, on_click  # noqa: E402
 
 
 @pytest.fixture
