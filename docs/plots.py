@@ -23,6 +23,12 @@ import matplotlib.pyplot as plt  # noqa: E402
 
 FIGURES = Path(__file__).parent / "pages" / "figures"
 BLUE, ORANGE = "#2b5c9e", "#d98a2b"
+SOLVERS = {
+    "closed-form": "closed form alone",
+    "levenberg-marquardt": "Levenberg-Marquardt",
+    "closed-form-first": "the same, closed form first",
+}
+"""Solver of `bench align` -> its name in the plot; descent has those of its derivatives."""
 
 
 def hold(rows: list[dict[str, Any]], axes: Any) -> None:
@@ -50,11 +56,10 @@ def align(rows: list[dict[str, Any]], axes: Any) -> None:
         curves: dict[str, list[dict[str, Any]]] = {}
         for row in rows:
             if (row["kind"], row["pair"], row["target_class"], row["witness"]) == (kind, "all", "all", "plain"):
-                solver = row["solver"] == "levenberg-marquardt"
-                curves.setdefault("Levenberg-Marquardt" if solver else f"descent, {row['method']}", []).append(row)
+                curves.setdefault(SOLVERS.get(row["solver"]) or f"descent, {row['method']}", []).append(row)
         for name, points in curves.items():
             points.sort(key=lambda row: row["budget"])
-            style = {"color": BLUE, "linewidth": 2.2} if name.startswith("L") else {"linewidth": 1.3}
+            style = {"color": BLUE, "linewidth": 2.2} if name == SOLVERS["levenberg-marquardt"] else {"linewidth": 1.3}
             axis.plot(
                 [row["cpu_s_per_pair"] for row in points], [100 * row["acc_1e6"] for row in points], "o-", ms=4,
                 label=name, **style,

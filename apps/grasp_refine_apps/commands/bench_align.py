@@ -47,8 +47,8 @@ class BenchAlign(BenchCommand):
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
     table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
-    (levenberg-marquardt against descent), patch (plain against patch witness points, targets on two faces), smoke
-    (under a minute)."""
+    (descent, closed form, and levenberg-marquardt without and with it), patch (plain against patch witness points,
+    targets on two faces), smoke (under a minute)."""
     meshes: Annotated[DisallowNone[Path | None], default("embedded", metavar="DIR")] = None
     """Folder of meshes from which pairs are drawn."""
     kinds: tuple[Kind, ...] = ("convex", "concave")
@@ -62,7 +62,9 @@ class BenchAlign(BenchCommand):
     solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("descent")] = None
     """Solver: the paper's normalised gradient descent, or levenberg-marquardt, which ends each task when its error is
     below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
-    runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task."""
+    runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task.
+    closed-form places body 2 once, with opposite normals at the targets, without a derivative or an iteration.
+    closed-form-first is levenberg-marquardt with that pose as the first at which a stalled task starts again."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("distance")] = None
     """Derivative of the witness points in descent."""
     neighborhoods: Annotated[DisallowNone[tuple[NeighborhoodName, ...] | None], default("adaptive")] = None
@@ -153,13 +155,17 @@ class BenchAlign(BenchCommand):
                 self.step_sizes or (Variant.step_size,),
             )
         ]
-        by_solver = {
+        margins = self.margins or (Variant.margin,)
+        by_solver: dict[SolverName, list[Variant]] = {
             "descent": made,
-            "levenberg-marquardt": [Variant.least_squares(margin=m) for m in self.margins or (Variant.margin,)],
+            "closed-form": [Variant.closed_form(margin=m) for m in margins],
+            "levenberg-marquardt": [Variant.least_squares(margin=m) for m in margins],
+            "closed-form-first": [Variant.least_squares(margin=m, with_closed_form=True) for m in margins],
         }
         epsilon = (EPSILON if self.epsilon is None else self.epsilon) if "patch" in witnesses else None
         made = [
-            replace(variant, witness=witness, epsilon=epsilon)
+            # The closed form takes no witness points.
+            replace(variant, witness="plain" if solver == "closed-form" else witness, epsilon=epsilon)
             for solver, witness in product(solvers, witnesses)
             for variant in by_solver[solver]
         ]

@@ -99,15 +99,13 @@ def test_smoke_runs_all_methods(capfd: pytest.CaptureFixture[str]):
 
 
 def test_solvers_and_witnesses_are_compared(capfd: pytest.CaptureFixture[str]):
-    options = "--solvers descent levenberg-marquardt --witnesses plain patch --epsilon 2e-5 --margins 0 1e-3"
+    solvers = ("descent", "levenberg-marquardt", "closed-form-first")
+    options = f"--solvers {' '.join(solvers)} closed-form --witnesses plain patch --epsilon 2e-5 --margins 0 1e-3"
     found = document(*TINY[:-2], "30", *options.split(), "--classes", "vertex-vertex", "face-face")
     rows = pooled(found)
     assert [(row["solver"], row["witness"], row["margin"]) for row in rows] == [
-        (solver, witness, margin)
-        for solver in ("descent", "levenberg-marquardt")
-        for witness in ("plain", "patch")
-        for margin in (0.0, 1e-3)
-    ]
+        (solver, witness, margin) for solver in solvers for witness in ("plain", "patch") for margin in (0.0, 1e-3)
+    ] + [("closed-form", "plain", margin) for margin in (0.0, 1e-3)]
     for row in rows:
         assert row["epsilon"] == row["patch"]["epsilon"] == 2e-5 and row["patch"]["targets"] == row["targets"]
         assert row["iterations_mean"] == 30.0 if row["solver"] == "descent" else row["iterations_mean"] <= 30.0

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from zlib import crc32
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from grasp_refine.collision.query import Pairs, Witness, query_items
 from grasp_refine.core.array_records import choose, join
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import cross, exp_so3, matvec, tangents, transform, transform_points
+from grasp_refine.core.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.refinement.solvers.iterate import Point, minimise
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.rows import Linear
@@ -25,7 +24,7 @@ from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatur
 from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
-from grasp_refine_apps.bench.align.pseudonormals import pseudonormals
+from grasp_refine_apps.bench.align.closed_form import ClosedForm, turned
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -65,7 +64,9 @@ def run_levenberg_marquardt(
     budget = variant.budget
     assert budget is not None, "only descent has a time budget"
     watch = Stopwatch()
-    problem = AlignProblem(bodies, tasks, variant.margin, seed, variant.solver_patch, watch)
+    problem = AlignProblem(
+        bodies, tasks, variant.margin, seed, variant.solver_patch, watch, with_closed_form=variant.with_closed_form
+    )
     counts = np.array([len(its) for its in tasks])
     first = np.cumsum(counts) - counts
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
@@ -126,6 +127,8 @@ class AlignProblem:
         seed: int,
         patch: Patch | None = None,
         watch: Stopwatch | None = None,
+        *,
+        with_closed_form: bool = False,
     ) -> None:
         """Set up the tasks; members are those of the first pair, then those of the second, and so on.
 
@@ -136,6 +139,7 @@ class AlignProblem:
             seed: Seed of restarts.
             patch: Patch witness that is used; None: plain witness points.
             watch: Stopwatch of the passes.
+            with_closed_form: Whether restarts include the closed form.
         """
         self.watch = Stopwatch() if watch is None else watch
         self.pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
@@ -145,6 +149,7 @@ class AlignProblem:
         self.key = [crc32(T.tobytes()) for T in self.tasks.T_world_b]
         self.curvatures = PairCurvatures.of(self.pairs, SMALLEST_CURVATURE)
         self.length = np.array([0.25 * (pair.a.diagonal + pair.b.diagonal) for pair in bodies])
+        self.closed = ClosedForm(self.pairs, self.pair, self.tasks, margin) if with_closed_form else None
         self.several = any(len(body.pieces) > 1 for body in (*self.pairs.a, *self.pairs.b))
 
     def evaluate(self, member: np.ndarray, point: Point, previous: Known | None) -> Known:
@@ -206,76 +211,32 @@ class AlignProblem:
         pivot = transform_points(point.T, self.tasks.target_b[member])
         turn = np.sqrt((dx[:, 3:] ** 2).sum(axis=1, keepdims=True))
         dx = dx * (MAX_ROTATION_RAD / np.maximum(turn, MAX_ROTATION_RAD))
-        return Point(_turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
+        return Point(turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
         """Rotate body b about its target, which is placed on that of body a.
 
-        Of three restarts, the first opposes the normals at the targets (`opposed`), at first turning as little as
-        possible from the best pose, later with a random roll. The second is a large random rotation from the current
-        pose, the third a small one from the best pose.
+        A large random rotation from the current pose alternates with a small one from the best pose. With the closed
+        form, it comes before both: at first turning as little as possible from the best pose, later with a random roll.
         """
+        # 1: the closed form, 2: large, 0: small.
+        kind = start % 3 if self.closed is not None else np.where(start % 2 == 1, 2, 0)
         w, roll = np.zeros((len(member), 3)), np.zeros(len(member))
-        for row, (m, k) in enumerate(zip(member.tolist(), start.tolist(), strict=True)):
+        for row, (m, k, its) in enumerate(zip(member.tolist(), start.tolist(), kind.tolist(), strict=True)):
             rng = np.random.default_rng((self.seed, self.key[m], k))
-            if k % 3 == 1:
+            if its == 1:
                 roll[row] = rng.uniform(0.0, 2.0 * np.pi) if k > 1 else 0.0
             else:
                 axis = rng.normal(size=3)
-                angle = rng.uniform(*FAR_ANGLES_RAD) if k % 3 == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
+                angle = rng.uniform(*FAR_ANGLES_RAD) if its == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
                 w[row] = axis / np.linalg.norm(axis) * angle
-        T = choose(start % 3 == 2, now.T, best.T)
+        T = choose(kind == 2, now.T, best.T)
         pivot = transform_points(T, self.tasks.target_b[member])
-        turned = _turned(T, pivot, w, self._goal(member))
-        return Point(choose(start % 3 == 1, self.opposed(member, T, roll), turned), now.q)
-
-    def opposed(self, member: np.ndarray, T_b: np.ndarray, roll: np.ndarray) -> np.ndarray:
-        """Return poses (M, 4, 4) with opposite normals at the targets, which are the margin apart along them.
-
-        Of convex bodies with a target on a vertex these poses are solutions, whatever the roll: the two planes across
-        the normal separate the bodies. Other pieces of concave ones may be in the way.
-
-        Args:
-            member: Tasks (M,).
-            T_b: Poses of body b (M, 4, 4), which turns from there by the smallest angle, then about the normal.
-            roll: Angles (M,) about the normal, radians.
-        """
-        T_a = self.tasks.T_world_a[member]
-        n_a, n_b = (matvec(T[:, :3, :3], n[member]) for T, n in zip((T_a, T_b), self.target_normals, strict=True))
-        turned = _turned(T_b, np.zeros((len(T_b), 3)), _smallest_rotation(n_b, -n_a), np.zeros((len(T_b), 3)))
-        pivot = transform_points(turned, self.tasks.target_b[member])
-        return _turned(turned, pivot, roll[:, None] * n_a, self._goal(member) + self.margin * n_a)
-
-    @cached_property
-    def target_normals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Outward normals (N, 3) of the bodies a and b at the targets of all tasks, body frames."""
-        found = []
-        for bodies, target in ((self.pairs.a, self.tasks.target_a), (self.pairs.b, self.tasks.target_b)):
-            normal = np.empty_like(target)
-            for number, body in enumerate(bodies):
-                rows = self.pair == number
-                normal[rows] = pseudonormals(body.pieces, target[rows])
-            found.append(normal)
-        return found[0], found[1]
+        drawn = turned(T, pivot, w, self._goal(member))
+        return Point(
+            drawn if self.closed is None else choose(kind == 1, self.closed.poses(member, T, roll), drawn), now.q
+        )
 
     def _goal(self, member: np.ndarray) -> np.ndarray:
         """Return the targets of body a (M, 3), world frame."""
         return transform_points(self.tasks.T_world_a[member], self.tasks.target_a[member])
-
-
-def _smallest_rotation(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return rotation vectors (M, 3) of the smallest rotations that turn unit vectors `old` (M, 3) to `new` (M, 3)."""
-    axis = cross(old, new)
-    sine, cosine = np.sqrt((axis**2).sum(axis=1, keepdims=True)), (old * new).sum(axis=1, keepdims=True)
-    # Half a turn may be about any axis across.
-    known = sine > 1e-12
-    axis = np.where(known, axis / np.where(known, sine, 1.0), tangents(old)[..., 0])
-    return axis * np.arctan2(sine, cosine)
-
-
-def _turned(T: np.ndarray, pivot: np.ndarray, w: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """Rotate poses by rotation vectors w (M, 3), so that the points `pivot` (M, 3) of the bodies move to `to`."""
-    R = exp_so3(w)
-    moved = R @ T[:, :3, :3]
-    moved = moved @ (1.5 * np.eye(3) - 0.5 * moved.mT @ moved)
-    return transform(moved, to + matvec(R, T[:, :3, 3] - pivot))

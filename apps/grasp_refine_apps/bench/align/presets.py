@@ -72,13 +72,17 @@ def _coupling() -> tuple[Variant, ...]:
 
 
 def _solvers() -> tuple[Variant, ...]:
-    least_squares = [Variant.least_squares(budget=budget) for budget in (200, 500)]
-    methods = (OURS, Variant("contact-kinematics"), *least_squares)
+    least_squares = [
+        Variant.least_squares(budget=budget, with_closed_form=closed)
+        for closed in (False, True)
+        for budget in (200, 500)
+    ]
+    methods = (OURS, Variant("contact-kinematics"), Variant.closed_form(), *least_squares)
     return tuple(replace(method, margin=margin) for margin in (0.0, 1e-3) for method in methods)
 
 
 def _patch() -> tuple[Variant, ...]:
-    methods = (OURS, Variant.least_squares(budget=500))
+    methods = (OURS, Variant.least_squares(budget=500, with_closed_form=True))
     return tuple(
         replace(method, witness=witness, epsilon=EPSILON) for method in methods for witness in ("plain", "patch")
     )
@@ -87,8 +91,10 @@ def _patch() -> tuple[Variant, ...]:
 def _smoke() -> tuple[Variant, ...]:
     return (
         *_table1(),
+        Variant.closed_form(epsilon=EPSILON),
         Variant.least_squares(epsilon=EPSILON),
-        Variant.least_squares(witness="patch", epsilon=EPSILON),
+        Variant.least_squares(epsilon=EPSILON, with_closed_form=True),
+        Variant.least_squares(witness="patch", epsilon=EPSILON, with_closed_form=True),
     )
 
 

@@ -39,9 +39,11 @@ b)² + (distance of the bodies − contact margin)², in square metres: 1e-6 m²
 best iterate counts; "last" is the result of the last one.
 
 Gradient descent uses up its budget. Levenberg-Marquardt only keeps steps that lower the error and ends a task that is
-solved, so its budget is the most that a task may take, and "last" is its best. "Patch" is another way to evaluate the
-same poses, meant for targets on two faces: of all points that are within epsilon of being the closest, those nearest to
-the targets.
+solved, so its budget is the most that a task may take, and "last" is its best. "Closed-form" places a body once, with
+opposite normals at the targets, by no derivative and no iteration; "closed-form-first" is Levenberg-Marquardt, which
+tries that pose first when a task stalls. The other rows show the value of a derivative. "Patch" is another way to
+evaluate the same poses, meant for targets on two faces: of all points that are within epsilon of being the closest,
+those nearest to the targets.
 """
 
 TIMES = """Lower and further left is better. Each point is a budget, so a line shows the benefit of more computing time.

@@ -10,14 +10,17 @@ import torch
 
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import KINDS, BodyPair
+from grasp_refine_apps.bench.align.closed_form import run_closed_form
 from grasp_refine_apps.bench.align.descent import align
 from grasp_refine_apps.bench.align.levenberg_marquardt import run_levenberg_marquardt
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from grasp_refine_apps.bench.timing import one_thread
 
-PAIRS_PER_JOB = {"descent": {"convex": 32, "concave": 2}, "levenberg-marquardt": {"convex": 32, "concave": 4}}
-"""Solver -> kind -> pairs run together: many where small operations dominate the cost."""
+PAIRS_PER_JOB = {"convex": 32, "concave": 4}
+"""Kind -> pairs run together: many where small operations dominate the cost."""
+
+CONCAVE_PAIRS_OF_DESCENT = 2
 
 EARLY_COST_SHARE = 0.1
 """Approximate share of its budget that Levenberg-Marquardt uses, and of the time of an iteration of descent."""
@@ -43,7 +46,7 @@ class Alignment:
         )
         items = sum(map(len, self.tasks))
         length = self.variant.budget if self.variant.budget is not None else 1000.0 * (self.variant.budget_s or 0.0)
-        early = EARLY_COST_SHARE if self.variant.solver == "levenberg-marquardt" else 1.0
+        early = 1.0 if self.variant.solver == "descent" else EARLY_COST_SHARE
         return early * length * (30.0 * items + pieces) * (13.0 if self.variant.every > 1 else 1.0)
 
     def run(self, progress: Callable[[float], None]) -> JobResult:
@@ -61,7 +64,9 @@ class Alignment:
 
     def _solved(self, progress: Callable[[float], None]) -> AlignmentResult:
         """Run the solver on the tasks."""
-        if self.variant.solver == "levenberg-marquardt":
+        if self.variant.solver == "closed-form":
+            return run_closed_form(self.pairs, self.tasks, self.variant)
+        if self.variant.solver != "descent":
             return run_levenberg_marquardt(self.pairs, self.tasks, self.variant, seed=self.seed, progress=progress)
         to = {"dtype": getattr(torch, self.dtype), "device": self.device}
         return align(self.pairs, pad_tasks(self.tasks), self.variant, seed=self.seed, **to, progress=progress)
@@ -103,7 +108,9 @@ def alignments(
         index = [i for i, pair in enumerate(pairs) if pair.kind == kind]
         index.sort(key=lambda i: len(pairs[i].a.pieces) * len(pairs[i].b.pieces))
         for variant in variants:
-            width = PAIRS_PER_JOB[variant.solver][kind]
+            width = PAIRS_PER_JOB[kind]
+            if variant.solver == "descent" and kind == "concave":
+                width = CONCAVE_PAIRS_OF_DESCENT
             for start in range(0, len(index), width):
                 group = index[start : start + width]
                 chosen = tuple(tasks[i] if variant.every == 1 else tasks[i].every(variant.every) for i in group)

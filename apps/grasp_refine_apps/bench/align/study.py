@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +81,11 @@ class AlignStudy:
 
     def budgeted_variants(self) -> list[Variant]:
         """Return each distinct variant at each of its budgets."""
-        budgets: list[dict[str, Any]] = [{"budget": None, "budget_s": s} for s in self.seconds]
-        budgets = budgets or [{"budget": n} for n in self.budgets] or [{}]
-        return list(dict.fromkeys(replace(variant, **budget) for variant in self.variants for budget in budgets))
+        budgets: list[tuple[int | None, float | None]] = [(None, s) for s in self.seconds]
+        budgets = budgets or [(n, None) for n in self.budgets]
+        if not budgets:
+            return list(dict.fromkeys(self.variants))
+        return list(dict.fromkeys(variant.at(*budget) for variant in self.variants for budget in budgets))
 
     def _drawn(self, say: Callable[[str], None]) -> list[tuple[BodyPair, Tasks]]:
         """Draw the pairs of each kind and the tasks of each pair; pairs without an accepted one are only reported."""

@@ -20,7 +20,7 @@ from grasp_refine_apps.bench.derivatives import NeighborhoodName, make_derivativ
 MethodName = Literal[
     "distance", "direction", "analytical", "zeroth-order", "finite-difference", "contact-kinematics", "rigid"
 ]
-SolverName = Literal["descent", "levenberg-marquardt"]
+SolverName = Literal["descent", "closed-form", "levenberg-marquardt", "closed-form-first"]
 WitnessName = Literal["plain", "patch"]
 
 TARGET_STRIDE = 8
@@ -40,7 +40,7 @@ class Variant:
     """A derivative method with all settings of its solver; one row of a table for each kind of body.
 
     Levenberg-Marquardt moves body 2 by contact kinematics over neighbourhoods of its own; its only settings are the
-    margin, the budget in iterations and the witness.
+    margin, the budget in iterations and the witness. The closed form has a margin alone: it takes no derivative.
     """
 
     method: MethodName = "distance"
@@ -69,9 +69,18 @@ class Variant:
     """Epsilon in metres of the patch witness that is used, or measured beside the plain one; None: no patch witness."""
 
     @staticmethod
-    def least_squares(**settings: Any) -> Variant:
-        """Make a variant of Levenberg-Marquardt; `settings` are margin, budget, witness and epsilon."""
-        return Variant("contact-kinematics", transport=False, solver="levenberg-marquardt", **settings)
+    def least_squares(*, with_closed_form: bool = False, **settings: Any) -> Variant:
+        """Make a variant of Levenberg-Marquardt; `settings` are margin, budget, witness and epsilon.
+
+        With the closed form, it is the first pose at which a stalled task starts again, and every third after it.
+        """
+        solver: SolverName = "closed-form-first" if with_closed_form else "levenberg-marquardt"
+        return Variant("contact-kinematics", transport=False, solver=solver, **settings)
+
+    @staticmethod
+    def closed_form(**settings: Any) -> Variant:
+        """Make the variant of opposite normals at the targets, alone; `settings` are margin and epsilon."""
+        return Variant(transport=False, solver="closed-form", budget=1, **settings)
 
     @property
     def name(self) -> str:
@@ -89,6 +98,15 @@ class Variant:
         return self.patch if self.witness == "patch" else None
 
     @property
+    def with_closed_form(self) -> bool:
+        """Whether the solver tries opposite normals at the targets."""
+        return self.solver.startswith("closed-form")
+
+    def at(self, budget: int | None, budget_s: float | None = None) -> Variant:
+        """Return the variant with another budget; the closed form has none."""
+        return self if self.solver == "closed-form" else replace(self, budget=budget, budget_s=budget_s)
+
+    @property
     def samples(self) -> bool:
         """Whether the method uses a selectable neighbourhood."""
         return self.solver == "descent" and self.method in ("distance", "direction", "contact-kinematics")
@@ -96,7 +114,7 @@ class Variant:
     @property
     def slips(self) -> bool:
         """Whether the method has slip matrices to couple."""
-        return self.method in ("distance", "direction", "analytical")
+        return self.solver != "closed-form" and self.method in ("distance", "direction", "analytical")
 
     @property
     def every(self) -> int:
@@ -119,7 +137,7 @@ class Variant:
     def columns(self) -> dict[str, Any]:
         """Settings as entries of a row."""
         return {
-            "method": self.method,
+            "method": None if self.solver == "closed-form" else self.method,
             "neighborhood": self.neighborhood if self.samples else None,
             "solver": self.solver,
             "transport": self.transport,

@@ -58,7 +58,8 @@ def test_smoke_runs_all_methods_on_little():
     smoke = PRESETS["smoke"]
     others = {(variant.solver, variant.witness) for variant in smoke.variants[7:]}
     assert smoke.variants[:7] == variants("table1")
-    assert others == {("levenberg-marquardt", "plain"), ("levenberg-marquardt", "patch")}
+    first = "closed-form-first"
+    assert others == {("closed-form", "plain"), ("levenberg-marquardt", "plain"), (first, "plain"), (first, "patch")}
     assert smoke.pairs * smoke.targets <= 16 and max(smoke.budgets) <= 200
 
 
@@ -100,7 +101,8 @@ def test_solvers_are_compared_each_at_its_own_budgets():
     assert preset.budgets == () and "face-face" not in preset.classes
     for margin in (0.0, 1e-3):
         assert [(v.name, v.budget) for v in preset.variants if v.margin == margin] == [
-            ("distance", 2000), ("contact-kinematics", 2000), ("levenberg-marquardt", 200), ("levenberg-marquardt", 500)
+            ("distance", 2000), ("contact-kinematics", 2000), ("closed-form", 1),
+            *((solver, budget) for solver in ("levenberg-marquardt", "closed-form-first") for budget in (200, 500)),
         ]  # fmt: skip
 
 
@@ -108,7 +110,7 @@ def test_patch_is_compared_on_faces_by_both_metrics():
     preset = PRESETS["patch"]
     assert preset.classes == ("face-face",) and {variant.epsilon for variant in preset.variants} == {EPSILON}
     assert [(variant.name, variant.witness) for variant in preset.variants] == [
-        (name, witness) for name in ("distance", "levenberg-marquardt") for witness in ("plain", "patch")
+        (name, witness) for name in ("distance", "closed-form-first") for witness in ("plain", "patch")
     ]
 
 
