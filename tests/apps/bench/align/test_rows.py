@@ -141,6 +141,15 @@ def test_what_a_method_ignores_is_null():
         assert (row["neighborhood"], row["coupling"], row["dtype"]) == (neighborhood, coupling, "float32")
 
 
+def test_what_the_closed_form_is():
+    row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant.closed_form())], 1, "float32")[0]
+    settings = {"method": None, "solver": "closed-form", "neighborhood": None, "coupling": None, "transport": False,
+                "step_size": None, "budget": 1, "budget_s": None, "margin": 1e-3, "dtype": "float64"}  # fmt: skip
+    assert row.items() >= settings.items()
+    variant = Variant.closed_form()
+    assert variant.at(500) == variant and Variant().at(500) == Variant(budget=500)
+
+
 def test_what_levenberg_marquardt_is():
     row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant.least_squares(budget=500))], 1, "float32")[0]
     settings = {"method": "contact-kinematics", "solver": "levenberg-marquardt", "neighborhood": None,
