@@ -95,7 +95,7 @@ def versions() -> dict[str, str]:
 def _checkout() -> Path | None:
     """Return the folder of the checkout that runs, installed as an editable or not; None: the files of a wheel run."""
     root = Path(__file__).resolve().parents[2]
-    return root if (root / "pyproject.toml").is_file() and (root / "apps" / "grasp_refine_apps").is_dir() else None
+    return root if (root / "pyproject.toml").is_file() and (root / "robots").is_dir() else None
 
 
 def _pyproject_requirements(root: Path) -> list[str]:
