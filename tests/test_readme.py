@@ -216,7 +216,7 @@ def test_what_python_blocks_import_is_in_the_reference():
 def numbers(text: str) -> set[str]:
     """Numbers in a text: those of links, of code and of exponents left out."""
     text = re.sub(r"\]\([^)]*\)|`[^`]*`|\[arXiv [\d.]+\]|10⁻|1e-\d", " ", text)
-    return set(re.findall(r"(?<![\w.,])\d[\d,]*(?:\.\d+)?", text))
+    return set(re.findall(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?", text))
 
 
 def printed(name: str, text: str) -> str:
