@@ -20,6 +20,7 @@ import grasp_refine
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.engine import chosen
+from grasp_refine.core.versions import own_version
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.cli import COMMANDS, main
@@ -586,7 +587,7 @@ def test_an_unknown_hand_is_bad_input(capfd: pytest.CaptureFixture[str]):
 def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
     out = capsys.readouterr().out
-    assert "cpu" in out and "allegro" in out
+    assert "cpu" in out and "allegro" in out and f"grasp-refine {own_version()}" in out
     document = json.loads(Path("doctor.json").read_text())
     assert document["problems"] == []
     assert document["cache"]["entries"] == 0
