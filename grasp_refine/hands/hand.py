@@ -246,7 +246,7 @@ def load_hand(
     It is one of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, an asset, or robot_descriptions/NAME, which
     needs the extra of that name.
 
-    A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one .xml file. The hand.toml beside a
+    A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one MJCF. The hand.toml beside a
     URDF or MJCF is used if it names that file. An MJCF is read as MuJoCo compiles it, with its couplings and actuators,
     and is what is simulated.
 

@@ -14,6 +14,7 @@ from grasp_refine.core.errors import GraspRefineError, HandError, quote_value
 from grasp_refine.core.names import is_file, is_valid
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
 
 T = TypeVar("T")
 
@@ -126,7 +127,7 @@ def read_hand_toml(path: Path) -> HandToml:
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
     mjcf = _file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None
     file = _file(raw["urdf"], path, "urdf") if "urdf" in raw else _beside(path.parent, ".urdf")
-    file = file or mjcf or _beside(path.parent, ".xml")
+    file = file or mjcf or _beside(path.parent, *MJCF_SUFFIXES)
     return HandToml(
         path=path,
         file=file,
@@ -146,27 +147,31 @@ def read_hand_toml(path: Path) -> HandToml:
 
 
 def only_file(folder: Path) -> Path:
-    """The one .urdf file in `folder`, or the one .xml file where there is no .urdf.
+    """The one .urdf file in `folder`, or the one MJCF, .xml or .mjcf, where there is no .urdf.
 
     Raises:
         HandError: there is none, or several (lists them).
     """
-    found = _beside(folder, ".urdf") or _beside(folder, ".xml")
+    found = _beside(folder, ".urdf") or _beside(folder, *MJCF_SUFFIXES)
     if found is None:
-        raise HandError(f"{folder}: one .urdf or .xml file is needed, or a {HAND_TOML} that names one; here: none")
+        raise HandError(
+            f"{folder}: one .urdf, .xml or .mjcf file is needed, or a {HAND_TOML} that names one; here: none"
+        )
     return found
 
 
-def _beside(folder: Path, suffix: str) -> Path | None:
-    """The only file in a folder with a suffix; None if there is none.
+def _beside(folder: Path, *suffixes: str) -> Path | None:
+    """The only file in a folder with one of the suffixes; None if there is none.
 
     Raises:
         HandError: there are several (lists them).
     """
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() == suffix)
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
-        raise HandError(f"{folder}: one {suffix} file is needed, or a {HAND_TOML} that names one; here: {names}")
+        raise HandError(
+            f"{folder}: one {' or '.join(suffixes)} file is needed, or a {HAND_TOML} that names one; here: {names}"
+        )
     return found[0] if found else None
 
 
