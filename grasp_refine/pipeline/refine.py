@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
@@ -31,7 +32,7 @@ class Listener:
         return None
 
     def note(self, line: str) -> None:
-        """Receive a note for the user on the simulated hand."""
+        """Receive a note for the user on the refined grasps, or on the simulated hand."""
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
         """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
@@ -70,6 +71,8 @@ def refine_problem(
         for group in problem.groups
     ]
     outcome = Outcome.join(parts).select(problem.order)
+    if ignored := ignored_overlaps(problem.hand, outcome.q):
+        listener.note(ignored)
     simulated = None if protocol is None else _simulate(problem, parts, protocol, listener, cache, threads)
     return RefinedGrasps(problem, config, outcome, simulated)
 

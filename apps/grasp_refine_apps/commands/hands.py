@@ -211,17 +211,15 @@ def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
     begins = [note for note in hand.notes if note.startswith("the hand begins")]
     notes = [note for note in hand.notes if note not in begins and not note.startswith("contact links guessed")]
     pairs = found.pairs
-    ignored = [f"ignored: {a} and {b}, which overlap at the rest pose" for a, b in pairs.at_rest]
-    ignored += [f"ignored: {a} and {b}, which overlap nearly always" for a, b in pairs.nearly_always]
-    if ignored:
-        ignored.append("to check them, set a rest_pose in which they do not overlap")
+    overlapping = [f"ignored: {a} and {b}, which overlap in nearly all configurations" for a, b in pairs.nearly_always]
+    overlapping += [f"overlap at the rest pose: {a} and {b}; another rest_pose avoids it" for a, b in pairs.at_rest]
     refused = [f"MuJoCo rejects the hand: {found.refused}"] if found.refused else []
     sections = {
         "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
         "meant to touch the object": found.contacts,
         "links that must not run into each other": [
             f"pairs that are checked: {len(pairs.checked)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
-            *ignored,
+            *overlapping,
         ],
         "in simulation": [*refused, *found.simulation],
         "to look at": [*notes, *found.suspicious],
