@@ -29,7 +29,7 @@ TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text", bool: "
 
 KEYS = (
     *("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "patches"),
-    *("rest_pose", "contact", "coupled", "actuator", "mount", "flange"),
+    *("rest_pose", "contact", "coupled", "actuator", "mount", "flange", "follower_limits"),
 )
 """Keys of a hand.toml."""
 
@@ -82,8 +82,11 @@ class HandToml:
     """MJCF file of the same hand, for simulation; None: `file`, where that is one."""
     mjcf_joints: dict[str, str] = field(default_factory=dict)
     """Joint of the hand -> its name in the MJCF; the others are found by their names."""
-    collision: Literal["urdf", "mjcf"] = "urdf"
-    """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`."""
+    collision: Literal["urdf", "mjcf", "visual"] = "urdf"
+    """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`. With "visual"
+    links of the URDF collide as they look, in both."""
+    follower_limits: Literal["own", "leader"] = "own"
+    """Limits of mimic joints: their own, or the ones that follow from the joints that they follow."""
     patches: bool | None = None
     """Whether flat faces of its links touch flat faces of objects in patches, not in points; None: with two fingers."""
     rest_pose: dict[str, float] = field(default_factory=dict)
@@ -119,8 +122,11 @@ def read_hand_toml(path: Path) -> HandToml:
         raise HandError(f"{path}: cannot be read as TOML ({error})") from None
     _check_keys(raw, KEYS, f"{path}")
     collision = raw.get("collision", "urdf")
-    if collision not in ("urdf", "mjcf"):
-        raise HandError(f"{path}: collision = {quote_value(collision)}; valid: 'urdf', 'mjcf'")
+    if collision not in ("urdf", "mjcf", "visual"):
+        raise HandError(f"{path}: collision = {quote_value(collision)}; valid: 'urdf', 'mjcf', 'visual'")
+    follower_limits = raw.get("follower_limits", "own")
+    if follower_limits not in ("own", "leader"):
+        raise HandError(f"{path}: follower_limits = {quote_value(follower_limits)}; valid: 'own', 'leader'")
     base_link, name = raw.get("base_link"), raw.get("name")
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
@@ -136,6 +142,7 @@ def read_hand_toml(path: Path) -> HandToml:
         mjcf=mjcf,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,
+        follower_limits=follower_limits,
         patches=None if "patches" not in raw else _typed(raw["patches"], bool, f"{path}: patches"),
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),

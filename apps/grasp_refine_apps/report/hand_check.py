@@ -151,7 +151,8 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
         "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
         "{} are continuous joints and rest at 0": endless,
         "{} are fixed though they mimic a joint: they do not move": fixed,
-        "{} have visuals but no collision geometry: nothing keeps them out of the object": unseen,
+        "{} have visuals but no collision geometry: nothing keeps them out of the object; --collision visual uses "
+        "their visuals": unseen,
         "{} move no link with collision geometry": _idle_joints(hand),
         f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? Lengths are metres, a mesh has a "
         "scale": [""] * bool(size and max(size) > SIZE_RANGE_M[1]),
