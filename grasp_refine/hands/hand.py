@@ -23,6 +23,7 @@ from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.fingertips import are_two_fingers
+from grasp_refine.hands.folded_links import folded_links
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
@@ -113,6 +114,8 @@ class Hand:
     """Joint -> its name in that file, where hand.toml gives it."""
     collision: Literal["urdf", "mjcf", "visual"] = "urdf"
     """File that is simulated when a grasp is validated; "visual": the URDF, whose links collide as they look."""
+    follower_limits: Literal["own", "leader"] = "own"
+    """Limits of mimic joints: their own, or the ones that follow from the joint that they follow."""
     patches: bool = False
     """Whether flat faces of its links touch flat faces of objects in patches, not in points."""
     toml: Path | None = None
@@ -334,7 +337,8 @@ def load_hand(
     if couplings is not None:
         joints, tied = couplings.with_mimics(joints, toml.joints_with_settings)
         notes += [*couplings.notes, *tied]
-    joints, narrowed = limit_by_followers(joints, tree.path, follower_limits or toml.follower_limits)
+    follower_limits = follower_limits or toml.follower_limits
+    joints, narrowed = limit_by_followers(joints, tree.path, follower_limits)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
     solids = tuple(link.name for link in links if link.body is not None)
@@ -357,8 +361,12 @@ def load_hand(
 
         bodies = {link.name: link.body for link in links if link.body is not None}
         closing = pinned_links(base, joints, [joint.name for joint in independent], bodies)
+    folded: dict[str, str] = {}
+    if not toml.contacts:
+        bodies = {link.name: link.body for link in links if link.body is not None}
+        folded = folded_links(base, joints, [joint.name for joint in independent], bodies)
     left_out = tree.links.keys() - {link.name for link in links}
-    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
+    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing, folded)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     modes: tuple[YieldingMode, ...] = ()
@@ -386,6 +394,7 @@ def load_hand(
         mjcf=mjcf_file,
         mjcf_joints=names_there,
         collision=geometry,
+        follower_limits=follower_limits,
         patches=are_two_fingers(touching) if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,

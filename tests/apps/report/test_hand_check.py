@@ -321,3 +321,10 @@ def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytes
     monkeypatch.setattr(hand_check, "model_of", broken)
     assert main(["hands", "--check", str(pincers(workplace))]) == 1
     assert_names(" ".join(capsys.readouterr().out.split()), "MuJoCo", "nowhere")
+
+
+@pytest.mark.parametrize(("effort", "implausible"), [(900.0, False), (60000.0, True)])
+def test_an_effort_that_no_joint_of_a_hand_has_is_told(tmp_path: Path, effort: float, implausible: bool) -> None:
+    limit = LIMIT.replace('effort="1"', f'effort="{effort}"')
+    lines = [line for line in suspicious(pincers(tmp_path, limit=limit)) if "left_j (60000), right_j (60000)" in line]
+    assert bool(lines) == implausible
