@@ -59,7 +59,7 @@ def _head(hand: Hand, folder: Path) -> str:
             "",
             *mjcf,
             "",
-            '# Limits of joints that follow others: their own, or the ones that follow from the other joint ("leader").',
+            '# Limits of joints that follow others: "own", or "leader", the ones that follow from the other joint.',
             f"follower_limits = {_text(hand.follower_limits)}",
             "",
             "# Whether flat faces of its links touch flat faces of objects in patches, not in points.",
