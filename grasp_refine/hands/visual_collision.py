@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.description import links_with_visuals, read_visuals
+from grasp_refine.hands.description import read_visuals
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.shape import Shape
 from grasp_refine.hands.tree import Tree
-
-if TYPE_CHECKING:
-    from grasp_refine.hands.hand import Hand
 
 
 def with_visual_collision(tree: Tree) -> Tree:
@@ -32,18 +28,3 @@ def with_visual_collision(tree: Tree) -> Tree:
             shapes.append(visual)
         links[link] = replace(links[link], collisions=tuple(shapes))
     return replace(tree, links=links)
-
-
-def check_collides(hand: Hand) -> None:
-    """Refuse a hand without any collision geometry.
-
-    Raises:
-        HandError: it has none; names the option that takes its visual geometry, where it has that.
-    """
-    if any(link.body is not None for link in hand.links):
-        return
-    seen = links_with_visuals(hand.urdf) & hand.links_by_name.keys()
-    way_out = (
-        "its visual geometry can be used instead: --collision visual" if seen else "it has no visual geometry either"
-    )
-    raise HandError(f"{hand.urdf}: no link of the hand has collision geometry; {way_out}")

@@ -20,8 +20,8 @@ from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.hands.source import check_known
-from grasp_refine.hands.visual_collision import check_collides
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand

@@ -19,6 +19,7 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.clear_rest import clear_rest
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import Regions
@@ -126,6 +127,7 @@ def sample_grasps(
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MAX_GRASPS:
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
+    check_collides(hand)
     hand = replace(hand, rest=clear_rest(hand))
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)

@@ -8,7 +8,7 @@ import pytest
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.visual_collision import check_collides
+from grasp_refine.hands.solid_links import check_collides
 from grasp_refine_apps.cli import main
 from refusals import refused
 
