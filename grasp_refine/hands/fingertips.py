@@ -69,9 +69,9 @@ def fingertips(
     if len({part[name] for name in ends if name not in named | bars}) >= 2:
         bars |= named
     outer: dict[str, list[str]] = {}
-    for first in folded.values():
-        solids = [name for name in solid if part.get(name) == first]
-        outer[first] = [name for name in solids if re.search(PAD_NAMES, name.lower())] or solids
+    for farthest in folded.values():
+        solids = [name for name in solid if part.get(name) == farthest]
+        outer[farthest] = [name for name in solids if re.search(PAD_NAMES, name.lower())] or solids
     tips = [tip for name in ends if name not in bars for tip in (outer[folded[name]] if name in folded else [name])]
     way |= {name: [each for joint in joints_above(name, joints) for each in (joint.child, joint.name)] for name in tips}
     first = {part[name]: name for name in reversed(tips)}

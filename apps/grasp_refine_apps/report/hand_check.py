@@ -124,7 +124,7 @@ def _contacts(hand: Hand) -> tuple[str, ...]:
         # The topmost joint that moves no other contact link.
         own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
         own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
-        guess = f"the last solid link of the branch that joint '{own[-1]}' moves"
+        guess = f"the outermost solid link of the branch that joint '{own[-1]}' moves"
         why = guess if hand.contacts_guessed else "named in hand.toml"
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
         lines.append(f"{contact.link}{finger}: {why}")
