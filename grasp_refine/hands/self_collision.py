@@ -345,6 +345,7 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
 def _load(entry: Path, count: int) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]] | None:
     """The cached arrays of `_classes` of `count` candidates; None when there is no such entry, or it is broken."""
     arrays = disk.load_arrays(entry, *_ENTRY)
-    if arrays is None or [(array.dtype, array.shape) for array in arrays] != [(bool, (count,)), (float, (count,))]:
+    if arrays is None or any(array.shape != (count,) for array in arrays):
         return None
-    return arrays[0], arrays[1]
+    touching, least = arrays
+    return (touching, least) if touching.dtype == bool and least.dtype == np.float64 else None
