@@ -59,7 +59,7 @@ def contacts(
         joints: Joints of the hand.
         outside: Links that it leaves out.
         closing: Pairs of links that close chains: one of each is no fingertip.
-        folded: Ends of branches that fold back, and what is farthest out instead, as of `folded_links`.
+        folded: Ends of branches that fold back, and the link of each that is farthest out, as of `folded_links`.
     """
     where = f"{toml.path}: [[contact]]"
     named: list[Contact] = []

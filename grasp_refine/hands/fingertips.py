@@ -47,7 +47,7 @@ def fingertips(
 
     A pad may be behind the link that it is fixed to; which of them touches depends on the grasp. Where two branches
     close a chain, the one that ends there is no finger, or that with fewer links to the base. An end that folds back is
-    none: what is farthest out is, of it pads where there are any by name. Nor is a knuckle, by name, beside two others.
+    none: the outermost part is, of it the pads by name, if any. Nor is a knuckle, by name, beside two others.
 
     Args:
         solid: Links with collision geometry.

@@ -265,8 +265,8 @@ def load_hand(
             there do so in the hand, and those that follow others are mimic joints, unless hand.toml says otherwise.
         collision: "visual": links of a URDF collide as they look, for hands without collision geometry; None: as in
             hand.toml, else their collision geometry.
-        follower_limits: Limits of mimic joints: "own", or "leader": those that follow from the joint that they follow,
-            for files whose mimic signs contradict the limits; None: as in hand.toml, else "own".
+        follower_limits: Limits of mimic joints: "own", or "leader": what follows from the joint that they follow, for
+            files whose mimic signs contradict the limits; None: as in hand.toml, else "own".
         candidates: Surface points per link.
         hull_limit: Greatest distance in metres by which the hull of a mesh may stand out of it; beyond, more pieces are
             used, which the user's cache folder keeps; infinite: only hulls.

@@ -55,7 +55,7 @@ def refine_problem(
 ) -> RefinedGrasps:
     """Refine and measure all grasps of a problem, and simulate them before and after.
 
-    What is simulated is built first, so that a hand that MuJoCo refuses costs no refinement.
+    Simulated worlds are built first, so that a hand that MuJoCo refuses costs no refinement.
 
     Args:
         problem: Hand, objects and grasps.

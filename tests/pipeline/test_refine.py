@@ -1,4 +1,4 @@
-"""Order of the work of a problem: what is simulated is built first, and results are kept before they are simulated."""
+"""Order of the work of a problem: simulated worlds are built first, and results are kept before they are simulated."""
 
 from __future__ import annotations
 
