@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 
 from grasp_refine.core.errors import MeshError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 from grasp_refine.geometry.holes import cap_holes
 
@@ -91,6 +92,7 @@ def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **option
         raise MeshError(f"{path}: unknown mesh type '{path.suffix}', use one of {', '.join(SUFFIXES)}")
     if not is_file(path):
         raise MeshError(f"{path}: no such mesh file")
+    refuse_lfs_pointer(path, "mesh", MeshError)
     if not (np.isfinite(scale) and scale > 0):
         raise MeshError(f"{path}: the scale must be positive and finite, got {scale:g}")
     if path.suffix.lower() in (".obj", ".glb"):

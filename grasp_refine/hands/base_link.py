@@ -34,7 +34,8 @@ def guess_base(tree: Tree) -> Base:
     leaving: dict[str, list[JointEntry]] = {name: [] for name in tree.links}
     for joint in tree.joints.values():
         leaving[joint.parent].append(joint)
-    solid = {name for name, link in tree.links.items() if link.collisions}
+    # Without any collision geometry, all links count.
+    solid = {name for name, link in tree.links.items() if link.collisions} or set(tree.links)
     carries = {name for name in tree.links if any(link in solid for link in _below(name, leaving))}
     first, above = tree.root, []
     while True:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,7 @@ def contacts(
     joints: Sequence[Joint],
     outside: Collection[str],
     closing: Collection[LinkPair] = (),
+    folded: Mapping[str, str] | None = None,
 ) -> tuple[tuple[Contact, ...], bool, list[str]]:
     """Contact links, whether they are guessed, and notes on them.
 
@@ -58,6 +59,7 @@ def contacts(
         joints: Joints of the hand.
         outside: Links that it leaves out.
         closing: Pairs of links that close chains: one of each is no fingertip.
+        folded: Ends of branches that fold back, and the link of each that is farthest out, as of `folded_links`.
     """
     where = f"{toml.path}: [[contact]]"
     named: list[Contact] = []
@@ -71,9 +73,16 @@ def contacts(
             named.append(contact)
     guessed = not named
     if guessed:
-        named = list(fingertips(solid, joints, closing))
+        named = list(fingertips(solid, joints, closing, folded))
         guess = ", ".join(contact.link for contact in named) or "none, no link with collision geometry moves"
         notes.append(f"contact links guessed, a hand.toml can name others: {guess}")
+        above = {joint.child: joint for joint in joints}
+        free = [name for name in folded or () if name in above and above[name].mimic is None]
+        if free:
+            notes.append(
+                f"{', '.join(free)} lie beside their fingers, and joints of their own move them: a linkage whose file "
+                "ties its joints by no mimic does not hold together"
+            )
     return tuple(named), guessed, notes
 
 

@@ -23,6 +23,7 @@ from grasp_refine.hands.base_link import guess_base
 from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.fingertips import are_two_fingers
+from grasp_refine.hands.folded_links import folded_links
 from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
 from grasp_refine.hands.inertia import Inertia
 from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
@@ -30,6 +31,7 @@ from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_
 from grasp_refine.hands.mjcf_xml import is_mjcf
 from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
 from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, rigid_parts
+from grasp_refine.hands.visual_collision import with_visual_collision
 from grasp_refine.hands.yielding import YieldingMode
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
@@ -110,8 +112,10 @@ class Hand:
     """MJCF file of the same hand, where there is one; `urdf`, where that is an MJCF and no other is given."""
     mjcf_joints: Mapping[str, str] = field(default_factory=dict)
     """Joint -> its name in that file, where hand.toml gives it."""
-    collision: Literal["urdf", "mjcf"] = "urdf"
-    """File that is simulated when a grasp is validated."""
+    collision: Literal["urdf", "mjcf", "visual"] = "urdf"
+    """File that is simulated when a grasp is validated; "visual": the URDF, whose links collide as they look."""
+    follower_limits: Literal["own", "leader"] = "own"
+    """Limits of mimic joints: their own, or the ones that follow from the joint that they follow."""
     patches: bool = False
     """Whether flat faces of its links touch flat faces of objects in patches, not in points."""
     toml: Path | None = None
@@ -237,6 +241,8 @@ def load_hand(
     base_link: str | None = None,
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
+    collision: Literal["visual"] | None = None,
+    follower_limits: Literal["own", "leader"] | None = None,
     candidates: int = 1024,
     hull_limit: float = HULL_LIMIT,
     progress: Callable[[str], None] | None = None,
@@ -246,7 +252,7 @@ def load_hand(
     It is one of `list_hands()`, a folder, a URDF or MJCF file, a hand.toml, an asset, or robot_descriptions/NAME, which
     needs the extra of that name.
 
-    A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one .xml file. The hand.toml beside a
+    A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one MJCF. The hand.toml beside a
     URDF or MJCF is used if it names that file. An MJCF is read as MuJoCo compiles it, with its couplings and actuators,
     and is what is simulated.
 
@@ -257,6 +263,10 @@ def load_hand(
         urdf: Used instead of the URDF that hand.toml names; hands that come without a URDF have theirs fetched.
         mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset. Joints that share an actuator
             there do so in the hand, and those that follow others are mimic joints, unless hand.toml says otherwise.
+        collision: "visual": links of a URDF collide as they look, for hands without collision geometry; None: as in
+            hand.toml, else their collision geometry.
+        follower_limits: Limits of mimic joints: "own", or "leader": what follows from the joint that they follow, for
+            files whose mimic signs contradict the limits; None: as in hand.toml, else "own".
         candidates: Surface points per link.
         hull_limit: Greatest distance in metres by which the hull of a mesh may stand out of it; beyond, more pieces are
             used, which the user's cache folder keeps; infinite: only hulls.
@@ -271,8 +281,14 @@ def load_hand(
     check_kind("base_link", base_link, str | None)
     check_kind("urdf", urdf, str | Path | None)
     check_kind("mjcf", mjcf, str | Path | None)
+    check_kind("collision", collision, str | None)
+    check_kind("follower_limits", follower_limits, str | None)
     check_kind("candidates", candidates, int)
     check_kind("hull_limit", hull_limit, float)
+    if collision not in (None, "visual"):
+        raise HandError(f"collision must be 'visual' or None, got {collision!r}")
+    if follower_limits not in (None, "own", "leader"):
+        raise HandError(f"follower_limits must be 'own', 'leader' or None, got {follower_limits!r}")
     if hull_limit < 0:
         raise HandError(f"hull_limit must be at least 0 m, got {hull_limit:g}")
     name, toml = hand_files(
@@ -283,12 +299,14 @@ def load_hand(
     )
     assert toml.file is not None  # `hand_files` gives one
     from_mjcf = is_mjcf(toml.file)
-    mjcf_file, collision = toml.mjcf, toml.collision
-    if from_mjcf:
-        mjcf_file, collision = toml.mjcf or toml.file, "mjcf"
-    if collision == "mjcf" and mjcf_file is None:
+    mjcf_file, geometry = toml.mjcf, collision or toml.collision
+    if from_mjcf and geometry != "visual":
+        mjcf_file, geometry = toml.mjcf or toml.file, "mjcf"
+    if geometry == "mjcf" and mjcf_file is None:
         raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
     tree = read_tree(toml.file)
+    if geometry == "visual":
+        tree = with_visual_collision(tree)
     notes = list(tree.notes)
     base, why = (base_link, "given by --base-link") if base_link else (toml.base_link, f"given by {HAND_TOML}")
     if base is None:
@@ -319,7 +337,8 @@ def load_hand(
     if couplings is not None:
         joints, tied = couplings.with_mimics(joints, toml.joints_with_settings)
         notes += [*couplings.notes, *tied]
-    joints, narrowed = limit_by_followers(joints, tree.path)
+    follower_limits = follower_limits or toml.follower_limits
+    joints, narrowed = limit_by_followers(joints, tree.path, follower_limits)
     meshes = LinkMeshes(tree.path, hull_limit, default_cache(), progress or (lambda line: None))
     links = tuple(_link(raw, meshes, candidates) for raw in raw_links)
     solids = tuple(link.name for link in links if link.body is not None)
@@ -342,8 +361,12 @@ def load_hand(
 
         bodies = {link.name: link.body for link in links if link.body is not None}
         closing = pinned_links(base, joints, [joint.name for joint in independent], bodies)
+    folded: dict[str, str] = {}
+    if not toml.contacts:
+        bodies = {link.name: link.body for link in links if link.body is not None}
+        folded = folded_links(base, joints, [joint.name for joint in independent], bodies)
     left_out = tree.links.keys() - {link.name for link in links}
-    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing)
+    touching, guessed, about_contacts = contacts(toml, solids, joints, left_out, closing, folded)
     notes += [*about_contacts, *narrowed, *meshes.notes()]
     notes += [f"joint '{j.name}' cannot move: its limits are equal" for j in independent if j.lower == j.upper]
     modes: tuple[YieldingMode, ...] = ()
@@ -370,7 +393,8 @@ def load_hand(
         excluded=tuple(pair for pair in tree.excluded if {*pair} <= {*solids}) if from_mjcf else None,
         mjcf=mjcf_file,
         mjcf_joints=names_there,
-        collision=collision,
+        collision=geometry,
+        follower_limits=follower_limits,
         patches=are_two_fingers(touching) if toml.patches is None else toml.patches,
         toml=None if toml.path == toml.file else toml.path,
         base_why=why,

@@ -14,6 +14,7 @@ from grasp_refine.core.errors import GraspRefineError, HandError, quote_value
 from grasp_refine.core.names import is_file, is_valid
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
 
 T = TypeVar("T")
 
@@ -28,7 +29,7 @@ TOML_TYPES: dict[type, str] = {dict: "table", list: "list", str: "text", bool: "
 
 KEYS = (
     *("name", "urdf", "base_link", "mjcf", "mjcf_joints", "collision", "patches"),
-    *("rest_pose", "contact", "coupled", "actuator", "mount", "flange"),
+    *("rest_pose", "contact", "coupled", "actuator", "mount", "flange", "follower_limits"),
 )
 """Keys of a hand.toml."""
 
@@ -81,8 +82,11 @@ class HandToml:
     """MJCF file of the same hand, for simulation; None: `file`, where that is one."""
     mjcf_joints: dict[str, str] = field(default_factory=dict)
     """Joint of the hand -> its name in the MJCF; the others are found by their names."""
-    collision: Literal["urdf", "mjcf"] = "urdf"
-    """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`."""
+    collision: Literal["urdf", "mjcf", "visual"] = "urdf"
+    """Kind of file that is simulated when a grasp is validated; refinement uses the geometry of `file`. With "visual"
+    links of the URDF collide as they look, in both."""
+    follower_limits: Literal["own", "leader"] = "own"
+    """Limits of mimic joints: their own, or the ones that follow from the joints that they follow."""
     patches: bool | None = None
     """Whether flat faces of its links touch flat faces of objects in patches, not in points; None: with two fingers."""
     rest_pose: dict[str, float] = field(default_factory=dict)
@@ -118,15 +122,18 @@ def read_hand_toml(path: Path) -> HandToml:
         raise HandError(f"{path}: cannot be read as TOML ({error})") from None
     _check_keys(raw, KEYS, f"{path}")
     collision = raw.get("collision", "urdf")
-    if collision not in ("urdf", "mjcf"):
-        raise HandError(f"{path}: collision = {quote_value(collision)}; valid: 'urdf', 'mjcf'")
+    if collision not in ("urdf", "mjcf", "visual"):
+        raise HandError(f"{path}: collision = {quote_value(collision)}; valid: 'urdf', 'mjcf', 'visual'")
+    follower_limits = raw.get("follower_limits", "own")
+    if follower_limits not in ("own", "leader"):
+        raise HandError(f"{path}: follower_limits = {quote_value(follower_limits)}; valid: 'own', 'leader'")
     base_link, name = raw.get("base_link"), raw.get("name")
     joints = _typed(raw.get("mjcf_joints", {}), dict, f"{path}: [mjcf_joints]")
     rest_pose = _typed(raw.get("rest_pose", {}), dict, f"{path}: [rest_pose]")
     actuator = _typed(raw.get("actuator", {}), dict, f"{path}: [actuator]")
     mjcf = _file(raw["mjcf"], path, "mjcf") if "mjcf" in raw else None
     file = _file(raw["urdf"], path, "urdf") if "urdf" in raw else _beside(path.parent, ".urdf")
-    file = file or mjcf or _beside(path.parent, ".xml")
+    file = file or mjcf or _beside(path.parent, *MJCF_SUFFIXES)
     return HandToml(
         path=path,
         file=file,
@@ -135,6 +142,7 @@ def read_hand_toml(path: Path) -> HandToml:
         mjcf=mjcf,
         mjcf_joints={name: _typed(value, str, f"{path}: [mjcf_joints] {name}") for name, value in joints.items()},
         collision=collision,
+        follower_limits=follower_limits,
         patches=None if "patches" not in raw else _typed(raw["patches"], bool, f"{path}: patches"),
         rest_pose={name: _number(value, f"{path}: [rest_pose] {name}") for name, value in rest_pose.items()},
         contacts=tuple(_contact(entry, where) for entry, where in _tables(raw, "contact", path)),
@@ -146,27 +154,31 @@ def read_hand_toml(path: Path) -> HandToml:
 
 
 def only_file(folder: Path) -> Path:
-    """The one .urdf file in `folder`, or the one .xml file where there is no .urdf.
+    """The one .urdf file in `folder`, or the one MJCF, .xml or .mjcf, where there is no .urdf.
 
     Raises:
         HandError: there is none, or several (lists them).
     """
-    found = _beside(folder, ".urdf") or _beside(folder, ".xml")
+    found = _beside(folder, ".urdf") or _beside(folder, *MJCF_SUFFIXES)
     if found is None:
-        raise HandError(f"{folder}: one .urdf or .xml file is needed, or a {HAND_TOML} that names one; here: none")
+        raise HandError(
+            f"{folder}: one .urdf, .xml or .mjcf file is needed, or a {HAND_TOML} that names one; here: none"
+        )
     return found
 
 
-def _beside(folder: Path, suffix: str) -> Path | None:
-    """The only file in a folder with a suffix; None if there is none.
+def _beside(folder: Path, *suffixes: str) -> Path | None:
+    """The only file in a folder with one of the suffixes; None if there is none.
 
     Raises:
         HandError: there are several (lists them).
     """
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() == suffix)
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
-        raise HandError(f"{folder}: one {suffix} file is needed, or a {HAND_TOML} that names one; here: {names}")
+        raise HandError(
+            f"{folder}: one {' or '.join(suffixes)} file is needed, or a {HAND_TOML} that names one; here: {names}"
+        )
     return found[0] if found else None
 
 

@@ -20,8 +20,8 @@ MOMENT_ROUNDING = 1e-6
 MOMENT_MARGIN = 1e-9
 """Share of the largest moment by which balanced moments stay off the bound, so that rounding does not break it."""
 
-MIN_MOMENT_KG_M2 = 1e-13
-"""Smallest valid value of the largest principal moment, in kg m^2: MuJoCo refuses those below 1e-15."""
+MIN_MASS_KG = MIN_MOMENT_KG_M2 = 1e-15
+"""Least mass in kg, and least principal moment in kg m^2, that MuJoCo accepts for a body that moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +68,8 @@ class Inertia:
         return float(np.sqrt(max(self.principal()[0][2], 0.0) / self.mass))
 
     def positive(self) -> bool:
-        """Return True if the mass and all principal moments are above 0."""
-        moments, _ = self.principal()
-        return self.mass > 0 and bool(moments[0] > 0) and bool(moments[2] > MIN_MOMENT_KG_M2)
+        """Return True if the mass and all principal moments are as large as MuJoCo needs them."""
+        return self.mass >= MIN_MASS_KG and bool(self.principal()[0][0] >= MIN_MOMENT_KG_M2)
 
     def possible(self) -> bool:
         """Return True if no principal moment exceeds the sum of the two others, as holds for any mass distribution."""
@@ -79,11 +78,16 @@ class Inertia:
         return bool(moments[2] - moments[0] - moments[1] <= MOMENT_ROUNDING * moments[2])
 
     def balanced(self) -> Inertia:
-        """Return it with the two smaller moments raised equally to the bound, where it is impossible."""
+        """Return it with the two smaller moments raised equally to the bound, where it is impossible.
+
+        Mass and moments are at least what MuJoCo needs.
+        """
         moments, axes = self.principal()
         lack = moments[2] * (1 + MOMENT_MARGIN) - moments[0] - moments[1]
         moments = moments + max(lack, 0.0) / 2 * np.array([1, 1, 0])
-        return Inertia(self.mass, self.centre, axes @ np.diag(moments) @ axes.T)
+        # A little more, since the product of axes and moments loses digits.
+        moments = np.where(moments < MIN_MOMENT_KG_M2, 1.001 * MIN_MOMENT_KG_M2, moments)
+        return Inertia(max(self.mass, MIN_MASS_KG), self.centre, axes @ np.diag(moments) @ axes.T)
 
 
 def _of_piece(piece: Piece, density: float) -> Inertia:

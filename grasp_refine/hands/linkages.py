@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from grasp_refine.core.plurals import count_text
@@ -38,6 +37,9 @@ MAX_DEGREE, CURVE_ERROR = 4, 1e-6
 
 SPRING_PREFERENCE = 10.0
 """Weight of joints with springs where a joint is chosen whose value is that of a mode."""
+
+TIE = 1e-3
+"""Share by which columns differ in length that count as equally long."""
 
 AT_LIMIT = 1e-3
 """Distance in rad or m from its limit within which a joint is at it."""
@@ -103,7 +105,7 @@ def linkages(model: mujoco.MjModel, driven: Collection[str]) -> Linkages:
     for joints, equalities in _components(model, chains, ties):
         names = [model.joint(joint).name for joint in sorted(joints)]
         free = joints - {int(model.eq_obj1id[number]) for number in ties}
-        drivers = [joint for joint in free if model.joint(joint).name in driven]
+        drivers = [joint for joint in sorted(free) if model.joint(joint).name in driven]
         if len(drivers) != 1:
             who = ", ".join(model.joint(joint).name for joint in drivers) or "none"
             notes.append(f"a closed chain of {', '.join(names)} stays open: one of its joints must be driven, is {who}")
@@ -166,6 +168,8 @@ def _components(
         merged = [part for part in merged if not part[0] & joints]
         together = [*near, (joints, equalities)]
         merged.append((set().union(*(part[0] for part in together)), [each for part in together for each in part[1]]))
+    # In the order of the file, whatever was merged with what.
+    merged.sort(key=lambda part: min(part[0], default=-1))
     return [(joints, sorted(equalities)) for joints, equalities in merged if equalities]
 
 
@@ -278,8 +282,7 @@ class _Closing:
             return ()
         stiffness = model.jnt_stiffness[self.passive]
         # Joints with springs have the values of modes, so that each finger has a mode of its own.
-        order = qr(middle * np.where(stiffness > 0.0, SPRING_PREFERENCE, 1.0), pivoting=True, mode="r")[1]
-        own = order[:D]
+        own = _leading_columns(middle * np.where(stiffness > 0.0, SPRING_PREFERENCE, 1.0))
         Z = np.stack([np.linalg.lstsq(way[:, own], np.eye(D), rcond=None)[0] @ way for way in ways])
         twists = self._twists(values, fitted, Z)
         torque = -stiffness * (fitted - model.qpos_spring[self.at])
@@ -333,6 +336,21 @@ class _Closing:
         """Largest distance in metres between the ends of a chain."""
         vectors = self._errors(value, x)[: 3 * len(self.chains)].reshape(-1, 3)
         return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _leading_columns(A: Float[np.ndarray, "D p"]) -> list[int]:
+    """Indices of D columns that are independent of each other, ascending: repeatedly the longest one that is left.
+
+    Of columns that are equally long up to `TIE`, as those of mirrored fingers, the first is taken.
+    """
+    found: list[int] = []
+    for _ in range(len(A)):
+        length = np.linalg.norm(A, axis=0)
+        longest = int(np.flatnonzero(length >= (1.0 - TIE) * length.max())[0])
+        along = A[:, longest] / length[longest]
+        A = A - np.outer(along, along @ A)
+        found.append(longest)
+    return sorted(found)
 
 
 def _fit(x: Float[np.ndarray, " K"], y: Float[np.ndarray, " K"]) -> Float[np.ndarray, " d"]:

@@ -9,6 +9,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from grasp_refine.core.errors import HandError, MeshError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 from grasp_refine.geometry.mesh import check_mesh, load_mesh, quietly
 
@@ -31,6 +32,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 def _read_collada(path: Path) -> trimesh.Trimesh:
     import trimesh
 
+    refuse_lfs_pointer(path, "mesh", MeshError)
     try:
         with quietly():
             scene = trimesh.load_scene(path, process=False)

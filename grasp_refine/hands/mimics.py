@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -85,8 +86,12 @@ def curves(joints: Sequence[Joint], independent: Sequence[str]) -> Curves:
     return Curves(np.array([independent.index(each.joint) for each in leads], dtype=np.int64), higher)
 
 
-def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint], list[str]]:
+def limit_by_followers(
+    joints: Sequence[Joint], path: Path, follower_limits: Literal["own", "leader"] = "own"
+) -> tuple[list[Joint], list[str]]:
     """Return the joints, independent ones with limits that keep their followers within theirs, and notes on changes.
+
+    With `follower_limits` "leader", mimic joints have instead the limits that follow from the joint that they follow.
 
     An independent joint keeps its own limits too. A continuous one whose followers have limits turns within limits, so
     that it is returned as a revolute one.
@@ -95,6 +100,8 @@ def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint]
         HandError: a joint is left without a range, or a mimic joint that never moves is outside its limits.
     """
     by_name = {joint.name: joint for joint in joints}
+    if follower_limits == "leader":
+        return [_limited_by_leader(joint, by_name) for joint in joints], []
     range_of = {joint.name: (joint.lower, joint.upper) for joint in joints}
     allowed: dict[str, dict[str, list[float]]] = {}  # leader -> follower -> values of the leader that keep it in limits
     for follower in joints:
@@ -119,11 +126,24 @@ def limit_by_followers(joints: Sequence[Joint], path: Path) -> tuple[list[Joint]
         if lower > upper or (upper - lower < 1e-6 < own.upper - own.lower):
             raise HandError(
                 f"{where}, is {leads.multiplier:g} x '{own.name}' + {leads.offset:g}, which leaves '{own.name}' no "
-                f"value within its own {own.lower:g} to {own.upper:g}: a sign or a limit is wrong"
+                f"value within its own {own.lower:g} to {own.upper:g}: a sign or a limit is wrong; with "
+                f"--follower-limits leader the limits of '{follower.name}' are ignored"
             )
         range_of[own.name] = lower, upper
     notes = [_note(by_name[name], *range_of[name], of_followers) for name, of_followers in allowed.items()]
     return [_with_limits(joint, *range_of[joint.name]) for joint in joints], [note for note in notes if note]
+
+
+def _limited_by_leader(joint: Joint, by_name: Mapping[str, Joint]) -> Joint:
+    """Return a mimic joint with the limits that its leader has; others unchanged, as followers along curves."""
+    if joint.mimic is None or joint.kind == "continuous":
+        return joint
+    leads = followed(joint, by_name)
+    own = by_name[leads.joint]
+    if leads.higher or not np.isfinite([own.lower, own.upper]).all():
+        return joint
+    lower, upper = sorted(leads.offset + leads.multiplier * limit for limit in (own.lower, own.upper))
+    return replace(joint, lower=lower, upper=upper)
 
 
 def _note(own: Joint, lower: float, upper: float, allowed: Mapping[str, Sequence[float]]) -> str:

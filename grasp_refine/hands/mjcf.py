@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
 from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
@@ -38,11 +39,18 @@ def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
 
 def _read(path: Path) -> mujoco.MjSpec:
     check_xml(path)
+    # MuJoCo goes by the suffix: text in memory, which has the name of the file with another suffix, is read like it.
+    file, text = path, {}
+    if path.suffix != ".xml":
+        file = path.with_name(f"{path.name}.xml")
+        text = {str(file): path.read_bytes()}
     try:
         with unlogged():
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = mujoco.MjSpec.from_file(str(file), include=text)
     except ValueError as error:
         raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
+    for mesh in spec.meshes:
+        refuse_lfs_pointer(path.parent / spec.meshdir / mesh.file, "mesh", HandError)
     if (count := len(spec.bodies) - 1) > MAX_BODIES:
         raise HandError(f"{path}: has {count} bodies, more than the {MAX_BODIES} that a hand may have")
     # Bodies and their frames must be those of the file.

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
+
+MJCF_SUFFIXES = (".xml", ".mjcf")
+"""Suffixes of MJCF files."""
 
 MAX_BODIES = 1000
 """Most bodies of a hand, as for links of a URDF."""
@@ -41,6 +45,7 @@ def check_xml(path: Path) -> None:
     """
     if not path.is_file():
         raise HandError(f"{path}: no such MJCF file")
+    refuse_lfs_pointer(path, "MJCF", HandError)
     outermost = _outermost(path.read_bytes())
     if outermost == b"robot":
         raise HandError(f"{path}: a URDF, not an MJCF; {FILE_ADVICE}")

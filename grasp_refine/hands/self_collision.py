@@ -21,14 +21,23 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.tree import LinkPair, rigid_parts
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
 
 MAX_PAIRS = 20_000
 """Most pairs of links that are checked, which takes half a minute: those of 200 links that each move on their own."""
 
+MIN_AVOIDABLE_M = 1e-3
+"""Overlap in metres of an ignored pair, beyond its least one, from which it is noted."""
+
+_SCREENING = 0.1
+"""Difference from `Sampling.always` at which the share of overlaps in the first configurations is estimated again."""
+
 _SAME_POINT_M = 1e-3
 """Distance in metres below which two joints turn about the same point."""
+
+_ENTRY = ("touching", "least_overlap")
+"""Arrays of a cache entry."""
 
 _BLOCK, _BLOCK_POSES = 256, 2**20
 """Configurations, and configurations times pairs, that are queried at a time, which bounds the memory."""
@@ -49,15 +58,18 @@ class Sampling:
     """
 
     uniform: int = 128
-    """Number of configurations, uniform within the limits, by which the share of overlaps is estimated."""
+    """Number of configurations, uniform within the limits, in which all pairs are looked at."""
+    more: int = 512
+    """Number of further ones, by which the share of overlaps is estimated for pairs that nearly always overlap."""
     extreme: int = 3000
     """Number of configurations with each joint at one of its limits by even odds, else uniform within them."""
     seed: int = 0
-    """Seed of both."""
+    """Seed of all."""
     margin: float = 0.004
     """Distance in metres that left-out pairs always keep; it allows for the configurations between samples."""
-    always: float = 0.5
-    """Share of uniform configurations; pairs that overlap in more of them do so by design (other pairs: < 0.2)."""
+    always: float = 0.98
+    """Share of uniform configurations; pairs that overlap in more of them do so by design. On real hands such pairs
+    overlap in all of them, and fingers that cross at mid-range in 3 to 25 % (a made-up hand: 95 %)."""
 
     def __post_init__(self) -> None:
         """Refuse settings out of their range.
@@ -65,8 +77,8 @@ class Sampling:
         Raises:
             CollisionError: a setting is outside its range.
         """
-        if self.uniform < 1 or self.extreme < 0 or self.seed < 0:
-            raise CollisionError(f"{self}: uniform must be at least 1, extreme and seed at least 0")
+        if self.uniform < 1 or self.more < 0 or self.extreme < 0 or self.seed < 0:
+            raise CollisionError(f"{self}: uniform must be at least 1; more, extreme and seed at least 0")
         if not (0 <= self.margin < np.inf and 0 <= self.always <= 1):
             raise CollisionError(f"{self}: margin must be at least 0 m and finite, always must be between 0 and 1")
 
@@ -84,35 +96,56 @@ def touching_pairs(
       between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
       design;
     - never collide by the file of the hand;
-    - overlap at `hand.rest`, where the file does not tell, or nearly always: so do hulls that cover more than the
-      link, such as those of a knuckle's next but one. A rest pose that is itself in collision hides a pair here, so
-      that a hand whose middle of the joint ranges is no sensible pose needs a `rest_pose` in its hand.toml;
+    - overlap in nearly all configurations: so do hulls that cover more than the link, such as those of a knuckle's
+      next but one. The rest pose does not matter: fingers may cross in the middle of their ranges;
     - never come near each other in the sampled configurations.
 
-    These are the rules of MoveIt's Setup Assistant (adjacent, default, always, never in collision). Continuous
-    joints are sampled within [-pi, pi], mimic joints follow.
+    These are rules of MoveIt's Setup Assistant (adjacent, always, never in collision). Continuous joints are sampled
+    within [-pi, pi], mimic joints follow.
 
     Args:
         hand: The hand.
         sampling: Number of configurations, and the distance that counts as near.
         cache: Folder of earlier results; "user" is the user's cache folder, None: no cache. An entry is named
-            by all that the result depends on: pieces, joints, limits, rest pose and settings.
+            by all that the result depends on: pieces, joints, limits and settings.
 
     Raises:
         HandError: more than `MAX_PAIRS` pairs have a joint that can move between them.
     """
     candidates, _ = _candidates(hand)
-    if not candidates:
-        return ()
-    folder = disk.default_cache("touching") if cache == "user" else cache
-    entry = folder / _entry_name(hand, sampling) if folder is not None else None
-    touching = _load(entry, len(candidates)) if entry is not None else None
-    if touching is None:
-        touching = _touching(hand, candidates, sampling)
-        if entry is not None:
-            with suppress(GraspFileError):  # it takes about a second the next time, too
-                save_npz(entry, {"touching": touching})
+    touching, _ = _classes(hand, candidates, sampling, cache)
     return tuple(pair for pair, kept in zip(candidates, touching.tolist(), strict=True) if kept)
+
+
+@stage("loading")
+def overlapping_pairs(
+    hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
+) -> dict[LinkPair, float]:
+    """Return the pairs that `touching_pairs` ignores since they nearly always overlap, with their least overlap.
+
+    The least overlap in metres, over the sampled configurations, is what the design of the hand explains.
+    """
+    candidates, _ = _candidates(hand)
+    _, least = _classes(hand, candidates, sampling, cache)
+    return {pair: depth for pair, depth in zip(candidates, least.tolist(), strict=True) if not np.isnan(depth)}
+
+
+def ignored_overlaps(hand: Hand, q: Float[np.ndarray, "batch n"]) -> str:
+    """Return a note on pairs of `overlapping_pairs` that overlap deeper at `q` than their design explains; else "".
+
+    Deeper by more than `MIN_AVOIDABLE_M` than their least overlap, which no configuration avoids.
+    """
+    least = overlapping_pairs(hand)
+    depth = np.maximum(-_distances(hand, tuple(least), q, cutoff=0.0), 0.0)
+    deepest = np.where(np.isnan(depth), 0.0, depth).max(axis=0, initial=0.0)
+    named = [
+        f"{a} and {b} ({there * 1e3:.1f} mm, everywhere at least {own * 1e3:.1f})"
+        for ((a, b), own), there in zip(least.items(), deepest.tolist(), strict=True)
+        if there > own + MIN_AVOIDABLE_M
+    ]
+    if not named:
+        return ""
+    return f"not kept apart, because they overlap in nearly all configurations of {hand.name}: {', '.join(named)}"
 
 
 @dataclass(frozen=True)
@@ -124,9 +157,9 @@ class PairClasses:
     checked: tuple[LinkPair, ...]
     """Pairs that can touch, as `touching_pairs` returns them."""
     at_rest: tuple[LinkPair, ...]
-    """Pairs that overlap at the rest pose: taken for hulls that cover more than the link, and ignored."""
+    """Pairs of `checked` that overlap at the rest pose."""
     nearly_always: tuple[LinkPair, ...]
-    """Other pairs that overlap in most configurations: ignored for the same reason."""
+    """Pairs that overlap in nearly all configurations: taken for hulls that cover more than the link, and ignored."""
     never: int
     """Number of other pairs, which never come near each other."""
 
@@ -136,13 +169,10 @@ def classify_pairs(
 ) -> PairClasses:
     """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
     (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
-    at_rest, always = _by_design(hand, _distances(hand, candidates, _first_draws(hand, sampling), 0.0), sampling)
-    overlapping, others = (
-        tuple(pair for pair, chosen in zip(candidates, which, strict=True) if chosen)
-        for which in (at_rest, always & ~at_rest)
-    )
-    never = len(candidates) - len(checked) - len(overlapping) - len(others)
-    return PairClasses(neighbours, checked, overlapping, others, never)
+    always = tuple(overlapping_pairs(hand, sampling, cache=cache))
+    resting = _distances(hand, checked, hand.rest[None], 0.0)[0] < 0
+    at_rest = tuple(pair for pair, overlaps in zip(checked, resting.tolist(), strict=True) if overlaps)
+    return PairClasses(neighbours, checked, at_rest, always, len(candidates) - len(checked) - len(always))
 
 
 def self_penetration(
@@ -176,7 +206,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
         HandError: there are more than `MAX_PAIRS` pairs.
     """
     matrix, _, movable = hand.mimic_map()
-    lower, upper = _limits(hand)
+    lower, upper = finite_limits(hand)
     moving = {name for name, travel in zip(movable, np.abs(matrix) @ (upper - lower), strict=True) if travel > 0}
     part = {hand.base_link: hand.base_link} | rigid_parts(hand.joints, moving)
     carrier: dict[str, str] = {}  # the part that each part hangs from
@@ -217,40 +247,47 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     return pairs, len(near)
 
 
-def _touching(hand: Hand, candidates: list[LinkPair], sampling: Sampling) -> Bool[np.ndarray, " pairs"]:
-    """Mask of the candidates that come near each other, but not by design."""
-    lower, upper = _limits(hand)
+def _classes(
+    hand: Hand, candidates: list[LinkPair], sampling: Sampling, cache: Path | Literal["user"] | None
+) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
+    """Mask of the candidates that can touch, and least overlap of the ones that nearly always overlap, else NaN."""
+    if not candidates:
+        return np.zeros(0, dtype=bool), np.zeros(0)
+    folder = disk.default_cache("touching") if cache == "user" else cache
+    entry = folder / _entry_name(hand, sampling) if folder is not None else None
+    known = _load(entry, len(candidates)) if entry is not None else None
+    if known is None:
+        known = _sampled_classes(hand, candidates, sampling)
+        if entry is not None:
+            with suppress(GraspFileError):  # it takes about a second the next time, too
+                save_npz(entry, dict(zip(_ENTRY, known, strict=True)))
+    return known
+
+
+def _sampled_classes(
+    hand: Hand, candidates: list[LinkPair], sampling: Sampling
+) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
+    """`_classes` by sampling."""
+    lower, upper = finite_limits(hand)
     rng = np.random.default_rng(sampling.seed)
-    first = _first_draws(hand, sampling, rng)
+    first = rng.uniform(lower, upper, (sampling.uniform, len(lower)))
     end, within = rng.choice([True, False], (2, sampling.extreme, len(lower)))
     extreme = np.where(within, rng.uniform(lower, upper, end.shape), np.where(end, upper, lower))
     distance = _distances(hand, candidates, first, sampling.margin)
-    by_design = np.logical_or(*_by_design(hand, distance, sampling))
     near = np.any(distance < sampling.margin, axis=0)
+    least = np.full(len(candidates), np.nan)
+    # Only pairs that overlap in most of the first configurations are worth the others.
+    likely = np.flatnonzero((distance < 0).mean(axis=0) > sampling.always - _SCREENING)
+    more = rng.uniform(lower, upper, (sampling.more, len(lower)))
+    for p, column in zip(likely, _distances(hand, [candidates[p] for p in likely], more, 0.0).T, strict=True):
+        uniform = np.concatenate([distance[:, p], column])
+        if (uniform < 0).mean() > sampling.always:
+            least[p] = max(-uniform.max(), 0.0)
     for q in np.split(extreme, _ROUND_STARTS):
         left = np.flatnonzero(~near)
         distance = _distances(hand, [candidates[p] for p in left], q, sampling.margin)
         near[left] = (distance < sampling.margin).any(axis=0)
-    return near & ~by_design
-
-
-def _first_draws(
-    hand: Hand, sampling: Sampling, rng: np.random.Generator | None = None
-) -> Float[np.ndarray, "draws n"]:
-    """Joint values at which overlaps by design are found: the rest pose, and uniform draws."""
-    lower, upper = _limits(hand)
-    rng = np.random.default_rng(sampling.seed) if rng is None else rng
-    return np.concatenate([hand.rest[None], rng.uniform(lower, upper, (sampling.uniform, len(lower)))])
-
-
-def _by_design(
-    hand: Hand, distance: Float[np.ndarray, "draws pairs"], sampling: Sampling
-) -> tuple[Bool[np.ndarray, " pairs"], Bool[np.ndarray, " pairs"]]:
-    """Masks of the pairs that overlap at rest, and of those that nearly always do: hulls larger than the links.
-
-    An MJCF tells which pairs never collide; others that overlap at rest run into each other in the simulation.
-    """
-    return (distance[0] < 0) & (hand.excluded is None), (distance[1:] < 0).mean(axis=0) > sampling.always
+    return near & np.isnan(least), least
 
 
 def _distances(
@@ -278,7 +315,7 @@ def _distances(
     return distance
 
 
-def _limits(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def finite_limits(hand: Hand) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Lower and upper limits (n,), one turn where a joint is continuous."""
     return np.where(np.isinf(hand.lower), -np.pi, hand.lower), np.where(np.isinf(hand.upper), np.pi, hand.upper)
 
@@ -297,7 +334,7 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
             (joint.kind, place[joint.parent], place[joint.child], joint.T_parent_child.tolist(), joint.axis.tolist())
             for joint in hand.joints
         ],
-        "values": [array.tolist() for array in (matrix, offset, hand.lower, hand.upper, hand.rest)],
+        "values": [array.tolist() for array in (matrix, offset, hand.lower, hand.upper)],
     }
     if hand.excluded is not None:
         settings["never"] = [(place[a], place[b]) for a, b in hand.excluded]
@@ -305,7 +342,10 @@ def _entry_name(hand: Hand, sampling: Sampling) -> str:
     return disk.entry_name(vertices, faces, json.dumps(settings))
 
 
-def _load(entry: Path, count: int) -> Bool[np.ndarray, " pairs"] | None:
-    """The cached mask of `count` candidates; None when there is no such entry, or it is broken."""
-    arrays = disk.load_arrays(entry, "touching")
-    return arrays[0] if arrays and arrays[0].dtype == bool and arrays[0].shape == (count,) else None
+def _load(entry: Path, count: int) -> tuple[Bool[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]] | None:
+    """The cached arrays of `_classes` of `count` candidates; None when there is no such entry, or it is broken."""
+    arrays = disk.load_arrays(entry, *_ENTRY)
+    if arrays is None or any(array.shape != (count,) for array in arrays):
+        return None
+    touching, least = arrays
+    return (touching, least) if touching.dtype == bool and least.dtype == np.float64 else None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_refine.core.errors import HandError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_valid
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def read_urdf(path: Path) -> yourdfpy.Robot:
 def _read_xml(path: Path) -> _Element:
     from lxml import etree
 
+    refuse_lfs_pointer(path, "URDF", HandError)
     try:
         data = path.read_bytes()
     except OSError as error:

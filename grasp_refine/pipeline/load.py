@@ -20,6 +20,7 @@ from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.hands.source import check_known
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
@@ -255,9 +256,14 @@ class Loader:
     def load_hand(self, source: str, base_link: str | None) -> Hand:
         """Return a hand, from the files of the specification."""
         spec = self.spec
-        key = (source, base_link, spec.urdf, spec.mjcf, spec.hull_limit)
-        load = partial(load_hand, base_link=base_link, urdf=spec.urdf, mjcf=spec.mjcf, hull_limit=spec.hull_limit)
-        return self.cache.get("hand", key, lambda: load(source, progress=self.on_message))
+        options = {name: getattr(spec, name) for name in ("urdf", "mjcf", "collision", "follower_limits", "hull_limit")}
+
+        def load() -> Hand:
+            hand = load_hand(source, base_link=base_link, **options, progress=self.on_message)
+            check_collides(hand)
+            return hand
+
+        return self.cache.get("hand", (source, base_link, *options.values()), load)
 
     def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
         """Return an object of the specified size, still to be decomposed.

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
+from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
@@ -22,6 +24,9 @@ from grasp_refine.validation.motion import Motion, closing_motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 
+if TYPE_CHECKING:
+    from grasp_refine.validation.world import World
+
 
 class Listener:
     """Callbacks of the progress of `refine_problem`; a subclass overrides the ones that it needs."""
@@ -31,7 +36,7 @@ class Listener:
         return None
 
     def note(self, line: str) -> None:
-        """Receive a note for the user on the simulated hand."""
+        """Receive a note for the user on the refined grasps, or on the simulated hand."""
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
         """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
@@ -46,8 +51,11 @@ def refine_problem(
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
+    on_refined: Callable[[RefinedGrasps], None] = lambda refined: None,
 ) -> RefinedGrasps:
     """Refine and measure all grasps of a problem, and simulate them before and after.
+
+    Simulated worlds are built first, so that a hand that MuJoCo refuses costs no refinement.
 
     Args:
         problem: Hand, objects and grasps.
@@ -56,6 +64,7 @@ def refine_problem(
         listener: Callbacks of the progress.
         cache: Keeps prepared hands and objects for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
+        on_refined: Called with the refined grasps before they are simulated.
 
     Raises:
         GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world.
@@ -65,13 +74,19 @@ def refine_problem(
     def prepared(group: Group) -> HandObject:
         return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
 
+    worlds = None if protocol is None else _worlds(problem, protocol, listener, cache)
     parts = [
         refine_group(group, config, prepared=prepared(group), progress=listener.refining(group))
         for group in problem.groups
     ]
     outcome = Outcome.join(parts).select(problem.order)
-    simulated = None if protocol is None else _simulate(problem, parts, protocol, listener, cache, threads)
-    return RefinedGrasps(problem, config, outcome, simulated)
+    if ignored := ignored_overlaps(problem.hand, outcome.q):
+        listener.note(ignored)
+    refined = RefinedGrasps(problem, config, outcome)
+    on_refined(refined)
+    if protocol is None or worlds is None:
+        return refined
+    return replace(refined, simulated=_simulate(problem, parts, protocol, worlds, listener, threads))
 
 
 def refine_group(
@@ -127,41 +142,49 @@ def simulate_refined(
     Raises:
         GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.
     """
-    parts = [refined.outcome.select(group.place) for group in refined.problem.groups]
-    return _simulate(refined.problem, parts, protocol, listener or Listener(), cache or NoCache(), threads, engine)
+    problem, listener = refined.problem, listener or Listener()
+    worlds = _worlds(problem, protocol, listener, cache or NoCache())
+    parts = [refined.outcome.select(group.place) for group in problem.groups]
+    return _simulate(problem, parts, protocol, worlds, listener, threads, engine)
+
+
+def _worlds(problem: Problem, protocol: Protocol, listener: Listener, cache: InputCache) -> list[World]:
+    """Build the simulated world of each group."""
+    from grasp_refine.validation.validate import model_of
+    from grasp_refine.validation.world import build_world
+
+    hand = problem.hand
+    model = cache.get("model", hand, partial(model_of, hand))
+    for note in model.notes:
+        listener.note(note)
+    worlds = []
+    for group in problem.groups:
+        given = group.scene.object, protocol, group.scene.table, group.scene.environment
+        worlds.append(cache.get("world", (hand, *given), partial(build_world, model, *given)))
+    return worlds
 
 
 def _simulate(
     problem: Problem,
     parts: Sequence[Outcome],
     protocol: Protocol,
+    worlds: Sequence[World],
     listener: Listener,
-    cache: InputCache,
     threads: int | None,
     engine: EngineName = "mujoco",
 ) -> SimulatedGrasps:
-    """Simulate the grasps of each group before and after; `parts` are the outcomes of the groups."""
+    """Simulate the grasps of each group in its world, before and after; `parts` are the outcomes of the groups."""
     from grasp_refine.validation.engines import engine_of
     from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.set_points import clipping_note
-    from grasp_refine.validation.validate import model_of
-    from grasp_refine.validation.world import World, build_world
 
-    hand = problem.hand
-    model = cache.get("model", hand, partial(model_of, hand))
-    for note in model.notes:
-        listener.note(note)
     before: list[Trials] = []
     after: list[Trials] = []
-    worlds: list[World] = []
     motions: list[Motion] = []
-    for group, part in zip(problem.groups, parts, strict=True):
-        given = group.scene.object, protocol, group.scene.table, group.scene.environment
-        world = cache.get("world", (hand, *given), partial(build_world, model, *given))
+    for group, part, world in zip(problem.groups, parts, worlds, strict=True):
         simulations = engine_of(engine, world)
         tell = listener.simulating(group)
         refined = part.motion
-        worlds.append(world)
         motions.append(refined)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
             progress = partial(tell, f"simulating, {when}")

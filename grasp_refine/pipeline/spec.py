@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -37,6 +38,12 @@ class SourceSpec:
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Path | None = None
     """The hand as another MJCF file, or an asset such as shadow_mjcf, which is then simulated."""
+    collision: Literal["visual"] | None = None
+    """Geometry with which links of a URDF collide: visual, the geometry that they show, where they have no other. By
+    default their collision geometry, or what the hand.toml says."""
+    follower_limits: Literal["own", "leader"] | None = None
+    """Limits of joints that follow others (mimic): their own, or leader, the ones that follow from the other joint, for
+    files whose signs contradict the limits. By default what the hand.toml says, else their own."""
     base_link: str | None = None
     """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
     palm of a hand on an arm, else the root."""

@@ -17,7 +17,9 @@ from grasp_refine.core.se3 import matvec, pose_from_transform, transform_points
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
+from grasp_refine.hands.clear_rest import clear_rest
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import Regions
@@ -96,7 +98,7 @@ def sample_grasps(
     `TRIES_PER_GRASP` hands for each.
 
     Args:
-        hand: Any hand whose joints move contact links; sampled joint values are around the rest pose.
+        hand: Any hand whose joints move contact links; sampled joint values are around the rest pose, or `clear_rest`.
         obj: The object.
         count: Number of grasps, 1 to `MAX_GRASPS`.
         seed: The same seed gives the same grasps.
@@ -125,11 +127,13 @@ def sample_grasps(
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MAX_GRASPS:
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
+    check_collides(hand)
+    hand = replace(hand, rest=clear_rest(hand))
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)
     around = None if environment is None else _around(prepared, environment)
     closing = _Closing(prepared, closure, table, around, regions_of(obj, touch, avoid, environment))
-    draw = _drawing(closing, jaw_frame(hand, closure), rng)
+    draw = _drawing(closing, hand, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)
     most *= 1 if closing.regions is None else TRIES_IN_REGIONS
@@ -158,10 +162,9 @@ def sample_grasps(
     )
 
 
-def _drawing(closing: _Closing, jaws: JawFrame | None, rng: np.random.Generator) -> Callable[[], Placed]:
+def _drawing(closing: _Closing, hand: Hand, jaws: JawFrame | None, rng: np.random.Generator) -> Callable[[], Placed]:
     """Function that draws `BATCH_SIZE` hands, closes them, and returns those that were clear while open."""
-    prepared, closure, table = closing.prepared, closing.closure, closing.table
-    hand, obj = prepared.hand, prepared.object
+    obj, closure, table = closing.prepared.object, closing.closure, closing.table
     if jaws is not None:
         antipodal = closing.within(antipodal_pairs(obj, (jaws.width[-1], jaws.width[0] - 2.0 * CLEARANCE_M)))
         if len(antipodal):

@@ -71,3 +71,51 @@ def test_parallel_jaws_on_bars_close(tmp_path: Path, sign: int) -> None:
     # Bars of 50 mm that turn about pivots 30 mm from the middle, with pads 10 mm inside of their ends.
     angle = sign * jaws.q[:, 0]
     np.testing.assert_allclose(jaws.width, 2 * (0.03 + 0.05 * np.sin(0.5 - angle) - 0.01), atol=1e-6)
+
+
+def linkage(
+    folder: Path, *, pad: str = "pad", bar_parent: str = "finger", bar: str = "bar", bar_m: float = -0.04
+) -> Hand:
+    """A gripper of two jaws; a bar hangs from the inner end of each finger, or from the palm, and no mimic ties it."""
+    box = '<collision><origin xyz="0 0 {0}"/><geometry><box size="0.01 0.01 {1}"/></geometry></collision>'
+    joint = """<joint name="{1}_j" type="{2}"><parent link="{0}"/><child link="{1}"/><origin xyz="{3} 0 {4}"/>
+      <axis xyz="0 1 0"/><limit lower="{5}" upper="{6}" effort="5" velocity="1"/></joint>"""
+    parts = [f'<link name="palm">{box.format(-0.01, 0.02)}</link>']
+    for side, x in (("left", -0.03), ("right", 0.03)):
+        lever, finger, tip, rod = f"{side}_lever", f"{side}_finger", f"{side}_{pad}", f"{side}_{bar}"
+        parts += [
+            f'<link name="{lever}">{box.format(0.03, 0.05)}</link>',
+            f'<link name="{finger}">{box.format(0.02, 0.03)}</link>',
+            f'<link name="{tip}">{box.format(0.0, 0.02)}</link>',
+            f'<link name="{rod}">{box.format(bar_m / 2, abs(bar_m))}</link>',
+            joint.format("palm", lever, "revolute", x, 0.0, -0.8, 0.8),
+            joint.format(lever, finger, "revolute", 0.0, 0.06, -0.9, 0.9),
+            joint.format(finger, tip, "fixed", 0.0, 0.045, 0, 0),
+            joint.format({"finger": finger, "palm": "palm"}[bar_parent], rod, "continuous", x / 2, 0.005, 0, 0),
+        ]
+    path = folder / "linkage.urdf"
+    path.write_text(f'<robot name="linkage">{"".join(parts)}</robot>')
+    return load_hand(path, candidates=16)
+
+
+def test_bars_that_fold_back_from_fingers_are_none(tmp_path: Path) -> None:
+    """A published Robotiq 2F-140 without mimics was gripped with the bars beside its fingers, and lost what it held."""
+    hand = linkage(tmp_path)
+    assert [contact.link for contact in hand.contacts] == ["left_pad", "right_pad"]
+    (note,) = [note for note in hand.notes if "mimic" in note]
+    assert "left_bar, right_bar" in note
+    # Without a link that is a pad by its name, all that is fixed together at the end of the finger.
+    plain = linkage(tmp_path, pad="end")
+    assert {contact.link for contact in plain.contacts} == {"left_finger", "left_end", "right_finger", "right_end"}
+    assert len(plain.fingers) == 2
+
+
+def test_what_reaches_farther_than_the_link_that_carries_it_is_the_end(tmp_path: Path) -> None:
+    hand = linkage(tmp_path, pad="end", bar_m=0.08)
+    assert {contact.link for contact in hand.contacts} == {"left_bar", "right_bar"}
+
+
+def test_knuckles_of_their_own_are_no_fingers(tmp_path: Path) -> None:
+    hand = linkage(tmp_path, bar_parent="palm", bar="inner_knuckle", bar_m=0.04)
+    assert {contact.link for contact in hand.contacts} == {"left_finger", "left_pad", "right_finger", "right_pad"}
+    assert len(linkage(tmp_path, bar_parent="palm", bar="third", bar_m=0.04).fingers) == 4, "no name says otherwise"

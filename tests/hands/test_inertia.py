@@ -1,9 +1,10 @@
 """Inertias: closed forms of solid shapes, and what is done about impossible ones."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from grasp_refine.core.se3 import exp_so3
+from grasp_refine.core.se3 import exp_so3, quaternion_from_matrix
 from grasp_refine.geometry.pieces import box, capsule, sphere
 from grasp_refine.hands.inertia import Inertia
 
@@ -81,3 +82,33 @@ def test_impossible_moments_are_raised_to_the_bound(moments: list, possible: boo
 def test_what_is_no_inertia() -> None:
     for mass, moments in ((0.0, [1, 1, 1]), (1.0, [0, 1, 1]), (1.0, [-1, 1, 1]), (1.0, [1e-20, 1e-20, 1e-20])):
         assert not Inertia.about(mass, T, np.diag(np.array(moments, dtype=float))).positive()
+
+
+@pytest.mark.parametrize("moments", [[1.1e-15, 1.2e-15, 1.3e-15], [2e-15, 1e-6, 1e-6], [1e-14, 1e-14, 1e-14]])
+def test_what_mujoco_accepts_is_left_alone(moments: list[float]) -> None:
+    inertia = Inertia.about(1e-3, T, np.diag(moments))
+    assert inertia.positive()
+    np.testing.assert_allclose(inertia.balanced().principal()[0], moments, rtol=1e-6)
+    assert _compiles(inertia.balanced())
+
+
+@pytest.mark.parametrize(("mass", "moment"), [(1e-3, 1e-16), (1e-17, 1e-18), (1e-17, 1e-6)])
+def test_tiny_masses_and_moments_are_raised_to_what_mujoco_accepts(mass: float, moment: float) -> None:
+    inertia = Inertia.about(mass, T, moment * np.eye(3))
+    assert not inertia.positive() and not _compiles(inertia)
+    assert _compiles(inertia.balanced())
+
+
+def _compiles(inertia: Inertia) -> bool:
+    """Whether MuJoCo accepts it for a body that moves."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="a")
+    body.add_joint(axis=[0, 0, 1])
+    moments, axes = inertia.principal()
+    body.mass, body.inertia, body.explicitinertial = inertia.mass, moments, True
+    body.ipos, body.iquat = inertia.centre, quaternion_from_matrix(axes)
+    try:
+        spec.compile()
+    except ValueError:
+        return False
+    return True

@@ -1,6 +1,5 @@
 """An MJCF as a hand: its links, joints, geometry, couplings and actuators are those of MuJoCo."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -329,7 +328,7 @@ def test_limits_in_degrees_that_look_like_radians_are_told(
 
 
 def test_links_that_overlap_at_rest_are_kept_apart_unless_the_file_excludes_them(tmp_path: Path) -> None:
-    """MuJoCo pushes apart what an MJCF does not exclude; of a URDF such an overlap is taken for its design."""
+    """MuJoCo pushes apart what an MJCF does not exclude."""
     finger = """<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0" range="-1.5 1.5"/>
       <geom type="capsule" size="0.01" fromto="0 0 0.05 0 0 0.1"/></body>"""
     fingers = finger.format("a", -0.009) + finger.format("b", 0.009)
@@ -339,6 +338,44 @@ def test_links_that_overlap_at_rest_are_kept_apart_unless_the_file_excludes_them
     path.write_text(text.format(""))
     hand = load_hand(path, candidates=16)
     assert touching_pairs(hand, cache=None) == (("a", "b"),)
-    assert touching_pairs(replace(hand, excluded=None), cache=None) == ()
     path.write_text(text.format('<contact><exclude body1="b" body2="a"/></contact>'))
     assert touching_pairs(load_hand(path, candidates=16), cache=None) == ()
+
+
+SMALL = """<mujoco><compiler angle="radian" meshdir="meshes"/><asset><mesh name="b" file="b.obj"/></asset><worldbody>
+  <body name="palm"><geom type="mesh" mesh="b"/><include file="finger.xml"/></body></worldbody></mujoco>"""
+"""A hand of a mesh and an included finger."""
+
+
+def small(folder: Path, name: str) -> Path:
+    (folder / "meshes").mkdir()
+    (folder / "meshes/b.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    body = """<body name="f"><joint name="j" axis="0 1 0" range="-1 1"/><geom size=".01" pos="0 0 .15"/></body>"""
+    (folder / "finger.xml").write_text(f"<mujocoinclude>{body}</mujocoinclude>")
+    path = folder / name
+    path.write_text(SMALL)
+    return path
+
+
+@pytest.mark.parametrize("name", ["hand.mjcf", "hand.XML", "hand"])
+def test_the_suffix_of_an_mjcf_does_not_matter(tmp_path: Path, name: str) -> None:
+    """MuJoCo goes by the suffix .xml; published hands are named .mjcf."""
+    hand = load_hand(small(tmp_path, name), candidates=16)
+    assert hand.joint_names == ("j",) and [link.name for link in hand.links] == ["palm", "f"]
+    assert hand.links_by_name["palm"].solid.diagonal > 0.1
+    assert model_of(hand).spec.compile().ngeom == 2
+
+
+def test_a_folder_with_an_mjcf_named_mjcf_is_a_hand(tmp_path: Path) -> None:
+    (tmp_path / "hand").mkdir()
+    path = small(tmp_path / "hand", "hand.mjcf")
+    (tmp_path / "hand/finger.xml").rename(tmp_path / "hand/finger.inc")
+    path.write_text(SMALL.replace("finger.xml", "finger.inc"))
+    assert load_hand(path.parent, candidates=16).joint_names == ("j",)
+
+
+def test_a_mesh_that_is_a_git_lfs_pointer_is_named_as_one(tmp_path: Path) -> None:
+    path = small(tmp_path, "hand.xml")
+    (tmp_path / "meshes/b.obj").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
+    with refused(HandError, "b.obj", "git lfs pull"):
+        load_hand(path, candidates=16)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptive_gripper import BAR_M, SPRING_NM_PER_RAD, SPRING_RAD, adaptive_gripper, write_adaptive_gripper
+from adaptive_gripper import BAR_M, PIVOT_M, SPRING_NM_PER_RAD, SPRING_RAD, adaptive_gripper, write_adaptive_gripper
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.linkages import CLOSED_M, Linkage, linkages
 from grasp_refine.hands.transmission import transmission_compliance
@@ -99,3 +99,15 @@ def test_hands_without_closed_chains_have_none(tmp_path: Path) -> None:
     plain = load_hand(file, candidates=64)
     assert not plain.modes and plain.compliance is None
     np.testing.assert_array_equal(plain.stiffness, plain.actuator.kp)
+
+
+@pytest.mark.parametrize("longer", [-1e-7, 0.0, 1e-7])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_modes_come_in_the_order_of_the_file(side: str, longer: float) -> None:
+    """They came as left, right and as right, left from two files that differed in a number."""
+    x = (1 if side == "right" else -1) * PIVOT_M[0]
+    there = f'<body name="{side}_bar" pos="{x} 0'
+    text = adaptive_gripper()
+    assert there in text
+    _, linkage = solved(text.replace(there, f'<body name="{side}_bar" pos="{x + longer} 0'))
+    assert [mode.joint for mode in linkage.modes] == ["right_bar", "left_bar"]

@@ -12,6 +12,7 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.versions import own_version
 from grasp_refine.hands.mesh_files import resolve_mesh
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
 from grasp_refine.hands.source import ON_ARM, hand_files
 from grasp_refine.objects.region_spec import VERBS, spec_digest
 from grasp_refine.objects.source import ObjectSource
@@ -120,7 +121,7 @@ def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
             files = [file for folder in folders if (file := path.parent / folder / name).is_file()]
         found += files
         for file in files:
-            if file.suffix == ".xml" and file not in (*seen, path):
+            if file.suffix.lower() in MJCF_SUFFIXES and file not in (*seen, path):
                 found += _meshes(file, (*seen, path))
     return found
 

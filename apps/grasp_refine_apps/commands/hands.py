@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
 from tyro.conf import DisallowNone, Positional, arg
@@ -51,6 +51,16 @@ class Hands:
         DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
     ] = None
     """Another MJCF file of the same hand, to check that it matches."""
+    collision: Annotated[
+        DisallowNone[Literal["visual"] | None], arg(metavar="visual", help_behavior_hint="(default: see above)")
+    ] = None
+    """Geometry with which links of a URDF collide, as for `run`: visual, the geometry that they show. By default their
+    collision geometry, or what the hand.toml says."""
+    follower_limits: Annotated[
+        DisallowNone[Literal["own", "leader"] | None], arg(help_behavior_hint="(default: see above)")
+    ] = None
+    """Limits of joints that follow others, as for `run`: their own, or leader, the ones that follow from the other
+    joint. By default what the hand.toml says, else their own."""
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
         None
     )
@@ -109,6 +119,8 @@ class Hands:
             base_link=self.base_link,
             urdf=self.urdf,
             mjcf=self.mjcf,
+            collision=self.collision,
+            follower_limits=self.follower_limits,
             candidates=candidates,
             hull_limit=self.hull_limit,
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
@@ -136,7 +148,14 @@ class Hands:
         return 0 if any(row["held_after"] is not None for row in rows) else NOTHING_USABLE
 
     def _list(self) -> int:
-        given = {"--urdf": self.urdf, "--mjcf": self.mjcf, "--base-link": self.base_link, "--out": self.out}
+        given = {
+            "--urdf": self.urdf,
+            "--mjcf": self.mjcf,
+            "--collision": self.collision,
+            "--follower-limits": self.follower_limits,
+            "--base-link": self.base_link,
+            "--out": self.out,
+        }
         named = [option for option, value in given.items() if value is not None]
         named += ["--check"] * self.check + ["--write"] * self.write
         if named:
@@ -200,7 +219,7 @@ class Hands:
         else:
             message = f"there is no {HAND_TOML} beside the file; --write writes one to start from"
         console.print(f"\n{message}", markup=False, soft_wrap=True)
-        return NOTHING_USABLE if found.refused else 0
+        return NOTHING_USABLE if found.refused or not hand.contacts else 0
 
     def _save(self, facts: list[dict[str, Any]]) -> None:
         save_document(self.json, "hands", {"hands": facts})
@@ -211,17 +230,15 @@ def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
     begins = [note for note in hand.notes if note.startswith("the hand begins")]
     notes = [note for note in hand.notes if note not in begins and not note.startswith("contact links guessed")]
     pairs = found.pairs
-    ignored = [f"ignored: {a} and {b}, which overlap at the rest pose" for a, b in pairs.at_rest]
-    ignored += [f"ignored: {a} and {b}, which overlap nearly always" for a, b in pairs.nearly_always]
-    if ignored:
-        ignored.append("to check them, set a rest_pose in which they do not overlap")
+    overlapping = [f"ignored: {a} and {b}, which overlap in nearly all configurations" for a, b in pairs.nearly_always]
+    overlapping += [f"overlap at the rest pose: {a} and {b}; another rest_pose avoids it" for a, b in pairs.at_rest]
     refused = [f"MuJoCo rejects the hand: {found.refused}"] if found.refused else []
     sections = {
         "begins at": [f"link '{hand.base_link}': {hand.base_why}", *begins],
         "meant to touch the object": found.contacts,
         "links that must not run into each other": [
             f"pairs that are checked: {len(pairs.checked)}; neighbours: {pairs.neighbours}; never meet: {pairs.never}",
-            *ignored,
+            *overlapping,
         ],
         "in simulation": [*refused, *found.simulation],
         "to look at": [*notes, *found.suspicious],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import DisallowNone, UseAppendAction, arg
 
@@ -21,6 +21,12 @@ class Sources(SourceSpec):
     hand: Annotated[DisallowNone[str | None], arg(help_behavior_hint="(default: that of the grasp file)")] = None
     urdf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
     mjcf: Annotated[DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: its own)")] = None
+    collision: Annotated[
+        DisallowNone[Literal["visual"] | None], arg(metavar="visual", help_behavior_hint="(default: see above)")
+    ] = None
+    follower_limits: Annotated[
+        DisallowNone[Literal["own", "leader"] | None], arg(help_behavior_hint="(default: see above)")
+    ] = None
     base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
         None
     )

@@ -22,6 +22,7 @@ from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Problem, UncutGroup
 from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
 from grasp_refine.pipeline.ways import follow_ways, plan_ways
 from grasp_refine.refinement.config import Config
@@ -118,16 +119,22 @@ class Run:
             held = config.holds and not _aimed(draft, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
-            refined = refine_problem(problem, config, protocol, listener=reporter)
+            objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
+
+            def write(refined: RefinedGrasps) -> None:
+                if refined.outcome.usable.any():
+                    refined.write(paths, objects)
+
+            # Before the simulation, too, so that whatever happens in it loses no refined grasps.
+            refined = refine_problem(problem, config, protocol, listener=reporter, on_refined=write)
             planned = None if way is None else plan_ways(refined, way)
             if planned is not None and protocol is not None and protocol.tabletop:
                 planned = follow_ways(refined, planned, protocol)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome
-        if outcome.usable.any():
-            objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
-            refined.write(paths, objects)
+        if refined.simulated is not None:
+            write(refined)
         if self.output.json is not None:
             document = run_document(
                 outcome, config, refined.simulated, config=described, wall_s=wall, cpu_s=cpu, profile=profile

@@ -15,6 +15,7 @@ from tyro.conf import DisallowNone, Positional, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json, save_text
 from grasp_refine.core.profiling import cpu_seconds
+from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Group, Problem
 from grasp_refine.results.document import settings
@@ -239,6 +240,8 @@ class Validate:
                 trials.append((group, world, motion, found.trials))
         if clipped := clipping_note([world for _, world, *_ in trials], [motion for _, _, motion, _ in trials]):
             reporter.note(clipped)
+        if ignored := ignored_overlaps(problem.hand, np.concatenate([group.scene.q for group in problem.groups])):
+            reporter.note(ignored)
         validated = Validated.join(parts).select(problem.order)
         joined = Margins.join(tried).select(problem.order) if tried else None
         return _Examined(problem, validated, tuple(trials), compiling, joined)

@@ -32,6 +32,9 @@ SIZE_RANGE_M = (0.02, 1.0)
 MAX_MASS_KG = 20.0
 """Mass above which a hand is implausible, kg."""
 
+MAX_TORQUE_NM, MAX_FORCE_N = 1e3, 1e4
+"""Efforts of joints that turn and slide, Nm and N, above which they are implausible."""
+
 
 @dataclass(frozen=True)
 class HandCheck:
@@ -121,7 +124,7 @@ def _contacts(hand: Hand) -> tuple[str, ...]:
         # The topmost joint that moves no other contact link.
         own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
         own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
-        guess = f"the last solid link of the branch that joint '{own[-1]}' moves"
+        guess = f"the outermost solid link of the branch that joint '{own[-1]}' moves"
         why = guess if hand.contacts_guessed else "named in hand.toml"
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"
         lines.append(f"{contact.link}{finger}: {why}")
@@ -132,6 +135,9 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     """List missing or suspicious values, each with its consequence."""
     independent = [hand.joints_by_name[name] for name in hand.joint_names]
     unlimited = [hand.joint_names[i] for i in np.flatnonzero(np.isinf(hand.actuator.force_limit))]
+    bound = np.where(hand.slides, MAX_FORCE_N, MAX_TORQUE_NM)
+    force = hand.actuator.force_limit
+    strong = {hand.joint_names[i]: force[i] for i in np.flatnonzero(np.isfinite(force) & (force > bound))}
     limp = [hand.joint_names[i] for i in np.flatnonzero(hand.actuator.kp == 0.0)]
     turning = [j.name for j in independent if j.kind != "prismatic" and max(abs(j.lower), j.upper) > MAX_TURN_RAD]
     far = [j.name for j in hand.joints if j.kind == "prismatic" and max(abs(j.lower), j.upper) > MAX_SLIDE_M]
@@ -144,6 +150,8 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
     found = {
         "no joint moves: there is nothing to refine but the pose of the palm": [""] * (not independent),
         f"no effort limit for {{}}: they push as hard as their error times kp; set {limit}": unlimited,
+        f"no joint of a hand is as strong as {{}}, beyond {MAX_TORQUE_NM:g} Nm or {MAX_FORCE_N:g} N: nothing limits "
+        f"how hard they push; set {limit}": [f"{name} ({value:g})" for name, value in strong.items()],
         "no actuator moves {}: they give way to any push": limp,
         "{} can turn by more than two revolutions: are the limits degrees? They must be radians": [
             name for name in turning if name not in endless
@@ -151,7 +159,8 @@ def _suspicious(hand: Hand, size: tuple[float, ...]) -> list[str]:
         "{} can slide more than a metre: are the limits millimetres? They must be metres": far,
         "{} are continuous joints and rest at 0": endless,
         "{} are fixed though they mimic a joint: they do not move": fixed,
-        "{} have visuals but no collision geometry: nothing keeps them out of the object": unseen,
+        "{} have visuals but no collision geometry: nothing keeps them out of the object; --collision visual uses "
+        "their visuals": unseen,
         "{} move no link with collision geometry": _idle_joints(hand),
         f"the hand is {max(size, default=0):.3g} m large: are the meshes millimetres? Lengths are metres, a mesh has a "
         "scale": [""] * bool(size and max(size) > SIZE_RANGE_M[1]),

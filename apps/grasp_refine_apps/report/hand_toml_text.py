@@ -31,6 +31,8 @@ def _head(hand: Hand, folder: Path) -> str:
         file = [f"urdf = {_text(_relative(hand.urdf, folder))}"]
     if hand.mjcf == hand.urdf:
         mjcf = ["# It is simulated as it is; with urdf and mjcf, one is refined and the other may be simulated."]
+    elif hand.collision == "visual":
+        mjcf = ["# Links collide as they look.", 'collision = "visual"']
     elif hand.mjcf is None:
         mjcf = [
             "# The same hand as an MJCF file, where you have one; with collision it is simulated instead of the URDF.",
@@ -56,6 +58,9 @@ def _head(hand: Hand, folder: Path) -> str:
             f"base_link = {_text(hand.base_link)}",
             "",
             *mjcf,
+            "",
+            '# Limits of joints that follow others: "own", or "leader", the ones that follow from the other joint.',
+            f"follower_limits = {_text(hand.follower_limits)}",
             "",
             "# Whether flat faces of its links touch flat faces of objects in patches, not in points.",
             f"patches = {str(hand.patches).lower()}",

@@ -14,7 +14,7 @@ from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine.hands.mesh_files import resolve_mesh
-from grasp_refine.hands.mjcf_xml import is_mjcf
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES, is_mjcf
 from grasp_refine_apps.viewer.mesh_bounds import check_faces, check_mesh_file, safe_xml
 from grasp_refine_apps.viewer.unpacking import UploadError
 
@@ -40,7 +40,7 @@ def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
     """
     tomls = [path for path in files if path.name == HAND_TOML]
     urdfs = [path for path in files if path.suffix.lower() == ".urdf"]
-    texts = [path for path in files if path.suffix.lower() == ".xml"]
+    texts = [path for path in files if path.suffix.lower() in MJCF_SUFFIXES]
     for path in (*tomls, *urdfs, *texts):
         if (size := path.stat().st_size) > MAX_URDF_BYTES:
             raise UploadError(f"{name}: {path.name} has {size >> 10} KiB, more than {MAX_URDF_BYTES >> 10} KiB")
@@ -74,9 +74,8 @@ def _named_by_toml(name: str, folder: Path, toml: Path) -> list[Path]:
     ]
     if "urdf" in raw:
         return found
-    suffixes = (".urdf",) if "mjcf" in raw else (".urdf", ".xml")
-    for suffix in suffixes:
-        beside = [path for path in sorted(toml.parent.iterdir()) if path.suffix.lower() == suffix]
+    for suffixes in ((".urdf",),) if "mjcf" in raw else ((".urdf",), MJCF_SUFFIXES):
+        beside = [path for path in sorted(toml.parent.iterdir()) if path.suffix.lower() in suffixes]
         if len(beside) > 1:
             listing = ", ".join(path.name for path in beside)
             raise UploadError(f"{name}: {HAND_TOML} must name a URDF, or lie beside a single one; beside it: {listing}")
@@ -92,7 +91,7 @@ def _meshes(name: str, folder: Path, path: Path) -> set[Path]:
     if not is_file(path):
         raise UploadError(f"{name}: names '{path.name}', which is not in it; pack the URDF or MJCF, too")
     if is_mjcf(path):
-        return {file for file in _named_by_mjcf(name, folder, path) if file.suffix.lower() != ".xml"}
+        return {file for file in _named_by_mjcf(name, folder, path) if file.suffix.lower() not in MJCF_SUFFIXES}
     return _meshes_of_urdf(name, folder, path)
 
 

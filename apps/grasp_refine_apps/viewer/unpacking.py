@@ -13,6 +13,7 @@ from pathlib import Path
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.grasps.formats.content import SUFFIXES
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
 
 MAX_FILES = 2000
 """Maximum files in a zip: a hand has about a hundred, a folder of grasps one per grasp."""
@@ -29,7 +30,7 @@ MAX_PATH_BYTES = 240
 """Maximum bytes of a file's path in the zip; file systems take 255 for each part."""
 GRASP_SUFFIXES = SUFFIXES
 """Suffixes of grasp files."""
-KEPT_SUFFIXES = (".urdf", ".xml", ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
+KEPT_SUFFIXES = (".urdf", *MJCF_SUFFIXES, ".toml", ".dae", *MESH_SUFFIXES, *GRASP_SUFFIXES)
 """Suffixes of unpacked files; nothing here reads other files, such as textures and programs."""
 IGNORED_PATHS = re.compile(r"(^|/)(__MACOSX/|\._)")
 """Metadata files that macOS adds to its zips, with the same suffixes."""

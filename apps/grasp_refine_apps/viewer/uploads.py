@@ -19,7 +19,7 @@ from typing import Literal
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
 from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.mjcf_xml import is_mjcf
+from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES, is_mjcf
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine_apps.viewer.names import MAX_FILE_BYTES
@@ -34,7 +34,7 @@ MAX_SESSION_BYTES = 2**29
 MAX_NAME_CHARS = 100
 """Maximum characters of a file's name that are kept."""
 
-UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", ".xml", *GRASP_SUFFIXES)
+UPLOAD_SUFFIXES = (*MESH_SUFFIXES, ".zip", ".urdf", *MJCF_SUFFIXES, *GRASP_SUFFIXES)
 """Suffixes of files that can be uploaded."""
 ZIP_SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")
 """Signatures of zips and .npz files."""
@@ -127,7 +127,7 @@ def store_upload(name: str, content: bytes, folder: Path) -> Upload:
     if suffix in MESH_SUFFIXES:
         check_mesh_file(path, shown)
         return Upload(shown, "mesh", folder, path)
-    if suffix in (".urdf", ".xml"):
+    if suffix in (".urdf", *MJCF_SUFFIXES):
         return Upload(shown, "hand", folder, check_hand(shown, folder, [path]))
     return Upload(shown, "grasps", folder, path)
 

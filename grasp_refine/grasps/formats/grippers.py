@@ -25,7 +25,7 @@ FRANKA_NAMES = ("panda", "franka", "franka_panda", "panda_hand", "panda_gripper"
 def hand_named(text: str) -> str:
     """Return our name of the hand that a path or a name of a gripper means, or the name itself."""
     parts = PurePosixPath(text.replace("\\", "/"))
-    name = parts.stem if parts.suffix.lower() in (".usd", ".usda", ".usdc", ".urdf", ".xml") else parts.name
+    name = parts.stem if parts.suffix.lower() in (".usd", ".usda", ".usdc", ".urdf", ".xml", ".mjcf") else parts.name
     return FRANKA if name.lower() in FRANKA_NAMES else UNUSUAL.sub("_", name) or "gripper"
 
 

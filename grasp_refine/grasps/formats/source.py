@@ -162,4 +162,4 @@ def _kind(value: Any) -> str:
 
 
 def _is_mesh(name: str) -> bool:
-    return PurePosixPath(name).suffix.lower() in (".obj", ".stl", ".ply", ".off", ".glb", ".urdf", ".xml")
+    return PurePosixPath(name).suffix.lower() in (".obj", ".stl", ".ply", ".off", ".glb", ".urdf", ".xml", ".mjcf")

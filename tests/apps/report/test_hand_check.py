@@ -298,11 +298,11 @@ def test_tiny_idle_and_rigid_hands_are_told(tmp_path: Path) -> None:
     assert any("idle_j" in line for line in suspicious(tmp_path / "b.urdf"))
 
 
-def test_links_that_overlap_at_rest_are_named(tmp_path: Path) -> None:
-    # Two fingers whose balls are in each other when they stand upright.
+def test_links_that_always_overlap_are_named(tmp_path: Path) -> None:
+    # Two fingers whose balls are in each other, however they turn.
     path = pincers(tmp_path, size=0.045)
     found = check_hand(load_hand(path, candidates=16)).pairs
-    assert found.at_rest == (("left", "right"),) and found.checked == () and found.neighbours == 2
+    assert found.nearly_always == (("left", "right"),) and found.checked == () and found.neighbours == 2
     found = check_hand(load_hand(pincers(tmp_path), candidates=16)).pairs
     assert (found.at_rest, found.nearly_always, found.checked, found.never) == ((), (), (), 1)
 
@@ -321,3 +321,10 @@ def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytes
     monkeypatch.setattr(hand_check, "model_of", broken)
     assert main(["hands", "--check", str(pincers(workplace))]) == 1
     assert_names(" ".join(capsys.readouterr().out.split()), "MuJoCo", "nowhere")
+
+
+@pytest.mark.parametrize(("effort", "implausible"), [(900.0, False), (60000.0, True)])
+def test_an_effort_that_no_joint_of_a_hand_has_is_told(tmp_path: Path, effort: float, implausible: bool) -> None:
+    limit = LIMIT.replace('effort="1"', f'effort="{effort}"')
+    lines = [line for line in suspicious(pincers(tmp_path, limit=limit)) if "left_j (60000), right_j (60000)" in line]
+    assert bool(lines) == implausible

@@ -123,7 +123,7 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
         found = refine(scene, Config(seed=seed), prepared=prepared)
     pairs = [its for its in (prepared.pairs, prepared.self_collision_pairs) if its is not None]
     judged = classify_pairs(hand)
-    apart = set(candidate_pairs(hand)) - {*judged.at_rest, *judged.nearly_always}
+    apart = set(candidate_pairs(hand)) - {*judged.nearly_always}
     # Each start is evaluated before its first iteration.
     evaluated = int((found.iterations + found.starts).sum())
     every = evaluated * sum(map(_piece_pairs, pairs))
