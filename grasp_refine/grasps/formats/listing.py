@@ -20,6 +20,7 @@ from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
 from grasp_refine.grasps.formats.multidex import MultiDex
 from grasp_refine.grasps.formats.multigripper import MultiGripperGrasp
 from grasp_refine.grasps.formats.ours import Ours
+from grasp_refine.grasps.formats.unidexgrasp import UniDexGrasp
 
 FormatName = Literal[
     "ours",
@@ -27,6 +28,7 @@ FormatName = Literal[
     "bodex",
     "dexonomy",
     "dexgraspnet",
+    "unidexgrasp",
     "leap_cache",
     "isaac_grasp",
     "multidex",
@@ -45,6 +47,7 @@ FOREIGN: tuple[Format, ...] = (
     Bodex(),
     Dexonomy(),
     DexGraspNet(),
+    UniDexGrasp(),
     LeapCache(),
     IsaacGrasp(),
     MultiDex(),

@@ -48,6 +48,10 @@ class Refused(Exception):
     """A pickle that is damaged, or holds what is not read; the message follows the path of the file."""
 
 
+class Damaged(Refused):
+    """A pickle that is cut off, or no pickle at all."""
+
+
 @dataclass
 class Budget:
     """Size of what a pickle may still copy or return."""
@@ -332,7 +336,7 @@ def damaged_as_refused() -> Iterator[None]:
             warnings.simplefilter("ignore", DeprecationWarning)
             yield
     except DAMAGED as error:
-        raise Refused(f"is a damaged or cut off pickle ({' '.join(str(error).split())[:80]})") from None
+        raise Damaged(f"is a damaged or cut off pickle ({' '.join(str(error).split())[:80]})") from None
 
 
 def plain(value: Any, budget: Budget, depth: int = 0) -> Any:
