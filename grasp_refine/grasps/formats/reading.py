@@ -100,10 +100,19 @@ def may_be_other(file: Path) -> bool:
     return file.suffix.lower() not in ARRAY_SUFFIXES
 
 
+def is_other(file: Path) -> bool:
+    """Return True if a file is of no format.
+
+    Raises:
+        GraspFileError: it cannot be read.
+    """
+    return not _is_of(_content(file), FORMATS)
+
+
 def holds_grasps(file: Path) -> bool:
-    """Return True if a file is of a format."""
+    """Return True if a file can be read and is of a format."""
     try:
-        return _is_of(_content(file), FORMATS)
+        return not is_other(file)
     except GraspFileError:
         return False
 
