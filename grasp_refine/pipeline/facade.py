@@ -374,9 +374,7 @@ def _problem(
         return hand
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(
-        hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid, as_is=as_is
-    )
+    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid, as_is=as_is)
 
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:

@@ -6,9 +6,9 @@ second nearest finger is at most `NEAR_M` from the object, the depth of its deep
 in the right convention, and at most 25 % in a wrong one, for any `NEAR_M` from 10 to 20 mm. Of imprecise grasps, each
 3 to 10 cm or 30 degrees off, at most 15 % are near in any other reading at 15 mm.
 
-Of one to three grasps each must be far as read and very near in another reading, by `FEW_FAR_M` and `FEW_NEAR_M`: of 164
-single grasps of these sets and of the embedded examples, none is so as it was published, none when moved by 3 to 10 cm
-or turned by 20 to 60 degrees, and 85 % are with quaternions x y z w.
+Of one to three grasps each must be far as read and very near in another reading, by `FEW_FAR_M` and `FEW_NEAR_M`: of
+164 single grasps of these sets and of the embedded examples, none is so as it was published, none when moved by 3 to
+10 cm or turned by 20 to 60 degrees, and 88 % are with quaternions x y z w.
 """
 
 from __future__ import annotations
@@ -88,6 +88,7 @@ def _scaled(factor: float) -> Callable[[Poses], Poses]:
 
 DEGREES = Convention("joint values look like degrees", "in radians", _same, joints=np.radians)
 CONVENTIONS = (
+    DEGREES,
     Convention("positions look like millimetres", "in metres", _scaled(1e-3), unit=True),
     Convention("positions look like centimetres", "in metres", _scaled(1e-2), unit=True),
     Convention("quaternions look like x y z w", "w x y z", lambda pose: pose[:, [0, 1, 2, 6, 3, 4, 5]]),
@@ -96,7 +97,6 @@ CONVENTIONS = (
         "those of the hand in the object's frame",
         lambda pose: pose_from_transform(inverse(transform_from_pose(pose))),
     ),
-    DEGREES,
 )
 """All other conventions, in the order in which they are undone."""
 
@@ -243,9 +243,7 @@ def _pose_notes(hand: Hand, at: _Objects, pose: Poses, q: np.ndarray) -> tuple[s
         if sum(kind.unit for kind in kinds) <= 1 and (several or count == 1)
     ]
     limits = [NEAR_M if several or kinds[0].unit else FEW_NEAR_M for kinds in readings]
-    near = [
-        (at.apart(*_read(kinds, pose, q)) <= limit).sum() for kinds, limit in zip(readings, limits, strict=True)
-    ]
+    near = [(at.apart(*_read(kinds, pose, q)) <= limit).sum() for kinds, limit in zip(readings, limits, strict=True)]
     # Of equally good ones the simplest, which comes first.
     best = int(np.argmax(near)) if near else -1
     if best >= 0 and near[best] >= PLAUSIBLE_SHARE * len(pose):

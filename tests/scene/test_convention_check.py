@@ -16,6 +16,7 @@ from rich.console import Console
 
 import grasp_refine as gr
 from boxed_example import FILE, boxed_example
+from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import ConventionError
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
@@ -146,7 +147,7 @@ def test_what_is_meant_is_read_as_it_is_with_a_warning(file: Path):
 @pytest.mark.parametrize("call", [gr.problem_of, gr.refine, gr.evaluate])
 @pytest.mark.parametrize("fault", ["degrees", "x y z w"])
 def test_arrays_in_memory_are_refused_unless_they_are_meant(call: Callable[..., object], fault: str):
-    hand, obj = gr.load_hand("allegro"), gr.load_object("mug")
+    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
     pose, q = written(fault)
     suspected = replace(load_grasps(FILE), hand_pose=pose, q=q)
     with refused(ConventionError, fault, "as_is"):
@@ -205,17 +206,24 @@ def test_a_suspected_file_fails_its_own_rows_of_a_batch(file: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("fault", [*FAULTS, "small angles in degrees"])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_few_grasps_show_what_is_clear(fault: str, count: int):
     """Far as read, within 8 mm otherwise: each of them."""
-    if fault == "small angles in degrees":
-        pose, q = (values[:count] for values in written())
-        q = np.degrees(q * 0.1)
-        assert np.abs(q).max() < 2 * np.pi
-    else:
-        pose, q = (values[:count] for values in written(fault))
-    text = "; ".join(convention_notes([scene(pose, q)]))
-    assert (fault.removeprefix("small angles in ") in text) == (fault != "small angles in degrees")
+    pose, q = (values[:count] for values in written(fault))
+    assert fault in "; ".join(convention_notes([scene(pose, q)]))
+
+
+def test_small_angles_in_degrees_show_where_fingers_are():
+    """A flat hand on a plate: in radians its joints are 4 beyond their limits, less than a turn."""
+    hand, plate = gr.load_hand("leap", candidates=16), gr.load_object("box:0.3,0.3,0.02", candidates=16)
+    T, q = np.tile(np.eye(4), (4, 1, 1)), np.full((4, 16), 0.09)
+    T[:, 0, 3], T[:, 2, 3] = np.linspace(-0.02, 0.02, 4), 0.06
+    assert convention_notes([Scene(hand, plate, T, q)]) == ()
+    (note,) = convention_notes([Scene(hand, plate, T, np.degrees(q))])
+    assert_names(note, "degrees")
+    # Radians that are as far beyond, where nothing is near.
+    T[:, 2, 3] = 0.12
+    assert convention_notes([Scene(hand, plate, T, np.degrees(q))]) == ()
 
 
 def test_batch_says_so_once_a_job(tmp_path: Path):

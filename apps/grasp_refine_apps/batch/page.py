@@ -125,8 +125,8 @@ def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> It
     if failed:
         its = "its" if len(failed) == 1 else "their"
         yield (
-            f"{failed_text(failed)} failed{suspected_text(failed)}; these numbers are without {its} grasps. The reasons are listed below; the "
-            "same command tries again."
+            f"{failed_text(failed)} failed{suspected_text(failed)}; these numbers are without {its} grasps. The "
+            "reasons are listed below; the same command tries again."
         )
     left = left_over(totals, failed)
     if left:

@@ -12,6 +12,7 @@ from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
 from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format
+from grasp_refine.grasps.formats.frogger import Frogger
 from grasp_refine.grasps.formats.graspqp import GraspQP
 from grasp_refine.grasps.formats.hugs import Hugs
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
@@ -29,6 +30,7 @@ FormatName = Literal[
     "dexonomy",
     "dexgraspnet",
     "unidexgrasp",
+    "frogger",
     "leap_cache",
     "isaac_grasp",
     "multidex",
@@ -48,6 +50,7 @@ FOREIGN: tuple[Format, ...] = (
     Dexonomy(),
     DexGraspNet(),
     UniDexGrasp(),
+    Frogger(),
     LeapCache(),
     IsaacGrasp(),
     MultiDex(),
