@@ -16,7 +16,6 @@ from rich.console import Console
 
 import grasp_refine as gr
 from boxed_example import FILE, boxed_example
-from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import ConventionError
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
@@ -198,7 +197,7 @@ def test_a_suspected_file_fails_its_own_rows_of_a_batch(file: Path, capsys: pyte
     assert run(*words) == 1
     document = json.loads(Path("new.json").read_text())
     totals, (failed,) = document["totals"], document["failed"]
-    assert (totals["grasps"], totals["failed"], totals["suspected"]) == (4, 1, 1)
+    assert (totals["complete"], totals["failed"], totals["suspected"]) == (1, 1, 1)
     assert failed["reason"] == "suspected"
     assert_names(failed["message"], "degrees", "millimetres")
     assert "1 of them" in capsys.readouterr().out
