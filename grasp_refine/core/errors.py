@@ -38,6 +38,10 @@ class GraspFileError(GraspRefineError):
     """A grasp file that is missing, malformed, or made for another hand or object."""
 
 
+class ConventionError(GraspFileError):
+    """A grasp file that is most likely in other units, quaternions or frames than those that it is read in."""
+
+
 class AssetError(GraspRefineError):
     """An asset, object or hand name that is not known here."""
 

@@ -6,6 +6,7 @@ The sizes in an archive's headers are checked before anything is unpacked, so th
 from __future__ import annotations
 
 import io
+import struct
 import tokenize
 import warnings
 import zipfile
@@ -21,6 +22,7 @@ import numpy as np
 from grasp_refine.core.arguments import check_kind, describe_value
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import are_valid, is_file
 
 if TYPE_CHECKING:
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
 """Errors that a damaged archive raises, besides those of zipfile: an absurd array size is MemoryError, an unknown
 compression NotImplementedError, an encrypted entry RuntimeError."""
+
+ZIP_ERRORS = (*DAMAGED, zipfile.BadZipFile, zlib.error, struct.error, ValueError, LookupError)
+"""Errors that zipfile raises on a damaged archive: of a name of a wrong encoding, or of a record that is cut off."""
 
 MAX_UNPACKED_BYTES = 2**31
 """Most bytes of all arrays of a file together: 2 GiB, or eight million grasps of 32 numbers."""
@@ -115,6 +120,7 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
     path = Path(path)
     if not is_file(path):
         raise GraspFileError(f"{path}: no such grasp file")
+    refuse_lfs_pointer(path, "grasp file", GraspFileError)
     entries = {}
     key = ""
     try:
@@ -134,12 +140,20 @@ def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFil
         raise GraspFileError(
             f"{path}: entry '{key}' is a pickled object array, which is never loaded; store plain arrays"
         ) from error
-    except (*DAMAGED, zipfile.BadZipFile, zlib.error) as error:
+    except ZIP_ERRORS as error:
         raise GraspFileError(f"{path}: not a readable .npz file ({error})") from error
     foreign = [key for key, value in entries.items() if not isinstance(value, np.ndarray)]
     if foreign:
         raise GraspFileError(f"{path}: not an .npz grasp file, it holds {', '.join(foreign)}")
     return NpzFile(path, entries)
+
+
+def is_zip(path: Path) -> bool:
+    """Return whether a file has the end of a zip; false for one that cannot be opened, is damaged or missing."""
+    try:
+        return is_file(path) and zipfile.is_zipfile(path)
+    except ZIP_ERRORS:
+        return False
 
 
 def _check_sizes(path: Path, only: Collection[str] | None) -> None:

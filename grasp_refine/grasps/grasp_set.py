@@ -294,7 +294,7 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
     for i, name in enumerate(hand.joint_names):
         if name in column:
             q[:, i] = grasps.q[:, column[name]]
-    notes, inferred = [], {}
+    notes, inferred = _name_notes(grasps, hand), {}
     for follower in grasps.joint_names:
         leads = mimics.get(follower)
         if (
@@ -325,6 +325,14 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
         if off > MIMIC_TOLERANCE:
             notes.append(f"in the file, mimic joint {name} is up to {off:.3g} away from where {leads.joint} puts it")
     return q, tuple(notes)
+
+
+def _name_notes(grasps: GraspSet, hand: Hand) -> list[str]:
+    """Note that grasps name another hand than the given one, unless one name is a part of the other."""
+    named, given = (name.casefold() for name in (grasps.hand, hand.name))
+    if named in given or given in named:
+        return []
+    return [f"the grasps name the hand '{grasps.hand}'; they are taken as those of '{hand.name}'"]
 
 
 def _check_schema(file: NpzFile) -> None:

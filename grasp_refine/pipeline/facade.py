@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -31,7 +32,7 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
@@ -57,6 +58,7 @@ def problem_of(
     base: ArrayLike | None = None,
     touch: Regions = (),
     avoid: Regions = (),
+    as_is: bool = False,
 ) -> Problem:
     """Return grasps of a hand on an object as a problem, in memory.
 
@@ -72,8 +74,11 @@ def problem_of(
         touch: Regions of the object in which links should touch it, or their specifications (`contact_regions`); none:
             those of the scene, else everywhere.
         avoid: Regions in which they should not touch it.
+        as_is: Whether to take grasps that are most likely in other units, quaternions or frames than the arguments of
+            `GraspSet`, such as joint values in degrees; they are then warned about, not refused.
 
     Raises:
+        ConventionError: the grasps are most likely in another convention.
         GraspRefineError: an argument of another type, grasps of several objects, or of other joints, or a region that
             cannot be used.
     """
@@ -116,6 +121,10 @@ def problem_of(
     name, scale = (names[0], float(grasps.scale[0])) if names else (obj.name, 1.0)
     group = Group(name, scale, made, grasps, rows, rows, rows)
     doubts = convention_notes([made])
+    if not as_is:
+        refuse_conventions(doubts)
+    for note in doubts:
+        warnings.warn(note, stacklevel=2)
     all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
@@ -131,6 +140,7 @@ def refine(
     base: ArrayLike | None = None,
     touch: Regions = (),
     avoid: Regions = (),
+    as_is: bool = False,
     listener: Listener | None = None,
 ) -> RefinedGrasps:
     """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
@@ -145,13 +155,14 @@ def refine(
         base: Pose of the base of an arm, as of `problem_of`.
         touch: Regions of the object to touch, such as "box:0.04,-0.02,0,0.08,0.02,0.09", as of `problem_of`.
         avoid: Regions not to touch, such as "above:z=0.08", as of `problem_of`.
+        as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
-    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid)
+    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid, as_is=as_is)
     return refine_problem(problem, config, listener=listener)
 
 
@@ -191,6 +202,7 @@ def evaluate(
     base: ArrayLike | None = None,
     touch: Regions = (),
     avoid: Regions = (),
+    as_is: bool = False,
 ) -> Evaluation:
     """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
 
@@ -205,11 +217,12 @@ def evaluate(
         base: Pose of the base of an arm, as of `problem_of`.
         touch: Regions of the object to touch, as of `problem_of`.
         avoid: Regions not to touch, as of `problem_of`.
+        as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
-    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid)
+    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid, as_is=as_is)
     chosen = None if protocol is None else _protocol(protocol)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
@@ -235,6 +248,7 @@ def margins(
     draws: int = 32,
     seed: int = 0,
     with_limits: bool = True,
+    as_is: bool = False,
     listener: Listener | None = None,
 ) -> GraspMargins:
     """Simulate each grasp in drawn worlds that differ from the protocol's, and search what it holds at most.
@@ -248,13 +262,14 @@ def margins(
         draws: Number of drawn worlds, the same for all grasps.
         seed: Seed of the draws: with the same one, results of other grasps are compared in the same worlds.
         with_limits: Whether lowest friction, largest force and largest torque are searched too.
+        as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
     """
     check_kind("factors", factors, Factors | None)
-    problem, chosen = _problem(hand, object, grasps, None, None, None), _protocol(protocol)
+    problem, chosen = _problem(hand, object, grasps, None, None, None, as_is=as_is), _protocol(protocol)
     return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 
@@ -350,6 +365,8 @@ def _problem(
     base: ArrayLike | None,
     touch: Regions = (),
     avoid: Regions = (),
+    *,
+    as_is: bool = False,
 ) -> Problem:
     if isinstance(hand, Problem):
         if any(given is not None for given in (obj, grasps, table, scene, base)) or touch or avoid:
@@ -357,7 +374,7 @@ def _problem(
         return hand
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid)
+    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid, as_is=as_is)
 
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -33,7 +34,7 @@ from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, r
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
 from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
 from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.convention_check import convention_notes
+from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.scene_file import load_scene
@@ -61,10 +62,14 @@ def load_problem(
         on_wait: Called with the name of a step that takes long.
 
     Raises:
+        ConventionError: the grasps are most likely in another convention; with `as_is` this is a warning.
         GraspRefineError: something is missing, cannot be used, or does not fit the rest.
     """
     loader = Loader(spec, seed, on_message, on_wait, cache or NoCache())
-    return loader.cut(loader.draft())
+    problem = loader.cut(loader.draft())
+    for note in problem.convention_notes:
+        warnings.warn(note, stacklevel=2)
+    return problem
 
 
 @dataclass(frozen=True)
@@ -172,6 +177,8 @@ class Loader:
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
+            if not spec.as_is:
+                refuse_conventions(doubts, str(path))
             all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)

@@ -95,6 +95,9 @@ class SourceSpec:
     other_object: bool = False
     """Whether to accept results that were refined on another object, or on the same one in another size, or in another
     scene."""
+    as_is: bool = False
+    """Whether to accept grasps that are most likely in other units, quaternions or frames than those of their format,
+    such as joint values in degrees."""
 
     def check(self) -> None:
         """Refuse an invalid scale, table or hull limit.

@@ -382,7 +382,7 @@ CLAW = Hand(
 def grasp_set(names: tuple[str, ...], q: np.ndarray) -> GraspSet:
     n = len(q)
     pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (n, 1))
-    return GraspSet("gripper", "palm", names, np.array(["mug"] * n), np.ones(n), pose, q)
+    return GraspSet("claw", "palm", names, np.array(["mug"] * n), np.ones(n), pose, q)
 
 
 def test_joints_are_matched_by_name():
@@ -430,7 +430,16 @@ def test_a_mimic_joint_says_where_the_joint_is_that_the_file_lacks():
 
 def test_joints_that_the_hand_lacks_are_refused():
     with expected(GraspFileError, "'gripper'", "'claw'", " x, y", " b, c, a"):
-        match_joints(grasp_set(("a", "x", "y"), np.zeros((1, 3))), CLAW)
+        match_joints(replace(grasp_set(("a", "x", "y"), np.zeros((1, 3))), hand="gripper"), CLAW)
+
+
+@pytest.mark.parametrize(("named", "said"), [("claw", False), ("Claw_right", False), ("gripper", True)])
+def test_another_hand_than_the_file_names_is_said(named: str, said: bool):
+    grasps = replace(grasp_set(("a", "b", "c"), np.zeros((1, 3))), hand=named)
+    notes = match_joints(grasps, CLAW)[1]
+    assert len(notes) == said
+    for note in notes:
+        assert_names(note, "'gripper'", "'claw'")
 
 
 @pytest.mark.parametrize(

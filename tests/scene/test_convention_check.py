@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import grasp_refine as gr
 from boxed_example import FILE, boxed_example
+from grasp_refine.core.errors import ConventionError
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.pipeline.load import load_problem
@@ -24,7 +27,7 @@ from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.cli import main
-from refusals import assert_names
+from refusals import assert_names, refused
 
 XYZW = [0, 1, 2, 4, 5, 6, 3]
 """Takes x y z, qw qx qy qz to x y z, qx qy qz qw."""
@@ -85,13 +88,6 @@ def test_grasps_that_lack_precision_are_left_alone():
     assert convention_notes([scene(pose_from_transform(T), q)]) == ()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_of_few_grasps_only_units_are_told(fault: str):
-    """Three may come near by chance in another frame."""
-    pose, q = (values[:3] for values in written(fault))
-    assert bool(convention_notes([scene(pose, q)])) == (fault in ("degrees", "millimetres", "centimetres"))
-
-
 def test_hands_that_are_nowhere_near_are_told_with_the_frame_that_is_needed():
     pose, q = written()
     (note,) = convention_notes([scene(pose + [0, 0.8, 0.3, 0, 0, 0, 0], q)])
@@ -134,30 +130,99 @@ def file(workplace: Path) -> Path:
     return Path("grasps.npz")
 
 
-def test_what_is_read_stays_as_it_is(file: Path):
+def test_what_is_meant_is_read_as_it_is_with_a_warning(file: Path):
     pose, q = written("millimetres", "degrees")
-    problem = load_problem(ProblemSpec(grasps=file))
+    with pytest.warns(UserWarning) as told:
+        problem = load_problem(ProblemSpec(grasps=file, as_is=True))
+    assert [word for one in told for word in ("degrees", "millimetres") if word in str(one.message)] == [
+        "degrees",
+        "millimetres",
+    ]
     np.testing.assert_array_equal(problem.groups[0].scene.q, q)
     np.testing.assert_allclose(problem.groups[0].scene.T_world_root[:, :3, 3], pose[:, :3])
-    assert len(problem.convention_notes) == 2
     assert set(problem.convention_notes) <= set(problem.notes)
 
 
-def test_run_says_so_before_and_after(file: Path, capsys: pytest.CaptureFixture[str]):
-    main(["run", "--grasps", str(file), "--geometry-only"])
-    out, error = capsys.readouterr()
-    for word in ("degrees", "millimetres"):
-        assert word in out and word in error
+@pytest.mark.parametrize("call", [gr.problem_of, gr.refine, gr.evaluate])
+@pytest.mark.parametrize("fault", ["degrees", "x y z w"])
+def test_arrays_in_memory_are_refused_unless_they_are_meant(call: Callable[..., object], fault: str):
+    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
+    pose, q = written(fault)
+    suspected = replace(load_grasps(FILE), hand_pose=pose, q=q)
+    with refused(ConventionError, fault, "as_is"):
+        call(hand, obj, suspected)
+    with pytest.warns(UserWarning, match=fault):
+        gr.problem_of(hand, obj, suspected, as_is=True)
 
 
-def test_convert_says_so_without_an_object(file: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["convert", str(file), "new.npz", "--to", "ours", "--json", "new.json"]) == 0
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_commands_refuse_in_one_line_and_write_nothing(file: Path, capsys: pytest.CaptureFixture[str]):
+    before = file.read_bytes()
+    for words in (
+        ["run", "--grasps", file, "--geometry-only", "--json", "new.json"],
+        ["validate", file, "--no-simulate", "--json", "new.json"],
+        ["convert", file, "new.npz", "--to", "ours", "--json", "new.json"],
+        ["convert", file, file, "--to", "ours", "--overwrite"],
+    ):
+        assert run(*words) == 2
+        out, error = capsys.readouterr()
+        assert out == ""
+        if words[2] != file:
+            assert_names(error, file, "degrees", "millimetres", "--as-is")
+    assert file.read_bytes() == before
+    assert [path.name for path in Path().iterdir()] == [file.name]
+
+
+def test_convert_writes_what_is_meant_and_says_so(file: Path, capsys: pytest.CaptureFixture[str]):
+    assert run("convert", file, "new.npz", "--to", "ours", "--json", "new.json", "--as-is") == 0
     notes = json.loads(Path("new.json").read_text())["notes"]
     units = ("degrees", "millimetres")
     assert [unit for note in notes for unit in units if unit in note] == list(units)
     error = capsys.readouterr().err
     assert [error.count(unit) for unit in units] == [1, 1]
     np.testing.assert_array_equal(load_grasps("new.npz").q, load_grasps(file).q)
+
+
+def test_validate_measures_what_is_meant(file: Path):
+    assert run("validate", file, "--no-simulate", "--as-is") == 0
+
+
+@pytest.mark.slow
+def test_a_suspected_file_fails_its_own_rows_of_a_batch(file: Path, capsys: pytest.CaptureFixture[str]):
+    Path("sound.npz").write_bytes(FILE.read_bytes())
+    words = ["batch", file, "sound.npz", "--geometry-only", "--workers", 1, "--out", "results", "--json", "new.json"]
+    assert run(*words) == 1
+    document = json.loads(Path("new.json").read_text())
+    totals, (failed,) = document["totals"], document["failed"]
+    assert (totals["complete"], totals["failed"], totals["suspected"]) == (1, 1, 1)
+    assert failed["reason"] == "suspected"
+    assert_names(failed["message"], "degrees", "millimetres")
+    assert "1 of them" in capsys.readouterr().out
+    assert run(*words, "--as-is") == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_few_grasps_show_what_is_clear(fault: str, count: int):
+    """Far as read, within 8 mm otherwise: each of them."""
+    pose, q = (values[:count] for values in written(fault))
+    assert fault in "; ".join(convention_notes([scene(pose, q)]))
+
+
+def test_small_angles_in_degrees_show_where_fingers_are():
+    """A flat hand on a plate: in radians its joints are 4 beyond their limits, less than a turn."""
+    hand, plate = gr.load_hand("leap", candidates=16), gr.load_object("box:0.3,0.3,0.02", candidates=16)
+    T, q = np.tile(np.eye(4), (4, 1, 1)), np.full((4, 16), 0.09)
+    T[:, 0, 3], T[:, 2, 3] = np.linspace(-0.02, 0.02, 4), 0.06
+    assert convention_notes([Scene(hand, plate, T, q)]) == ()
+    (note,) = convention_notes([Scene(hand, plate, T, np.degrees(q))])
+    assert_names(note, "degrees")
+    # Radians that are as far beyond, where nothing is near.
+    T[:, 2, 3] = 0.12
+    assert convention_notes([Scene(hand, plate, T, np.degrees(q))]) == ()
 
 
 def test_batch_says_so_once_a_job(tmp_path: Path):

@@ -38,7 +38,7 @@ CONTENT_INPUTS = (
 )
 """Inputs that are hashed by their contents, not by their names."""
 
-IGNORED_INPUTS = ("other_object",)
+IGNORED_INPUTS = ("other_object", "as_is")
 """Inputs that only permit a command, and do not change its results."""
 
 _MESH_NAME = re.compile(r"""(?:filename|file)\s*=\s*["']([^"']+)["']""")

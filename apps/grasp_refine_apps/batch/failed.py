@@ -15,6 +15,17 @@ def failed_text(failed: Sequence[Mapping[str, Any]]) -> str:
     return " and ".join(count_text(number, word) for number, word in counts if number)
 
 
+def suspected(failed: Sequence[Mapping[str, Any]]) -> int:
+    """Number of shards that failed because their grasps are most likely in another convention."""
+    return sum(one["reason"] == "suspected" for one in failed)
+
+
+def suspected_text(failed: Sequence[Mapping[str, Any]]) -> str:
+    """Text for their number, after `failed_text`; empty where there are none."""
+    number = suspected(failed)
+    return f" ({number} of them in a suspected convention)" if number else ""
+
+
 def left_over(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> int:
     """Number of shards neither complete nor failed: those of an interrupted run, or of other parts of a batch."""
     if totals.get("shards") is None or totals.get("complete") is None:

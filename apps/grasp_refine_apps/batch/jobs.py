@@ -18,7 +18,7 @@ from grasp_refine.core.names import exists, expand_user, is_folder, is_valid
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
-from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
+from grasp_refine.grasps.formats.reading import is_other, may_be_other
 from grasp_refine.objects.region_spec import VERBS, resolve_spec
 from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
 
@@ -118,9 +118,17 @@ def _grasp_files_below(folder: Path, within: Path) -> list[tuple[str, Path]]:
         # Hidden files are partial files of another batch.
         found += [Path(place, file) for file in files if not file.startswith(".")]
     found = [file for file in found if file.suffix.lower() in SUFFIXES and file.is_file()]
-    found = [file for file in found if not may_be_other(file) or holds_grasps(file)]
+    found = [file for file in found if _is_job(file)]
     found.sort(key=lambda file: natural(file.relative_to(folder).as_posix()))
     return [(_job_name(file, within), file) for file in found]
+
+
+def _is_job(file: Path) -> bool:
+    """Return whether a file in a folder is a job: one that cannot be read is, and fails with its reason."""
+    try:
+        return not (may_be_other(file) and is_other(file))
+    except Exception:
+        return True
 
 
 def _job_name(file: Path, within: Path) -> str:

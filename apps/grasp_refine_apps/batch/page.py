@@ -16,7 +16,7 @@ from grasp_refine.results.verdict import BAR
 from grasp_refine.validation.measures import COMPARED, Measure
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.chart import CHARTED, chart, hint, statistics_row
-from grasp_refine_apps.batch.failed import failed_text, left_over
+from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_text
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics, Tally
 from grasp_refine_apps.batch.worst import Case
@@ -125,8 +125,8 @@ def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> It
     if failed:
         its = "its" if len(failed) == 1 else "their"
         yield (
-            f"{failed_text(failed)} failed; these numbers are without {its} grasps. The reasons are listed below; the "
-            "same command tries again."
+            f"{failed_text(failed)} failed{suspected_text(failed)}; these numbers are without {its} grasps. The "
+            "reasons are listed below; the same command tries again."
         )
     left = left_over(totals, failed)
     if left:

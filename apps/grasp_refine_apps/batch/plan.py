@@ -25,6 +25,7 @@ from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.processes.task import message_of, traceback_of
 
 INPUT_PATHS = ("grasps", "hand", "arm", "urdf", "mjcf", "object", "objects", "targets", "scene")
 """ProblemSpec that may be files or folders."""
@@ -74,6 +75,8 @@ class Refused:
     """Name of the job."""
     message: str
     """Reason, in one line."""
+    traceback: str = ""
+    """Traceback of Python."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +129,8 @@ class Planner:
                     results += 1
                     continue
                 shards += list(self._shards(job, loader, digests))
-            except GraspRefineError as error:
-                refused.append(Refused(visible(job.name), " ".join(str(error).split())))
+            except Exception as error:
+                refused.append(Refused(visible(job.name), message_of(error), traceback_of(error)))
         # Shards that share a hand and an object are done together; else jobs stay in order.
         first: dict[str, int] = {}
         for place, shard in enumerate(shards):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-import zlib
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
@@ -15,14 +14,14 @@ from pathlib import Path
 from grasp_refine.core.atomic_files import half_written
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import save_json
-from grasp_refine.core.npz_files import DAMAGED, load_npz
+from grasp_refine.core.npz_files import ZIP_ERRORS, load_npz
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.processes.task import Failed
 
 NOTE_SUFFIX = ".failed.json"
 """Suffix of a failure note, after the name of the missing result file."""
 
-_UNREADABLE = (*DAMAGED, zipfile.BadZipFile, zlib.error, ValueError, KeyError, GraspFileError)
+_UNREADABLE = (*ZIP_ERRORS, GraspFileError)
 """Errors from a damaged file, or from a file that is no result."""
 
 

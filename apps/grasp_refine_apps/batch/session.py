@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.batch.failed import suspected
 from grasp_refine_apps.batch.plan import Refused
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import clean, forget_failure, note_failure, noted_failure
@@ -120,8 +121,10 @@ class Session:
 
     def failures(self) -> list[dict[str, Any]]:
         """Entries of refused jobs and failed shards, also of those that failed in an earlier run, with reasons."""
-        nothing = {"shard": None, "path": None, "reason": "refused", "tries": 0, "traceback": ""}
-        found: list[dict[str, Any]] = [{**nothing, "name": one.job, "message": one.message} for one in self.refused]
+        nothing = {"shard": None, "path": None, "reason": "refused", "tries": 0}
+        found: list[dict[str, Any]] = [
+            {**nothing, "name": one.job, "message": one.message, "traceback": one.traceback} for one in self.refused
+        ]
         for shard in self.shards:
             # A note may be missing: it could not be written.
             failed = self.failed.get(shard.number) or noted_failure(shard)
@@ -129,15 +132,16 @@ class Session:
                 found.append({"shard": shard.number, "name": shard.name, "path": shard.path, **asdict(failed)})
         return found
 
-    def totals(self, failed: int, wall_s: float, cpu_s: float) -> dict[str, Any]:
-        """Counts of the whole batch with its number of failures, and costs of this run."""
+    def totals(self, failed: Sequence[Mapping[str, Any]], wall_s: float, cpu_s: float) -> dict[str, Any]:
+        """Counts of the whole batch with those of its failures, and costs of this run."""
         return {
             **self.statistics.totals(),
             "shards": len(self.shards),
             "done": self.done,
             "complete": len(self.complete),
             "skipped": self.skipped,
-            "failed": failed,
+            "failed": len(failed),
+            "suspected": suspected(failed),
             "wall_s": wall_s,
             "cpu_s": cpu_s,
             "grasps_per_s": self.grasps / self.wall_s if self.wall_s else None,

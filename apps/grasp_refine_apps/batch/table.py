@@ -16,7 +16,7 @@ from grasp_refine.results.table import plain_table
 from grasp_refine.results.verdict import HOLDS, estimate_line, held_line
 from grasp_refine.validation.protocols.protocol_file import protocol_of
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.failed import failed_text, left_over
+from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_text
 from grasp_refine_apps.batch.statistics import UNUSABLE, Statistics, Tally
 
 MAX_PAIRS, MAX_FAILURES = 20, 20
@@ -114,7 +114,7 @@ def _failures(failed: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
     if not failed:
         return
     yield ""
-    yield Text(f"{failed_text(failed)} failed:", "red")
+    yield Text(f"{failed_text(failed)} failed{suspected_text(failed)}:", "red")
     for one in failed[:MAX_FAILURES]:
         tries = f", {one['tries']} times" if one.get("tries", 1) > 1 else ""
         yield Text.assemble("  ", (str(one["name"]), "bold"), f": {one['reason']}{tries}: {one['message']}")

@@ -158,7 +158,7 @@ class Batch:
                 "versions": versions(),
                 "config": described | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
                 "seed": config.seed,
-                "totals": session.totals(len(failed), time.perf_counter() - wall, cpu_seconds() - cpu),
+                "totals": session.totals(failed, time.perf_counter() - wall, cpu_seconds() - cpu),
                 "failed": failed,
                 "jobs": session.jobs(),
                 "profile": profile_entry(session.profile or None),

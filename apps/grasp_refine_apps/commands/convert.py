@@ -29,7 +29,7 @@ from grasp_refine.grasps.rows import best_rows, rows_where
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.source import check_known, is_known
 from grasp_refine.results.result_numbers import result_numbers
-from grasp_refine.scene.convention_check import joint_notes, position_notes
+from grasp_refine.scene.convention_check import joint_notes, position_notes, refuse_conventions
 from grasp_refine.validation.measures import QUALITY
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.report.json_document import save_document
@@ -46,7 +46,7 @@ class Convert:
     ours: one .npz file with everything. dexgraspbench, dexonomy, hugs: folders with one .npy file per grasp. bodex,
     dexgraspnet: folders with one .npy file per object. leap_cache: one .npy file of the LEAP hand with a cube.
     multidex, dro: one .pt file. graspqp: a folder with one .pt file per object. isaac_grasp (.yaml), lightning_grasp
-    (.pt), acronym (.h5), multigripper (.json): one file per object.
+    (.pt), acronym (.h5), multigripper (.json): one file per object. unidexgrasp, frogger: read only.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
     in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles and torch
@@ -71,6 +71,8 @@ class Convert:
     measures (quality>=0.9, penetration_m<0.001) and whether they held in simulation (held=1)."""
     best: Annotated[DisallowNone[int | None], arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Of these, only the N refined grasps of each object of highest quality."""
+    as_is: Annotated[bool, arg(help_behavior_hint="")] = False
+    """Whether to accept joint values that look like degrees, and positions that look like millimetres."""
     json: OptionalFile = None
     """Write a summary of the conversion to this file."""
     overwrite: Overwrite = False
@@ -113,6 +115,8 @@ class Convert:
             doubts = position_notes(grasps.hand_pose)
             if loaded is not None:
                 doubts = (*joint_notes(loaded, match_joints(grasps, loaded)[0]), *doubts)
+            if not self.as_is:
+                refuse_conventions(doubts, str(self.source))
             # They may explain a written file that does not agree.
             _print_notes(doubts, messages)
             try:

@@ -255,6 +255,6 @@ def _show_check(hand: Hand, found: HandCheck, console: Console) -> None:
 
 
 def _show_examples(hand: Hand, console: Console) -> None:
-    if examples(hand):
-        names = ", ".join(path.name for path in examples(hand))
+    if found := examples(hand):
+        names = ", ".join(path.name for path in found)
         console.print(f"example grasps: {names}", markup=False)

@@ -49,6 +49,7 @@ class Sources(SourceSpec):
     avoid: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="REGION", help_behavior_hint="(default: none)")] = ()
     table: Annotated[DisallowNone[float | None], arg(metavar="Z", help_behavior_hint="(default: none)")] = None
     other_object: Annotated[bool, arg(help_behavior_hint="")] = False
+    as_is: Annotated[bool, arg(help_behavior_hint="")] = False
 
 
 @dataclass(frozen=True)

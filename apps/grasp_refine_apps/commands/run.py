@@ -31,7 +31,6 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
 from grasp_refine.results.result_files import is_same_refinement, result_paths
-from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.protocols.protocol import Protocol
@@ -147,9 +146,6 @@ class Run:
             planned.save(self.output.way)
         console = screen()
         console.print(refined.table(verbose=self.output.verbose))
-        if not should_hold(outcome.quality[:, 1]).all():
-            for note in problem.convention_notes:
-                console.print(f"fix the file first: {note}", soft_wrap=True, markup=False)
         for line in () if planned is None else planned.lines():
             console.print(line, soft_wrap=True, markup=False)
         if planned is not None and protocol is not None and planned.executions is None:

@@ -172,6 +172,8 @@ class View:
         """Load grasps; of the objects, all of which are read and checked, only that of the shown grasp is cut."""
         from grasp_refine_apps.viewer.collection import Collection
 
+        # A suspected convention is seen best.
+        inputs = replace(inputs, as_is=True)
         loader, quiet = Loader(inputs, self.settings.seed, say, wait), Loader(inputs, self.settings.seed)
         draft = loader.draft()
         first = next((at for at, group in enumerate(draft.groups) if 0 in group.place), 0) if shown else None

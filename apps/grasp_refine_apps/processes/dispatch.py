@@ -99,7 +99,7 @@ def dispatch(
         task = running.pop(worker).task
         attempts[task.number] += 1
         if isinstance(outcome, Failed):
-            if outcome.reason != "error" and attempts[task.number] < tries:
+            if outcome.reason in ("crashed", "hung") and attempts[task.number] < tries:
                 schedule.requeue(task)
                 return
             outcome = replace(outcome, tries=attempts[task.number])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from traceback import format_exception
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
-from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.errors import ConventionError, GraspRefineError
 
 _MAX_MESSAGE_CHARACTERS, _MAX_TRACEBACK_CHARACTERS = 500, 20_000
 
@@ -52,8 +52,8 @@ class Heartbeat(Protocol):
 Work = Callable[[Any, Heartbeat], Any]
 """Function of a task and the receiver of its heartbeats; it and its results can be pickled."""
 
-Reason = Literal["error", "crashed", "hung"]
-"""Reason of a failure: the work raised, the worker ended, or it gave no heartbeat."""
+Reason = Literal["error", "suspected", "crashed", "hung"]
+"""Reason of a failure: the work raised, or suspects another convention; the worker ended, or gave no heartbeat."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class Failed:
     @staticmethod
     def of(error: BaseException) -> Failed:
         """Return the failure of work that raised an exception."""
-        return Failed("error", message_of(error), traceback_of(error))
+        reason: Reason = "suspected" if isinstance(error, ConventionError) else "error"
+        return Failed(reason, message_of(error), traceback_of(error))
 
 
 def attempt(work: Work, task: Task, send: Callable[[Sign], None], interval_s: float) -> Any:

@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.hand_toml import HAND_TOML
 from grasp_refine.hands.mimics import followed
@@ -78,4 +80,12 @@ def licence(urdf: Path) -> str:
 
 def examples(hand: Hand) -> list[Path]:
     """Grasp files beside the hand.toml, or beside the URDF where there is none."""
-    return sorted((hand.toml or hand.urdf).parent.glob("*.npz"))
+    return sorted(filter(_holds_grasps, (hand.toml or hand.urdf).parent.glob("*.npz")))
+
+
+def _holds_grasps(path: Path) -> bool:
+    try:
+        load_grasps(path)
+    except GraspFileError:
+        return False
+    return True

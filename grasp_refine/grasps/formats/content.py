@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+import zipfile
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,19 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.npz_files import MAGIC, array_header
+from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
+from grasp_refine.core.names import is_file
+from grasp_refine.core.npz_files import MAGIC, MAX_HEADER_BYTES, ZIP_ERRORS, array_header
 from grasp_refine.grasps.formats.hdf5_files import HDF5_MAGIC, load_hdf5
-from grasp_refine.grasps.formats.pickled import ARRAY_KINDS, Refused, check_text, unpickle
+from grasp_refine.grasps.formats.pickled import (
+    ARRAY_KINDS,
+    FREE_BYTES,
+    MAX_GROWTH,
+    Damaged,
+    Refused,
+    check_text,
+    unpickle,
+)
 from grasp_refine.grasps.formats.texts import YAML_SUFFIXES, is_json, is_yaml, load_json, load_yaml
 from grasp_refine.grasps.formats.torch_files import is_torch_file, load_torch
 
@@ -24,11 +35,16 @@ OTHER_SUFFIXES = (".yaml", ".yml", ".json", ".pt", ".pth", ".h5", ".hdf5")
 SUFFIXES = (*ARRAY_SUFFIXES, *OTHER_SUFFIXES)
 """Endings of grasp files."""
 
+CONTROLS = frozenset(map(chr, range(32))) - set("\t\n\r\f")
+"""Characters that no text has."""
+
 MAX_FILE_BYTES = 2**28
 """Largest size of a file in bytes; nearly all of a valid one are arrays."""
 
 PICKLE_START = b"\x80"
 """First byte of all pickles but those of the oldest protocols."""
+ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
+"""First bytes of a zip, and of one without files."""
 
 
 def load_content(path: Path) -> Any:
@@ -40,6 +56,9 @@ def load_content(path: Path) -> Any:
     Raises:
         GraspFileError: it is missing, too large, damaged, or would run code.
     """
+    # A pipe can be read only once.
+    if is_file(path):
+        refuse_lfs_pointer(path, "grasp file", GraspFileError)
     try:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
@@ -58,11 +77,46 @@ def load_content(path: Path) -> Any:
     try:
         return _read(data, path.suffix.lower())
     except Refused as error:
-        if data.startswith((MAGIC, PICKLE_START, HDF5_MAGIC)):
+        if data.startswith((MAGIC, PICKLE_START, HDF5_MAGIC, *ZIP_STARTS)):
             raise GraspFileError(f"{path}: {error}") from None
         raise GraspFileError(
             f"{path}: {error}; it may not be a grasp file, which end with {', '.join(SUFFIXES)}"
         ) from None
+
+
+def load_pickled_npz(path: Path) -> dict[str, Any] | None:
+    """Return the entries of an .npz of another program, with objects in it; None: it has plain arrays only.
+
+    Raises:
+        GraspFileError: it is too large or damaged, or would run code.
+    """
+    if not _holds_objects(path):
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            size, packed = sum(member.file_size for member in members), path.stat().st_size
+            if size > min(MAX_GROWTH * packed + FREE_BYTES, MAX_FILE_BYTES):
+                raise Refused(f"would unpack to {size / 2**20:.0f} MiB, far more than its {packed / 2**20:.1f} MiB")
+            return {member.filename.removesuffix(".npy"): _read(archive.read(member), ".npy") for member in members}
+    except Refused as error:
+        raise GraspFileError(f"{path}: {error}") from None
+    except ZIP_ERRORS as error:
+        raise GraspFileError(f"{path}: not a readable .npz file ({' '.join(str(error).split())[:80]})") from None
+
+
+def _holds_objects(path: Path) -> bool:
+    """Return whether an .npz has an array of objects, which are pickled; false for a damaged one."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                with archive.open(member) as stream:
+                    head = stream.read(MAX_HEADER_BYTES)
+                if head.startswith(MAGIC) and array_header(head)[1].hasobject:
+                    return True
+    except ZIP_ERRORS:
+        pass
+    return False
 
 
 def _read(data: bytes, suffix: str) -> Any:
@@ -73,11 +127,27 @@ def _read(data: bytes, suffix: str) -> Any:
         return load_hdf5(data)
     if is_torch_file(data):
         return load_torch(data)
+    if data.startswith(ZIP_STARTS):
+        raise Refused("is a damaged zip archive, or one that torch.save did not write")
     if suffix not in YAML_SUFFIXES and is_json(data):
         return load_json(data)
     if suffix in YAML_SUFFIXES or is_yaml(data):
         return load_yaml(data)
-    return unpickle(data)
+    try:
+        return unpickle(data)
+    except Damaged:
+        if data.startswith(PICKLE_START):
+            raise
+        known = "is no array file, pickle, torch file, HDF5, JSON or YAML"
+        raise Refused("is plain text, such as CSV, which is not read" if _is_text(data) else known) from None
+
+
+def _is_text(data: bytes) -> bool:
+    """Return whether bytes are text, as those of a CSV file."""
+    try:
+        return not set(data.decode("utf-8")) & CONTROLS
+    except UnicodeDecodeError:
+        return False
 
 
 def _array(data: bytes) -> Any:

@@ -50,33 +50,11 @@ class DexGraspNet:
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file."""
-        check_hand(source, SHADOW, hand)
-        wanted = (*JOINTS, *POSITION, *ANGLES)
-        rows = []
-        for row, grasp in enumerate(source.content):
-            lacking = [name for name in wanted if name not in grasp["qpos"]]
-            unknown = [name for name in grasp["qpos"] if name not in wanted]
-            if lacking or unknown:
-                faults = [f"lacks {', '.join(lacking)}"] if lacking else []
-                faults += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
-                raise source.error(f"qpos of grasp {row} {' and '.join(faults)}; its names are {', '.join(wanted)}")
-            rows.append([grasp["qpos"][name] for name in wanted])
-        values = source.numbers(rows, "qpos", (None, len(wanted)))
-        joints, position, angles = np.split(values, [len(JOINTS), len(JOINTS) + 3], axis=1)
         without = [row for row, grasp in enumerate(source.content) if grasp.get("scale") is None]
         if without:
             raise source.error(f"grasp {without[0]} lacks a scale")
         scale = [source.scale(grasp["scale"], f"scale of grasp {row}") for row, grasp in enumerate(source.content)]
-        grasps = GraspSet(
-            hand=hand.name if hand else SHADOW.hand,
-            base_link=SHADOW.base_link,
-            joint_names=SHADOW.joints,
-            object=np.full(len(rows), source.path.stem),
-            scale=np.array(scale),
-            hand_pose=pose_from_transform(transform(rotation_from_angles(angles), position)),
-            q=joints * JOINT_SIGNS,
-        )
-        return grasps, ()
+        return named_grasps(source, [grasp["qpos"] for grasp in source.content], scale, source.path.stem, hand), ()
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
         """One file per object."""
@@ -95,6 +73,46 @@ class DexGraspNet:
                 listed[at] = {"qpos": named, "scale": float(grasps.scale[row])}
             parts.append(Part(f"{name}.npy", rows, listed))
         return parts, omission_notes(grasps, SHADOW.joints, stages=False)
+
+
+def named_grasps(
+    source: Source, qpos: Sequence[Mapping[Any, Any]], scale: Sequence[float], name: str, hand: Hand | None
+) -> GraspSet:
+    """Return grasps of which each has named values of joints, position and angles.
+
+    Args:
+        source: File that has them.
+        qpos: Values by name, a dict each.
+        scale: Factors that take the object's mesh to metres.
+        name: Name of the object.
+        hand: Hand that the grasps are for; None: the Shadow hand.
+
+    Raises:
+        GraspFileError: a name is missing or unknown, or a value is no number.
+    """
+    check_hand(source, SHADOW, hand)
+    wanted = (*JOINTS, *POSITION, *ANGLES)
+    rows = []
+    for row, values in enumerate(qpos):
+        lacking = [name for name in wanted if name not in values]
+        unknown = [name for name in values if name not in wanted]
+        if lacking or unknown:
+            faults = [f"lacks {', '.join(lacking)}"] if lacking else []
+            faults += [f"has unknown {', '.join(map(str, unknown))}"] if unknown else []
+            raise source.error(f"qpos of grasp {row} {' and '.join(faults)}; its names are {', '.join(wanted)}")
+        rows.append([values[name] for name in wanted])
+    joints, position, angles = np.split(
+        source.numbers(rows, "qpos", (None, len(wanted))), [len(JOINTS), len(JOINTS) + 3], axis=1
+    )
+    return GraspSet(
+        hand=hand.name if hand else SHADOW.hand,
+        base_link=SHADOW.base_link,
+        joint_names=SHADOW.joints,
+        object=np.full(len(rows), name),
+        scale=np.array(scale),
+        hand_pose=pose_from_transform(transform(rotation_from_angles(angles), position)),
+        q=joints * JOINT_SIGNS,
+    )
 
 
 def rotation_from_angles(angles: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3 3"]:

@@ -12,6 +12,7 @@ from grasp_refine.grasps.formats.dexgraspnet import DexGraspNet
 from grasp_refine.grasps.formats.dexonomy import Dexonomy
 from grasp_refine.grasps.formats.dro import DRO
 from grasp_refine.grasps.formats.format import Format
+from grasp_refine.grasps.formats.frogger import Frogger
 from grasp_refine.grasps.formats.graspqp import GraspQP
 from grasp_refine.grasps.formats.hugs import Hugs
 from grasp_refine.grasps.formats.isaac_grasp import IsaacGrasp
@@ -20,6 +21,7 @@ from grasp_refine.grasps.formats.lightning_grasp import LightningGrasp
 from grasp_refine.grasps.formats.multidex import MultiDex
 from grasp_refine.grasps.formats.multigripper import MultiGripperGrasp
 from grasp_refine.grasps.formats.ours import Ours
+from grasp_refine.grasps.formats.unidexgrasp import UniDexGrasp
 
 FormatName = Literal[
     "ours",
@@ -27,6 +29,8 @@ FormatName = Literal[
     "bodex",
     "dexonomy",
     "dexgraspnet",
+    "unidexgrasp",
+    "frogger",
     "leap_cache",
     "isaac_grasp",
     "multidex",
@@ -45,6 +49,8 @@ FOREIGN: tuple[Format, ...] = (
     Bodex(),
     Dexonomy(),
     DexGraspNet(),
+    UniDexGrasp(),
+    Frogger(),
     LeapCache(),
     IsaacGrasp(),
     MultiDex(),

@@ -24,7 +24,7 @@ class Ours:
 
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" for None, which stands for an .npz file."""
-        return "" if content is None else "it is no .npz file"
+        return "" if content is None else "it is no .npz file of plain arrays"
 
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of a file."""

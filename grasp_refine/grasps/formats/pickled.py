@@ -48,6 +48,10 @@ class Refused(Exception):
     """A pickle that is damaged, or holds what is not read; the message follows the path of the file."""
 
 
+class Damaged(Refused):
+    """A pickle that is cut off, or no pickle at all."""
+
+
 @dataclass
 class Budget:
     """Size of what a pickle may still copy or return."""
@@ -92,6 +96,14 @@ class Array:
         """Fill it."""
         *_, shape, dtype, fortran, data = state
         self.value = _values(data, dtype, shape, "F" if fortran else "C")
+
+
+class Stated(Array):
+    """An object of another program that holds its state and nothing else, such as a transform that holds an array."""
+
+    def set_state(self, state: Any) -> None:
+        """Take the state as the value."""
+        self.value = state
 
 
 def _values(data: Any, of: Any, shape: Any, order: Any) -> Any:
@@ -186,12 +198,15 @@ STAND_INS: dict[str, Callable[..., Any]] = {
     "numpy.dtype": _dtype,
     "numpy.ndarray": lambda: None,
     "_codecs.encode": _encode,
+    "pydrake.math.RigidTransform_[float]": Stated,
     "collections.OrderedDict": _dict,
     **{f"{module}.bytes": lambda: b"" for module in ("builtins", "__builtin__")},
     **{f"{module}.{name}": _list for module in ("builtins", "__builtin__") for name in ("set", "frozenset", "list")},
 }
 """Names that a pickle may import -> functions that it calls instead."""
-OBJECT_OPCODES = "PERSID BINPERSID INST OBJ NEWOBJ NEWOBJ_EX EXT1 EXT2 EXT4 NEXT_BUFFER READONLY_BUFFER".split()
+DILL_ARRAY = "dill._dill._create_array"
+"""Name that a pickle of the package dill calls for each array."""
+OBJECT_OPCODES = "PERSID BINPERSID INST OBJ NEWOBJ_EX EXT1 EXT2 EXT4 NEXT_BUFFER READONLY_BUFFER".split()
 """Opcodes that make an object, or take one from elsewhere."""
 
 
@@ -240,6 +255,8 @@ class Unpickler(pickle._Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """Return the stand-in for what a pickle names."""
         full = f"{module}.{name}"
+        if full == DILL_ARRAY:
+            return self.dill_array
         if full not in STAND_INS:
             raise Refused(f"holds a call of {full[:80]!a}, which is refused and was not run: {READABLE}")
         return STAND_INS[full]
@@ -255,8 +272,22 @@ class Unpickler(pickle._Unpickler):
         state = self.stack.pop()
         if not isinstance(self.stack[-1], Array | _Dtype):
             raise Refused(f"holds an object with a state of its own, which is refused: {READABLE}")
-        self._spend(state)
+        self._spend((state,) if isinstance(state, Array) else state)
         self.stack[-1].set_state(state)
+
+    def load_newobj(self) -> None:
+        """Make an object that holds its state only."""
+        arguments, called = self.stack.pop(), self.stack.pop()
+        if called is not Stated or arguments:
+            self.refuse()
+        self.append(Stated())
+
+    def dill_array(self, _function: Any, _arguments: Any, state: Any, *_attributes: Any) -> Array:
+        """Return an array that the package dill pickled."""
+        self._spend(state)
+        array = Array()
+        array.set_state(state)
+        return array
 
     def _spend(self, parts: Any) -> None:
         for part in parts:
@@ -300,6 +331,7 @@ class Unpickler(pickle._Unpickler):
         pickle.SETITEMS[0]: load_setitems,
         pickle.PUT[0]: load_put,
         pickle.FRAME[0]: load_frame,
+        pickle.NEWOBJ[0]: load_newobj,
         # A list is not hashed, and bytes are there before they get memory.
         pickle.EMPTY_SET[0]: pickle._Unpickler.dispatch[pickle.EMPTY_LIST[0]],
         pickle.ADDITEMS[0]: pickle._Unpickler.dispatch[pickle.APPENDS[0]],
@@ -332,7 +364,7 @@ def damaged_as_refused() -> Iterator[None]:
             warnings.simplefilter("ignore", DeprecationWarning)
             yield
     except DAMAGED as error:
-        raise Refused(f"is a damaged or cut off pickle ({' '.join(str(error).split())[:80]})") from None
+        raise Damaged(f"is a damaged or cut off pickle ({' '.join(str(error).split())[:80]})") from None
 
 
 def plain(value: Any, budget: Budget, depth: int = 0) -> Any:

@@ -13,8 +13,9 @@ import numpy as np
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.names import is_file, is_folder
-from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, load_content
+from grasp_refine.core.names import is_folder
+from grasp_refine.core.npz_files import ZIP_ERRORS, is_zip
+from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, load_content, load_pickled_npz
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
@@ -99,10 +100,19 @@ def may_be_other(file: Path) -> bool:
     return file.suffix.lower() not in ARRAY_SUFFIXES
 
 
+def is_other(file: Path) -> bool:
+    """Return True if a file is of no format.
+
+    Raises:
+        GraspFileError: it cannot be read.
+    """
+    return not _is_of(_content(file), FORMATS)
+
+
 def holds_grasps(file: Path) -> bool:
-    """Return True if a file is of a format."""
+    """Return True if a file can be read and is of a format."""
     try:
-        return _is_of(_content(file), FORMATS)
+        return not is_other(file)
     except GraspFileError:
         return False
 
@@ -140,9 +150,11 @@ def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
 
 
 def _content(file: Path) -> Any:
-    """Contents of a file; None for an .npz, which our own format reads."""
-    ours = file.suffix.lower() == ".npz" or (is_file(file) and zipfile.is_zipfile(file) and not _is_torch(file))
-    return None if ours else load_content(file)
+    """Contents of a file; None for an .npz, which our own format reads, unless it is of another one."""
+    if not is_zip(file) or _is_torch(file):
+        return None if file.suffix.lower() == ".npz" else load_content(file)
+    content = load_pickled_npz(file)
+    return content if _is_of(content, FOREIGN) else None
 
 
 def _is_torch(file: Path) -> bool:
@@ -150,7 +162,7 @@ def _is_torch(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as archive:
             return is_torch_archive(archive)
-    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError):
+    except ZIP_ERRORS:
         return False
 
 

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from grasp_refine.core.npz_files import ZIP_ERRORS
 from grasp_refine.grasps.formats.pickled import (
     FREE_BYTES,
     MAX_BYTES,
@@ -127,7 +128,7 @@ def is_torch_file(data: bytes) -> bool:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return is_torch_archive(archive)
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError):
+    except ZIP_ERRORS:
         return False
 
 
@@ -153,7 +154,7 @@ def load_torch(data: bytes) -> Any:
                 ">" if big else "<",
             )
             return plain(unpickler.load(), Budget(size, MAX_READS))
-    except (zipfile.BadZipFile, NotImplementedError, OSError, RuntimeError) as error:
+    except ZIP_ERRORS as error:
         raise Refused(f"is a damaged torch file ({' '.join(str(error).split())[:80]})") from None
 
 

@@ -1,6 +1,7 @@
 """Shards: every grasp in exactly one, and a stamp that changes with whatever the result depends on."""
 
 import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, save_npz
+from grasp_refine.pipeline.load import Loader
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.shard import Shard
@@ -169,3 +171,35 @@ def test_files_whose_names_differ_in_odd_letters_only_do_not_meet(tmp_path: Path
         "/out/a_b/allegro_mug_00000.npz",
         "/out/a_b/allegro_mug_00000_.npz",
     ]
+
+
+def test_a_file_that_cannot_be_read_costs_no_other(mixed: Path):
+    """A bit of a zip's directory once stopped the whole batch, by an exception of zipfile."""
+    with zipfile.ZipFile(mixed.with_name("damaged.pt"), "w") as archive:
+        archive.writestr("a/data.pkl", b"")
+    data = bytearray(mixed.with_name("damaged.pt").read_bytes())
+    data[data.rindex(b"PK\x05\x06") + 4] = 1
+    mixed.with_name("damaged.pt").write_bytes(data)
+    mixed.with_name("notes.json").write_text("{}")
+    for source in (mixed.parent, mixed.parent / "*.*"):
+        plan = planned(source)
+        assert sum(shard.size for shard in plan.shards) == 11
+        assert "damaged" in [refused.job for refused in plan.refused]
+    assert [refused.job for refused in planned(mixed.parent).refused] == ["damaged"]
+
+
+def test_an_error_of_a_reader_fails_its_own_job_with_its_traceback(mixed: Path, monkeypatch: pytest.MonkeyPatch):
+    shutil.copy(mixed, mixed.with_name("other.npz"))
+    read = Loader.read
+
+    def broken(loader: Loader, path: Path) -> object:
+        if path.name == "other.npz":
+            raise RuntimeError("a fault of the reader")
+        return read(loader, path)
+
+    monkeypatch.setattr(Loader, "read", broken)
+    plan = planned(mixed.parent)
+    assert sum(shard.size for shard in plan.shards) == 11
+    (refused,) = plan.refused
+    assert refused.job == "other" and refused.message == "RuntimeError: a fault of the reader"
+    assert "in broken" in refused.traceback

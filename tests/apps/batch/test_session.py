@@ -34,8 +34,8 @@ def test_costs_and_stages_add_up_and_failures_have_their_reasons(tmp_path: Path)
     session.wall_s = 16.0
     assert session.profile == {"solver": (1.0, 0.5, 6)}
     assert session.complete_shards == list(shards[:3])
-    totals = session.totals(2, 20.0, 10.0)
-    assert {"shards": 4, "done": 2, "complete": 3, "skipped": 4, "failed": 2}.items() <= totals.items()
+    totals = session.totals(session.failures(), 20.0, 10.0)
+    assert {"shards": 4, "done": 2, "complete": 3, "skipped": 4, "failed": 2, "suspected": 0}.items() <= totals.items()
     assert (totals["grasps_per_s"], totals["cpu_s_per_grasp"]) == pytest.approx((8 / 16.0, 4.0 / 8))
     assert session.jobs() == [
         {"job": "a", "grasps": 12, "shards": 3, "complete": 3},

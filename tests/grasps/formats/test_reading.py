@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -181,3 +182,91 @@ def test_every_format_refuses_what_is_none(known: Format):
     np.save(stream, np.zeros(3))
     for content in (3, "text", [], [1], {}, np.zeros(3), np.zeros((2, 23), dtype=int), {"qpos": 1}, [{"qpos": {}}]):
         assert known.mismatch(content)
+
+
+def unidexgrasp(qpos: object, **entries: object) -> bytes:
+    """A file of UniDexGrasp."""
+    stream = io.BytesIO()
+    np.savez(stream, qpos=np.array(qpos, dtype=object), **entries)
+    return stream.getvalue()
+
+
+def test_unidexgrasp_is_dexgraspnet_with_the_inverse_scale(published: Path, tmp_path: Path):
+    """Its code takes 1 / scale for the size, and poses in the object's frame, whatever the table."""
+    source = min((published / "dexgraspnet_shadow" / "dataset").glob("*.npy"))
+    entries = np.load(source, allow_pickle=True).tolist()[:3]
+    expected = reading(source).grasps.select([0, 1, 2])
+    folder = tmp_path / source.stem
+    folder.mkdir()
+    for number, entry in enumerate(entries):
+        inverse_scale, plane = np.float32(1.0 / entry["scale"]), np.array([0, 0.6, 0.8, 0.02], np.float32)
+        file = folder / f"{number:05d}.npz"
+        file.write_bytes(unidexgrasp(entry["qpos"], scale=inverse_scale, plane=plane))
+    read = reading(folder)
+    assert read.format.name == "unidexgrasp" and any("plane" in note for note in read.notes)
+    np.testing.assert_array_equal(read.grasps.hand_pose, expected.hand_pose)
+    np.testing.assert_array_equal(read.grasps.q, expected.q)
+    np.testing.assert_allclose(read.grasps.scale, expected.scale, rtol=1e-6)
+    assert read.grasps.object.tolist() == expected.object.tolist()
+
+
+def test_code_in_an_npz_of_objects_is_refused_and_does_not_run(tmp_path: Path):
+    file = tmp_path / "00000.npz"
+
+    class Call:
+        def __reduce__(self):
+            return (Path.mkdir, (tmp_path / "made",))
+
+    file.write_bytes(unidexgrasp({"WRJTx": Call()}, scale=12.5))
+    with refused(GraspFileError, file, "refused"):
+        reading(file)
+    assert not (tmp_path / "made").exists()
+
+
+def test_an_npz_of_objects_that_would_fill_the_memory_is_refused(tmp_path: Path):
+    file = tmp_path / "00000.npz"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("qpos.npy", content_of({"WRJTx": "x" * 2**25}))
+        archive.writestr("scale.npy", content_of(12.5))
+    with refused(GraspFileError, file, "unpack"):
+        reading(file)
+
+
+def content_of(value: object) -> bytes:
+    """An array file of one object."""
+    stream = io.BytesIO()
+    np.save(stream, np.array(value, dtype=object))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("ending", [".pt", ".npz", ".npy"])
+def test_each_flipped_bit_of_a_zips_directory_is_read_or_refused(tmp_path: Path, ending: str):
+    """No other exception may leave a reader: it would stop a whole batch."""
+    file, stream = tmp_path / f"grasps{ending}", io.BytesIO()
+    if ending == ".pt":
+        torch.save({"q": torch.zeros(2)}, stream)
+    else:
+        np.savez(stream, q=np.zeros(2), names=np.array("a"))
+    whole = stream.getvalue()
+    end = whole.rindex(b"PK\x05\x06")
+    start = whole.index(b"PK\x01\x02")
+    for at in (*range(start, start + 46), *range(end, len(whole))):
+        for bit in range(8):
+            file.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :])
+            with pytest.raises(GraspFileError):
+                reading(file)
+
+
+@pytest.mark.parametrize("ending", [".npy", ".npz", ".h5", ".pt", ".json"])
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path, ending: str):
+    file = tmp_path / f"grasps{ending}"
+    file.write_text(f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 7293684\n")
+    with refused(GraspFileError, file, "git lfs pull"):
+        reading(file)
+
+
+def test_a_table_of_text_is_refused_as_text(tmp_path: Path):
+    file = tmp_path / "grasps.csv"
+    file.write_text("x,y,z\n1,2,3\n")
+    with refused(GraspFileError, file, "plain text", "CSV"):
+        reading(file)
