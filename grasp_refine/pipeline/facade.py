@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
 VIEWERS = "grasp_refine.viewers"
-"""Group of entry points of viewers: functions that show a `Problem` and return the viewer."""
+"""Group of entry points of viewers: functions that show `RefinedGrasps` or a `Problem` and return the viewer."""
 
 
 def problem_of(
@@ -262,7 +262,7 @@ def view(grasps: RefinedGrasps | Problem) -> Any:
     """Show grasps in a browser and return the viewer; its `address` is the page's, `close()` ends it.
 
     Args:
-        grasps: Refined grasps, or a problem.
+        grasps: Refined grasps, shown with what they were before and their measures; or a problem.
 
     Raises:
         GraspRefineError: no viewer is installed.
@@ -271,14 +271,7 @@ def view(grasps: RefinedGrasps | Problem) -> Any:
     viewers = entry_points(group=VIEWERS)
     if not viewers:
         raise GraspRefineError("no viewer is installed: pip install 'grasp-refine[viewer]'")
-    problem = grasps
-    if isinstance(grasps, RefinedGrasps):
-        after = grasps.after
-        groups = [(group, after.select(np.sort(group.place))) for group in grasps.problem.groups]
-        problem = replace(
-            grasps.problem, files=(), groups=tuple(_with_grasps(group, refined) for group, refined in groups)
-        )
-    return next(iter(viewers)).load()(problem)
+    return next(iter(viewers)).load()(grasps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,16 +355,3 @@ def _problem(
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:
     return protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
-
-
-def _with_grasps(group: Group, grasps: GraspSet) -> Group:
-    """Return a group with other grasps on the same object."""
-    scene = replace(
-        group.scene,
-        T_world_root=transform_from_pose(grasps.hand_pose),
-        q=grasps.q,
-        target_link=None,
-        target_object=None,
-        direction=None,
-    )
-    return replace(group, scene=scene, grasps=grasps)

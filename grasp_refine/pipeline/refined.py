@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.problem import Problem, aim
 from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry, scene_entry
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
@@ -79,6 +79,17 @@ class RefinedGrasps:
     def squeeze(self) -> Stage:
         """Set points of position actuators with which the hand presses: poses (N, 7) and joint values (N, n)."""
         return self._stage("squeeze")
+
+    def as_problem(self) -> Problem:
+        """Return the refined grasps as a problem on the same objects, with their targets, pregrasps and squeezes."""
+        after, hand = self.after, self.problem.hand
+        groups = []
+        for group in self.problem.groups:
+            targets = aim(hand, after.targets, group.place)
+            moved = replace(self.outcome.select(group.place).posed(group.scene), direction=None)
+            scene = replace(moved, target_link=targets[0], target_object=targets[1])
+            groups.append(replace(group, scene=scene, grasps=after.select(group.place)))
+        return replace(self.problem, files=(), groups=tuple(groups))
 
     def table(self, *, verbose: bool = False) -> RenderableType:
         """Return the table of `refine-grasp run`, for a console of rich; `verbose` lists all of many grasps."""

@@ -151,6 +151,8 @@ def test_the_viewer_shows_refined_grasps(refined: gr.RefinedGrasps):
         assert urlopen(viewer.address).status == 200
         state = viewer.controller.state
         np.testing.assert_allclose(state.pose.q, refined.after.q[0], atol=1e-12)
+        np.testing.assert_allclose(state.collection.initial(1)[1], refined.before.q[1], atol=1e-12)
+        assert state.collection.columns["status"].values.tolist() == refined.status.tolist()
     finally:
         viewer.close()
 

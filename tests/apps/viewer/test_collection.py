@@ -15,7 +15,10 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.viewer.collection import Collection
@@ -77,6 +80,24 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
     assert "contact_distance_after" not in columns
+
+
+def test_refined_grasps_in_memory_are_shown_as_their_result_file(tmp_path: Path) -> None:
+    """`gr.view(refined)` showed the problem again: no status, no measures, nothing before."""
+    config = Config(LevenbergMarquardt(iterations=5), starts=1)
+    refined = refine_problem(load_problem(ProblemSpec(grasps=EXAMPLE, index=(2, 0))), config)
+    (path,) = refined.save(tmp_path / "refined.npz")
+    saved, shown = opened(path), Collection.of_refined(refined)
+    assert list(shown.columns) == list(saved.columns) and {"status", "quality_before"} <= set(shown.columns)
+    for key, column in saved.columns.items():
+        np.testing.assert_array_equal(shown.columns[key].values, column.values)
+    for i in range(2):
+        one, other = shown.pose(i), saved.pose(i)
+        np.testing.assert_allclose(one.T_object_root, other.T_object_root, atol=1e-12)
+        np.testing.assert_allclose(shown.initial(i)[0], saved.initial(i)[0], atol=1e-12)
+        np.testing.assert_array_equal(shown.initial(i)[1], refined.before.q[i])
+        assert np.abs(shown.initial(i)[1] - one.q).max() > 1e-3
+        assert shown.counted[i].touching.tolist() == saved.counted[i].touching.tolist()
 
 
 def test_grasps_of_several_objects_keep_their_own_object_and_targets(tmp_path: Path) -> None:
