@@ -15,6 +15,7 @@ from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.core.versions import versions
+from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.pipeline.problem import Problem, aim
 from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry, scene_entry
@@ -79,6 +80,19 @@ class RefinedGrasps:
     def squeeze(self) -> Stage:
         """Set points of position actuators with which the hand presses: poses (N, 7) and joint values (N, n)."""
         return self._stage("squeeze")
+
+    @property
+    def forces(self) -> ContactForces:
+        """Forces on the object with which the squeezes are planned to press, at all contact points.
+
+        An actuator that ends before them (`Actuator.force_limit`) presses with less.
+
+        Raises:
+            GraspRefineError: they are not known.
+        """
+        if self.outcome.forces is None:
+            raise GraspRefineError("the forces of these squeezes are not known")
+        return self.outcome.forces.flat()
 
     def as_problem(self) -> Problem:
         """Return the refined grasps as a problem on the same objects, with their targets, pregrasps and squeezes."""

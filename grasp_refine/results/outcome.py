@@ -11,6 +11,7 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
 from grasp_refine.core.short_repr import brief
+from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
@@ -69,6 +70,8 @@ class Outcome:
     """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers (N,) that the generator gave the grasps, as `GraspSet.labels`."""
+    forces: SqueezeForces | None = None
+    """Forces that the squeezes are planned for; None: not known."""
 
     __repr__ = brief
 
@@ -213,6 +216,7 @@ def compare(
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
+        forces=motion.forces,
     )
 
 

@@ -79,6 +79,11 @@ def save_results(
         contact_point_object                (N, K, 3)  witness point on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
+        forces_grasp                        (C,)       row of the grasp of each force of the squeezes
+        forces_link                         (C,)       link that presses
+        forces_point                        (C, 3)     contact point on the object, object frame, metres
+        forces_normal                       (C, 3)     unit normal into the object, object frame
+        forces_vector                       (C, 3)     planned force of the link on the object, object frame, newtons
         status                              (N,)       status of the refinement
         quality_before, quality_after, ...  (N,)       `Measure.entries` of each of `RECORDED`, SI units
         contact_error_mean_before, _after   (N,)       mean over the contacts; the measure itself is the worst of them
@@ -118,7 +123,7 @@ def save_results(
 
 
 def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.ndarray]:
-    """Return the entries of a result file beside the grasps: poses before, contacts, status and measures.
+    """Return the entries of a result file beside the grasps: poses before, contacts, forces, status and measures.
 
     Args:
         links: Links of the hand with collision geometry, as in `Scene.links`.
@@ -133,6 +138,7 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
         "contact_point_object": outcome.contact_object[:, touching],
         "contact_normal": outcome.contact_normal[:, touching],
         "contact_distance": outcome.contact_distance[:, touching],
+        **({} if outcome.forces is None else outcome.forces.flat().entries()),
         "status": labels(Status, outcome.status),
         **outcome.entries(),
     }

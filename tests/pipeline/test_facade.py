@@ -13,7 +13,9 @@ import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.wrench import LEVER_M, center_of_mass
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.results.document import run_document
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.world import World
@@ -44,6 +46,25 @@ def test_what_is_saved_is_what_is_told(refined: gr.RefinedGrasps, workplace: Pat
     for was, found in ((refined.after, saved), (refined.pregrasp, saved.pregrasp), (refined.squeeze, saved.squeeze)):
         np.testing.assert_allclose(found.hand_pose, was.hand_pose, rtol=0.0, atol=1e-15)
         np.testing.assert_array_equal(found.q, was.q)
+
+
+def test_the_forces_of_the_squeeze_are_in_every_result_under_one_name(refined: gr.RefinedGrasps, workplace: Path):
+    """They balance on the object within the stated residual: no result had any."""
+    forces, center = refined.forces, center_of_mass(refined.problem.groups[0].scene.object)
+    residual = refined.outcome["wrench_residual"][:, 1]
+    for i in range(3):
+        f, r = (values[forces.grasp == i] for values in (forces.vector, forces.point - center))
+        pressure = (f * forces.normal[forces.grasp == i]).sum()
+        left = np.concatenate([f.sum(axis=0), np.cross(r, f).sum(axis=0) / LEVER_M])
+        assert len(f) >= 2 and pressure > 10.0
+        assert np.linalg.norm(left) / pressure < residual[i] + 1e-4
+    refined.save("refined.npz")
+    with np.load("refined.npz", allow_pickle=False) as file:
+        for name in ("grasp", "link", "point", "normal", "vector"):
+            np.testing.assert_array_equal(file[f"forces_{name}"], getattr(forces, name))
+    document = run_document(refined.outcome, refined.config, config={}, wall_s=0.0, cpu_s=0.0)
+    entries = document["grasps"][2]["forces"]
+    np.testing.assert_array_equal([entry["vector"] for entry in entries], forces.vector[forces.grasp == 2])
 
 
 def test_the_way_of_the_command_line_gives_the_same(workplace: Path):
