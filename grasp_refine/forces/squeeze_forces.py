@@ -61,6 +61,12 @@ class ContactForces:
         """Return the entries of result files: `forces_` and the name of the field -> its values."""
         return {f"forces_{field.name}": getattr(self, field.name) for field in fields(self)}
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return one column (C,) per number or name, as for `pandas.DataFrame(refined.forces.columns())`."""
+        vectors = {name: getattr(self, name).T for name in ("point", "normal", "vector")}
+        split = {f"{name}_{axis}": values[k] for name, values in vectors.items() for k, axis in enumerate("xyz")}
+        return {"grasp": self.grasp, "link": self.link, **split}
+
     def of_grasp(self, number: int) -> list[dict[str, Any]]:
         """Return the forces of one grasp for JSON."""
         names = [field.name for field in fields(self) if field.name != "grasp"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from grasp_refine.core.se3 import inverse, is_rigid, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object
+from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
@@ -43,13 +43,16 @@ from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
+if TYPE_CHECKING:
+    from grasp_refine.objects.object import Mesh
+
 VIEWERS = "grasp_refine.viewers"
 """Group of entry points of viewers: functions that show `RefinedGrasps` or a `Problem` and return the viewer."""
 
 
 def problem_of(
     hand: Hand,
-    obj: Object,
+    obj: Object | Mesh,
     grasps: GraspSet,
     *,
     table: float | None = None,
@@ -62,7 +65,7 @@ def problem_of(
 
     Args:
         hand: The hand.
-        obj: The object, in metres; scales of the grasps are those of its mesh.
+        obj: The object, or its mesh as for `load_object`, in metres; scales of the grasps are those of its mesh.
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
         scene: Bodies around the object, as of `load_scene`; None: there are none.
@@ -78,7 +81,7 @@ def problem_of(
             cannot be used.
     """
     check_kind("hand", hand, Hand)
-    check_kind("object", obj, Object)
+    obj = as_object("object", obj)
     check_kind("grasps", grasps, GraspSet)
     names = list(dict.fromkeys(grasps.object.tolist()))
     if len(names) > 1 or len(np.unique(grasps.scale)) > 1:
@@ -122,7 +125,7 @@ def problem_of(
 
 def refine(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     config: Config | None = None,
     *,
@@ -137,7 +140,7 @@ def refine(
 
     Args:
         hand: The hand; or a problem of `load_problem`, which has object and grasps.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it.
         config: Settings; the defaults when None.
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
@@ -182,7 +185,7 @@ def simulate(
 
 def evaluate(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     protocol: str | Path | Protocol | None = None,
     *,
@@ -196,7 +199,7 @@ def evaluate(
 
     Args:
         hand: The hand; or a problem of `load_problem`.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None: nothing is
             simulated.
@@ -227,7 +230,7 @@ def evaluate(
 
 def margins(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     protocol: str | Protocol = "dexgraspbench",
     *,
@@ -241,7 +244,7 @@ def margins(
 
     Args:
         hand: The hand; or a problem of `load_problem`.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         protocol: Name of a protocol that pushes, or one of your own, for everything that is not drawn.
         factors: Ranges of what is drawn; the defaults when None.
@@ -336,7 +339,7 @@ def base_pose(base: ArrayLike) -> np.ndarray:
 
 def _problem(
     hand: Hand | Problem,
-    obj: Object | None,
+    obj: Object | Mesh | None,
     grasps: GraspSet | None,
     table: float | None,
     scene: Environment | None,

@@ -27,6 +27,7 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, refined_set, result_paths, save_results
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
+from grasp_refine.results.validation_document import TABLE_SUFFIXES, check_table, save_table
 from grasp_refine.validation.motion import STAGES
 
 
@@ -94,6 +95,13 @@ class RefinedGrasps:
             raise GraspRefineError("the forces of these squeezes are not known")
         return self.outcome.forces.flat()
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return one column (N,) per number or name of the grasps, as for `pandas.DataFrame(refined.columns())`.
+
+        They are those of `after`, the status, and all measures by their names in result files, in SI units.
+        """
+        return {**self.after.columns(), "status": self.status, **self.outcome.entries()}
+
     def as_problem(self) -> Problem:
         """Return the refined grasps as a problem on the same objects, with their targets, pregrasps and squeezes."""
         after, hand = self.after, self.problem.hand
@@ -112,19 +120,31 @@ class RefinedGrasps:
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write a result file, or, of grasps on several objects, a folder with one for each; return the paths.
 
-        `refine-grasp validate`, `refine-grasp view` and `load_grasps` read them.
+        `refine-grasp validate`, `refine-grasp view` and `load_grasps` read them. A table has the `columns` alone, of
+        all objects.
 
         Args:
-            path: The file, .npz; for several objects a folder.
+            path: The file, .npz; for several objects a folder; or a table, .csv or .parquet.
             overwrite: Whether existing files are replaced.
 
         Raises:
-            GraspRefineError: there are no grasps, a file exists, or it cannot be written.
+            GraspRefineError: there are no grasps, a file exists or cannot be written, or has another ending.
         """
         if not len(self.outcome):
             raise GraspRefineError(f"{path}: there are no grasps to save")
         path, names = Path(path), list(dict.fromkeys(self.outcome.object.tolist()))
+        if path.suffix.lower() in TABLE_SUFFIXES:
+            check_table(path)
+            check_writable(path, overwrite=overwrite)
+            columns = self.columns()
+            rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+            save_table(path, [dict(zip(columns, row, strict=True)) for row in rows])
+            return (path,)
         one = len(names) == 1
+        if one != (path.suffix.lower() == ".npz"):
+            tables = " or ".join(TABLE_SUFFIXES)
+            results = "of one object end with .npz" if one else f"of {len(names)} objects go into a folder"
+            raise GraspRefineError(f"{path}: results {results}; tables end with {tables}")
         paths = {names[0]: path} if one else result_paths(path, self.problem.hand.name, tuple(names))
         check_writable(*paths.values(), overwrite=overwrite, inside=None if one else path)
         if not one:

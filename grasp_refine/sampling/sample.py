@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,7 +19,7 @@ from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object
+from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
@@ -32,6 +33,9 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
 from grasp_refine.scene.surroundings import Surroundings
+
+if TYPE_CHECKING:
+    from grasp_refine.objects.object import Mesh
 
 MAX_GRASPS = 10_000
 """Most grasps that can be sampled."""
@@ -73,7 +77,7 @@ MIN_SPACING_M, MAX_HALVINGS = 0.02, 6
 
 def sample_grasps(
     hand: Hand,
-    obj: Object,
+    obj: Object | Mesh,
     count: int,
     *,
     seed: int | tuple[int, ...] = 0,
@@ -97,7 +101,7 @@ def sample_grasps(
 
     Args:
         hand: Any hand whose joints move contact links; sampled joint values are around the rest pose.
-        obj: The object.
+        obj: The object, or its mesh as for `load_object`.
         count: Number of grasps, 1 to `MAX_GRASPS`.
         seed: The same seed gives the same grasps.
         table: A plane that no link goes through, and no hand approaches from below.
@@ -115,7 +119,7 @@ def sample_grasps(
             found at all.
     """
     check_kind("hand", hand, Hand)
-    check_kind("obj", obj, Object)
+    obj = as_object("obj", obj)
     check_kind("count", count, int)
     check_kind("seed", seed, int | tuple[int, ...])
     check_kind("table", table, Plane | None)

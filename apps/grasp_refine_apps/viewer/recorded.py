@@ -134,7 +134,7 @@ def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, n
         return unknown
     stage = _initial_stage(file, grasps)
     q, _ = match_joints(grasps.at(stage), hand)
-    return transform_from_pose(stage.hand_pose), q
+    return transform_from_pose(stage.pose), q
 
 
 def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
