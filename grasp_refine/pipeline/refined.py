@@ -62,7 +62,7 @@ class RefinedGrasps:
     def before(self) -> GraspSet:
         """Input grasps, joint values in the order of the hand."""
         hand, outcome = self.problem.hand, self.outcome
-        pose, q = outcome.initial_pose, outcome.initial_q
+        pose, q = outcome.hand_pose_before, outcome.q_before
         return GraspSet(
             hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q, labels=outcome.labels
         )

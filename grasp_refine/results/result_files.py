@@ -42,9 +42,11 @@ def refined_set(hand: Hand, links: tuple[str, ...], outcome: Outcome) -> GraspSe
         links: Its links with collision geometry, as in `Scene.links`.
         outcome: The grasps.
     """
-    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
+    aimed = np.flatnonzero(~np.isnan(outcome.target_point_link[..., 0]).all(axis=0))
     names = tuple(links[k] for k in aimed)
-    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
+    targets = (
+        Targets(names, outcome.target_point_link[:, aimed], outcome.target_point_object[:, aimed]) if names else None
+    )
     return GraspSet(
         hand=hand.name,
         base_link=hand.base_link,
@@ -73,7 +75,7 @@ def save_results(
 ) -> None:
     """Write the grasps of one object as a grasp file with further entries; the file appears whole or not at all.
 
-        initial_pose, initial_q             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
+        hand_pose_before, q_before             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
         contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
         contact_point_object                (N, K, 3)  witness point on the object, object frame
@@ -131,11 +133,11 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
     """
     touching = np.flatnonzero(outcome.touching.any(axis=0))
     return {
-        "initial_pose": outcome.initial_pose,
-        "initial_q": outcome.initial_q,
+        "hand_pose_before": outcome.hand_pose_before,
+        "q_before": outcome.q_before,
         "contact_link": np.array([links[k] for k in touching], dtype=str),
-        "contact_point_link": outcome.contact_link[:, touching],
-        "contact_point_object": outcome.contact_object[:, touching],
+        "contact_point_link": outcome.contact_point_link[:, touching],
+        "contact_point_object": outcome.contact_point_object[:, touching],
         "contact_normal": outcome.contact_normal[:, touching],
         "contact_distance": outcome.contact_distance[:, touching],
         **({} if outcome.forces is None else outcome.forces.flat().entries()),

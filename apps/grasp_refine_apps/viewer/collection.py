@@ -101,7 +101,7 @@ class Collection:
     def of_refined(refined: RefinedGrasps) -> Collection:
         """Return refined grasps with what they were before, their measures and statuses, as of their result file."""
         collection, outcome = Collection.of(refined.as_problem()), refined.outcome
-        T, q = transform_from_pose(outcome.initial_pose), outcome.initial_q
+        T, q = transform_from_pose(outcome.hand_pose_before), outcome.q_before
         known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
         recorded = {**outcome.entries(), STATUS.key: refined.status}
         columns = [one.with_values(recorded[one.key]) for one in (*NUMBERS, STATUS) if one.key in recorded]

@@ -275,7 +275,7 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
     one, other = results(out).values()
     assert len(one["q"]) == 2
     assert len(other["q"]) == 1
-    assert not (one["initial_q"] == other["initial_q"]).all(axis=1).any()
+    assert not (one["q_before"] == other["q_before"]).all(axis=1).any()
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_grasps_keep_the_order_that_was_asked_for(results: Path) -> None:
 def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: Path) -> None:
     collection = opened(results)
     with np.load(results, allow_pickle=False) as entries:
-        pose, q = entries["initial_pose"], entries["initial_q"]
+        pose, q = entries["hand_pose_before"], entries["q_before"]
     for i in (0, 7):
         T, joints = collection.initial(i)
         assert np.allclose(T, transform_from_pose(pose[i]), atol=1e-12)
@@ -147,8 +147,8 @@ def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"initial_q": np.zeros((2, 16))}, ("initial_pose", "initial_q", "hand_pose")),
-        ({"initial_pose": np.zeros((20, 7))}, ("initial_pose", "row 0", "quaternion")),
+        ({"q_before": np.zeros((2, 16))}, ("hand_pose_before", "q_before", "hand_pose")),
+        ({"hand_pose_before": np.zeros((20, 7))}, ("hand_pose_before", "row 0", "quaternion")),
         ({"quality_after": np.zeros(3)}, ("quality_after", "(20,)", "(3,)")),
         ({"loss": np.array(["a"])}, ("loss",)),
         ({"status": np.array(["\x1b[2J"] * 20)}, ("status",)),
@@ -171,13 +171,17 @@ def test_entries_of_other_programs_mean_nothing(tmp_path: Path) -> None:
     assert not opened(path).columns
 
 
-def test_older_results_do_not_say_where_grasps_were(results: Path, tmp_path: Path) -> None:
+def test_older_results_say_where_grasps_were_in_other_words_or_not(results: Path, tmp_path: Path) -> None:
     path = tmp_path / "old.npz"
     with np.load(results, allow_pickle=False) as entries:
-        np.savez(path, **{key: entries[key] for key in entries.files if not key.startswith("initial")})
+        before = {key: entries[key] for key in ("hand_pose_before", "q_before")}
+        np.savez(path, **{key: entries[key] for key in entries.files if key not in before})
     collection = opened(path)
     assert (collection.initial(2)[1] == collection.scene(2).q[0]).all()
     assert collection.columns["quality_before"].known.all()
+    with np.load(path, allow_pickle=False) as entries:
+        np.savez(path, **entries, initial_pose=before["hand_pose_before"], initial_q=before["q_before"])
+    assert (opened(path).initial(2)[1] == before["q_before"][2]).all()
 
 
 def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:
