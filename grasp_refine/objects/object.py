@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypeGuard, cast
+from typing import TYPE_CHECKING, TypeAlias, TypeGuard, cast
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def load_object(
     holes: Holes = "refuse",
     candidates: int = 1024,
     seed: int = 0,
-    cache: Path | Literal["user"] | None = "user",
+    cache: str | Path | None = "user",
     progress: Callable[[str], None] | None = None,
 ) -> Object:
     """The object, cut into convex pieces, that `source` names or is: embedded, a primitive, a mesh, a folder of pieces.
@@ -131,7 +131,7 @@ def load_object(
     check_kind("holes", holes, Holes)
     check_kind("candidates", candidates, int)
     check_kind("seed", seed, int)
-    check_kind("cache", cache, Path | Literal["user"] | None)
+    check_kind("cache", cache, str | Path | None)
     uncut = read_object(source, name=name, scale=scale, unit=unit, holes=holes)
     (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
     return cut
@@ -225,7 +225,7 @@ def cut_objects(
     *,
     candidates: int = 1024,
     seed: int = 0,
-    cache: Path | Literal["user"] | None = "user",
+    cache: str | Path | None = "user",
     progress: Callable[[str], None] | None = None,
 ) -> list[Object]:
     """The objects, cut into convex pieces, several at a time as by `cut_meshes`: the second half of `load_object`.
@@ -233,7 +233,7 @@ def cut_objects(
     Raises:
         MeshError: one cannot be cut.
     """
-    folder = default_cache() if cache == "user" else cache
+    folder = default_cache() if cache == "user" else None if cache is None else Path(cache)
     meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
     cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
     bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]

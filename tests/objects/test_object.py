@@ -94,7 +94,7 @@ def test_a_mesh_in_memory_is_the_object_of_its_file(corner: Path, cache: Path):
         np.testing.assert_allclose(found.mesh.bounds, from_file.mesh.bounds, atol=1e-12)
         assert found.mesh.volume == pytest.approx(from_file.mesh.volume)
         assert len(found.body.pieces) == len(from_file.body.pieces) > 1
-    assert object.load_object(mesh, scale=0.05, cache=cache).name == "object"
+    assert object.load_object(mesh, scale=0.05, cache=str(cache)).name == "object"
     np.testing.assert_array_equal(mesh.vertices, vertices)
 
 
