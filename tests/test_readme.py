@@ -168,7 +168,7 @@ def test_the_table_of_grasp_files_is_complete():
     lines = section("docs/pages/reference/files.md", "Grasp files").splitlines()
     listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in lines if "|" in line)))
     stages = {f"{stage}_{key}" for stage in OTHER_STAGES for key in ("pose", "q")}
-    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema", "initial_pose", "initial_q"}
+    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema", "hand_pose_before", "q_before"}
 
 
 def anchors(text: str) -> set[str]:

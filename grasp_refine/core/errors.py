@@ -59,10 +59,14 @@ def quote_value(value: object) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, most: int = 1, otherwise: str = ";") -> str:
-    """Return the part of a message that names up to `most` similar ones of the known names, or else a punctuation."""
+    """Return the part of a message that names up to `most` similar ones of the known names, or else a punctuation.
+
+    Case does not count.
+    """
     from difflib import get_close_matches
 
-    close = get_close_matches(name, list(known), n=most)
+    by_folded = {one.casefold(): one for one in reversed(list(known))}
+    close = [by_folded[one] for one in get_close_matches(name.casefold(), [*reversed(by_folded)], n=most)]
     return f", did you mean {' or '.join(close)}?" if close else otherwise
 
 

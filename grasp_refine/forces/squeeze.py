@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.core.array_records import take
-from grasp_refine.forces.contact_points import ContactPoints, LinkPatches
+from grasp_refine.forces.contact_points import SLOTS, ContactPoints, LinkPatches
+from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.forces.torques import MIN_LIMIT, joint_torques, tensions, torque_bounds
 from grasp_refine.forces.wrench import RIDGE, ContactForces, center_of_mass
 from grasp_refine.hands.chain import Chain, Frames
@@ -18,7 +19,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject, face_pairs
 from grasp_refine.scene.scene import Scene
-from grasp_refine.witness.face_patch import FacePairs
+from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs
 
 CONTACTS = ContactSelection(farthest=0.0)
 """Selection of the links with a contact: those within reach, however few they are."""
@@ -37,16 +38,31 @@ SQUEEZE_RIDGE = 4.0 * RIDGE
 """Weight of the squared forces: larger than for the residual, so that more contacts share the load."""
 
 
+@dataclass(frozen=True, eq=False)
+class Squeeze:
+    """Squeezes of N grasps."""
+
+    q: Float[np.ndarray, "N n"]
+    """Set points (N, n) of the joints; they may lie beyond the limits."""
+    forces: SqueezeForces
+    """Forces that they are planned for."""
+
+
 def squeezed(
     scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N
 ) -> Float[np.ndarray, "N n"]:
-    """Set points (N, n) of the joints that squeeze the grasps, q + J^T f / kp; the root, or the arm, stays.
+    """Return the set points (N, n) of `squeeze`, with its arguments."""
+    return squeeze(scene, prepared, total=total).q
 
-    The forces f on the object are those that balance best, with pressures that sum to `total`. A position actuator
-    whose link is stopped by the object presses with kp times its position error, up to its limit, and the torques J^T f
-    make these forces. The values may lie beyond the limits of the joints, which they do not move there: they press all
-    the same. Grasps without contacts, or whose forces are not known, are kept; those with an invalid pose
-    (`Scene.posed`) become NaN.
+
+def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N) -> Squeeze:
+    """Return set points of the joints that squeeze the grasps, q + J^T f / kp, and f; the root, or the arm, stays.
+
+    The forces f on the object are those that balance best, with pressures that sum to `total`, or to less where set
+    points end before. A position actuator whose link is stopped by the object presses with kp times its position error,
+    up to its limit, and the torques J^T f make these forces. The values may lie beyond the limits of the joints, which
+    they do not move there: they press all the same. Grasps without contacts, or whose forces are not known, are kept;
+    those with an invalid pose (`Scene.posed`) become NaN.
 
     Args:
         scene: Hand, object and grasps. The hand's `actuator` must be the one that moves it: in a simulation with
@@ -64,10 +80,24 @@ def squeezed(
     T_object = np.broadcast_to(np.eye(4), T_link.shape)
     witness = query(prepared.pairs, T_link, T_object, cutoff=CONTACTS.cutoff(hand, scene.links))
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
-    torque = _torques(hand, scene.object, chain, frames, points, total)
+    found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE)
+    torque = _torques(hand, chain, frames, points, total * found.force)
     # Weaker forces hold more objects than those of which some are cut off, which do not balance.
-    torque = torque * np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)[:, None]
-    return np.where(posed[:, None], q + set_point_offsets(hand, torque, q), np.nan)
+    share = np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)
+    known = np.isfinite(points.point).all(axis=-1) & (found.solved & posed)[:, None]
+    vector = np.where(known[..., None], total * share[:, None, None] * found.force, np.nan)
+    offsets = set_point_offsets(hand, torque * share[:, None], q)
+    return Squeeze(np.where(posed[:, None], q + offsets, np.nan), _padded(scene, points, vector))
+
+
+def _padded(scene: Scene, points: ContactPoints, vector: Float[np.ndarray, "N K 3"]) -> SqueezeForces:
+    """Return forces (N, K, 3) with as many columns on every object: those of patches too, for a hand that has them."""
+    wanted = len(scene.links) + (SLOTS * (NUM_CORNERS - 1) if scene.hand.patches else 0)
+    more = (0, 0), (0, wanted - points.link.shape[1])
+    point, normal, force = (
+        np.pad(part, (*more, (0, 0)), constant_values=np.nan) for part in (points.point, points.normal, vector)
+    )
+    return SqueezeForces(scene.links, np.pad(points.link, more), point, normal, force)
 
 
 def pressure_shortfall(
@@ -84,14 +114,14 @@ def pressure_shortfall(
     """
     if hand.actuator.set_points is None:
         return np.zeros(len(frames.q))
-    return 1.0 - pressure_shares(hand, _torques(hand, obj, chain, frames, points, SOFT_PRESSURE_N), frames.q)
+    force = SOFT_PRESSURE_N * grasp_forces(points, obj, frames.T_world_root[:, :3, :3], ridge=SQUEEZE_RIDGE).force
+    return 1.0 - pressure_shares(hand, _torques(hand, chain, frames, points, force), frames.q)
 
 
 def _torques(
-    hand: Hand, obj: Object, chain: Chain, frames: Frames, points: ContactPoints, total: float
+    hand: Hand, chain: Chain, frames: Frames, points: ContactPoints, force: Float[np.ndarray, "N K 3"]
 ) -> Float[np.ndarray, "N n"]:
-    """Torques (N, n) of the best forces with pressures that sum to `total`; 0 at the joints of an arm."""
-    force = total * grasp_forces(points, obj, frames.T_world_root[:, :3, :3], ridge=SQUEEZE_RIDGE).force
+    """Torques (N, n) that make forces (N, K, 3) at the contact points; 0 at the joints of an arm."""
     torque = np.zeros_like(frames.q)
     for rows, some in points.groups():
         f = force[rows, None, : some.point.shape[1]]

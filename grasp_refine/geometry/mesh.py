@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from grasp_refine.core.errors import MeshError
+from grasp_refine.core.arguments import as_numbers
+from grasp_refine.core.errors import GraspRefineError, MeshError
 from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
 from grasp_refine.geometry.holes import cap_holes
 
 if TYPE_CHECKING:
     import trimesh
+    from numpy.typing import ArrayLike
 
 T = TypeVar("T")
 
@@ -63,6 +65,24 @@ def load_mesh(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     """
     path = Path(path)
     return _merge(_read(path, scale, lambda scene: scene.to_mesh()), scale, str(path))
+
+
+def mesh_of(vertices: ArrayLike, faces: ArrayLike, scale: float, name: str) -> trimesh.Trimesh:
+    """Return the mesh of vertices (V, 3) and faces (F, 3) times `scale`, in metres, as `load_mesh` that of a file.
+
+    Raises:
+        MeshError: the arrays are no triangles, or the mesh fails `check_mesh`.
+    """
+    import trimesh
+
+    try:
+        points = as_numbers(f"{name}: vertices", vertices, "V", 3)
+        corners = as_numbers(f"{name}: faces", faces, "F", 3, why="triangles, as indices of their vertices")
+    except GraspRefineError as error:
+        raise MeshError(str(error)) from None
+    if len(corners) and not ((corners % 1 == 0) & (corners >= 0) & (corners < len(points))).all():
+        raise MeshError(f"{name}: faces must be indices of its {len(points)} vertices")
+    return _merge(trimesh.Trimesh(points, corners.astype(np.int64), process=False), scale, name)
 
 
 def load_groups(path: Path, scale: float = 1.0) -> tuple[tuple[str, trimesh.Trimesh | None], ...]:

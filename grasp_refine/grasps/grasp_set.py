@@ -21,16 +21,16 @@ numbers that a generator gives its grasps. Other entries (results, provenance) m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
-from grasp_refine.core.array_records import take
+from grasp_refine.core.array_records import join, take
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
 from grasp_refine.core.plurals import count_text
@@ -52,6 +52,8 @@ REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", 
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
 OTHER_STAGES = ("pregrasp", "squeeze")
 """Stages beside the grasp itself: attributes of a set, and prefixes of their entries in a file."""
+POSE_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Names of the columns of a pose."""
 LABEL_PREFIX = "label_"
 """Prefix of the entries of a file that hold labels."""
 MIMIC_TOLERANCE = 1e-3
@@ -76,8 +78,8 @@ class Targets:
 class Stage:
     """Poses and joint values of the hand in N grasps, at one stage of the motion that closes it."""
 
-    hand_pose: Float[np.ndarray, "N 7"]
-    """(N, 7) as in `GraspSet`."""
+    pose: Float[np.ndarray, "N 7"]
+    """(N, 7) as `GraspSet.hand_pose`."""
     q: Float[np.ndarray, "N n"]
     """(N, n) joint values, radians or metres, with the columns of `GraspSet.q`."""
 
@@ -116,7 +118,7 @@ class GraspSet:
 
     @classmethod
     def of(cls, hand: Hand, pose: ArrayLike, q: ArrayLike, *, object: str = "object", scale: float = 1.0) -> GraspSet:
-        """Return grasps of a hand from arrays.
+        """Return grasps of a hand from arrays; one grasp needs no batch dimension.
 
         Args:
             hand: The hand.
@@ -128,18 +130,96 @@ class GraspSet:
         Raises:
             GraspFileError: arrays of another shape.
         """
-        pose = np.asarray(pose, dtype=np.float64)
+        check_kind("hand", hand, Hand)
+        try:
+            pose = as_numbers("pose", pose)
+        except GraspRefineError as error:
+            raise GraspFileError(f"GraspSet: {error}") from None
         pose = pose_from_transform(pose) if pose.shape[-2:] == (4, 4) else pose
-        count = len(pose)
-        return cls(
-            hand.name,
-            hand.base_link,
-            hand.joint_names,
-            np.full(count, object),
-            np.full(count, scale),
-            pose,
-            np.asarray(q),
+        thing, factor = cast(np.ndarray, object), cast(np.ndarray, scale)
+        return cls(hand.name, hand.base_link, hand.joint_names, thing, factor, pose, cast(np.ndarray, q))
+
+    @staticmethod
+    def join(parts: Iterable[GraspSet]) -> GraspSet:
+        """Return the grasps of all parts, in that order, with the columns of the first.
+
+        A target or label that a part lacks is NaN there.
+
+        Raises:
+            GraspFileError: there is no part, parts are of another hand, or not all of them have a stage.
+        """
+        sets = tuple(parts)
+        if not sets:
+            raise GraspFileError("there are no grasps to join")
+        first = sets[0]
+        for grasps in sets:
+            check_kind("grasps", grasps, GraspSet)
+            same = grasps.base_link == first.base_link and set(grasps.joint_names) == set(first.joint_names)
+            if not (same and grasps.hand == first.hand):
+                raise GraspFileError(
+                    f"grasps of '{grasps.hand}' from link '{grasps.base_link}' on, with the joints "
+                    f"{', '.join(grasps.joint_names)}, cannot be joined to those of '{first.hand}' from "
+                    f"'{first.base_link}' on, with {', '.join(first.joint_names)}"
+                )
+            if one := grasps.other_stages.keys() ^ first.other_stages.keys():
+                name = min(one)
+                raise GraspFileError(
+                    f"only some of the grasps have a {name}: leave it out, replace(grasps, {name}=None)"
+                )
+        links = tuple(dict.fromkeys(link for grasps in sets if grasps.targets for link in grasps.targets.links))
+        labels = tuple(dict.fromkeys(name for grasps in sets for name in grasps.labels))
+        return join(*(grasps._with_columns(first.joint_names, labels, links) for grasps in sets))
+
+    def _with_columns(self, joint_names: tuple[str, ...], labels: tuple[str, ...], links: tuple[str, ...]) -> GraspSet:
+        """The grasps with the joints in this order, and with all labels and target links, NaN where there are none."""
+        order = [self.joint_names.index(name) for name in joint_names]
+        none = np.full(len(self), np.nan)
+        targets = None
+        if links:
+            points = np.full((2, len(self), len(links), 3), np.nan)
+            if self.targets is not None:
+                points[:, :, [links.index(link) for link in self.targets.links]] = (
+                    self.targets.point_link,
+                    self.targets.point_object,
+                )
+            targets = Targets(links, *points)
+        stages: dict[str, Any] = {name: Stage(one.pose, one.q[:, order]) for name, one in self.other_stages.items()}
+        return replace(
+            self,
+            joint_names=joint_names,
+            q=self.q[:, order],
+            targets=targets,
+            labels={name: self.labels.get(name, none) for name in labels},
+            **stages,
         )
+
+    def __add__(self, other: GraspSet) -> GraspSet:
+        """Return these grasps and then the others, see `join`."""
+        return GraspSet.join((self, other)) if isinstance(other, GraspSet) else NotImplemented
+
+    def __getitem__(self, rows: int | slice | ArrayLike) -> GraspSet:
+        """Return the grasps of a row number, a slice, a list of row numbers, or where a mask (N,) is True; a set, too.
+
+        Raises:
+            GraspFileError: rows of another kind, or out of range.
+        """
+        chosen = np.arange(len(self))[rows] if isinstance(rows, slice) else np.atleast_1d(np.asarray(rows))
+        return self.select(chosen)
+
+    def __iter__(self) -> Iterator[GraspSet]:
+        """Yield the grasps one by one, each as a set of one."""
+        return (self[row] for row in range(len(self)))
+
+    def columns(self) -> dict[str, Shaped[np.ndarray, " N"]]:
+        """Return one column (N,) per number or name of the grasps, as for `pandas.DataFrame(grasps.columns())`.
+
+        They are object, scale, x, y, z, qw, qx, qy, qz of `hand_pose`, the joint values by name, and the labels,
+        `label_<name>`.
+        """
+        pose = dict(zip(POSE_COLUMNS, self.hand_pose.T, strict=True))
+        joints = dict(zip(self.joint_names, self.q.T, strict=True))
+        labels = {LABEL_PREFIX + name: values for name, values in self.labels.items()}
+        return {"object": self.object, "scale": self.scale, **pose, **joints, **labels}
 
     def __repr__(self) -> str:
         names = np.unique(self.object)
@@ -159,28 +239,34 @@ class GraspSet:
                 check_kind(name, getattr(self, name), str)
             names = tuple(self.joint_names)
             check_kind("joint_names", names, tuple[str, ...])
-            pose = as_numbers("hand_pose", self.hand_pose, "N", 7, why="x y z qw qx qy qz")
+            pose, q = as_numbers("hand_pose", self.hand_pose), as_numbers("q", self.q)
+            pose, q = _batched(pose, q)
+            check_shape("hand_pose", pose, "N", 7, why="x y z qw qx qy qz")
             count = len(pose)
             unit_poses(pose, "hand_pose", GraspRefineError)
-            q = as_numbers("q", self.q, count, len(names), why="one row per hand_pose, one column per joint name")
+            check_shape("q", q, count, len(names), why="one row per hand_pose, one column per joint name")
             scale = np.broadcast_to(as_numbers("scale", self.scale), np.shape(self.scale) or (count,))
             check_shape("scale", scale, count)
             thing = np.broadcast_to(np.asarray(self.object, dtype=str), np.shape(self.object) or (count,))
             check_shape("object", thing, count)
-            for name in OTHER_STAGES:
-                check_kind(name, getattr(self, name), Stage | None)
-            check_kind("targets", self.targets, Targets | None)
+            stages = {name: _checked_stage(name, getattr(self, name), q.shape) for name in OTHER_STAGES}
+            targets = _checked_targets(self.targets, count)
             check_kind("labels", self.labels, Mapping)
             numbers = {str(name): as_numbers(f"labels[{name!r}]", its, count) for name, its in self.labels.items()}
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
         arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q, "labels": numbers}
-        for name, value in arrays.items():
+        for name, value in {**arrays, **stages, "targets": targets}.items():
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         """Return the number of grasps N."""
         return len(self.object)
+
+    @property
+    def grasp(self) -> Stage:
+        """The grasps themselves as a stage of the motion."""
+        return Stage(self.hand_pose, self.q)
 
     @property
     def other_stages(self) -> dict[str, Stage]:
@@ -191,10 +277,8 @@ class GraspSet:
     @property
     def finite(self) -> Bool[np.ndarray, " N"]:
         """Mask (N,) of grasps whose poses and joint values are finite at all stages."""
-        stages: list[GraspSet | Stage] = [self, *self.other_stages.values()]
-        return np.logical_and.reduce(
-            [np.isfinite(values).all(axis=1) for stage in stages for values in (stage.hand_pose, stage.q)]
-        )
+        others = [values for stage in self.other_stages.values() for values in (stage.pose, stage.q)]
+        return np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in (self.hand_pose, self.q, *others)])
 
     def select(self, indices: ArrayLike) -> GraspSet:
         """Return the grasps in the rows `indices`, in that order; or where a mask (N,) is True.
@@ -206,7 +290,7 @@ class GraspSet:
 
     def at(self, stage: Stage) -> GraspSet:
         """Return the grasps with the poses and joint values of one of their stages, for `match_joints`."""
-        return replace(self, hand_pose=stage.hand_pose, q=stage.q)
+        return replace(self, hand_pose=stage.pose, q=stage.q)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the entries of a grasp file with these grasps, for `save_npz`."""
@@ -225,7 +309,7 @@ class GraspSet:
             entries["target_point_link"] = self.targets.point_link
             entries["target_point_object"] = self.targets.point_object
         for name, stage in self.other_stages.items():
-            entries |= {f"{name}_pose": stage.hand_pose, f"{name}_q": stage.q}
+            entries |= {f"{name}_pose": stage.pose, f"{name}_q": stage.q}
         return entries | {LABEL_PREFIX + name: values for name, values in self.labels.items()}
 
 
@@ -263,7 +347,7 @@ def load_grasps(path: str | Path) -> GraspSet:
         joint_names=joint_names,
         object=file.per_row("object", file.text("object"), n),
         scale=scale,
-        hand_pose=grasp.hand_pose,
+        hand_pose=grasp.pose,
         q=grasp.q,
         targets=_targets(file, n),
         **{name: _optional_stage(file, name, n, len(joint_names)) for name in OTHER_STAGES},
@@ -333,6 +417,35 @@ def _name_notes(grasps: GraspSet, hand: Hand) -> list[str]:
     if named in given or given in named:
         return []
     return [f"the grasps name the hand '{grasps.hand}'; they are taken as those of '{hand.name}'"]
+
+
+def _batched(pose: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and joint values of one grasp, or of several, with a batch dimension."""
+    pose = pose[None] if pose.ndim == 1 else pose
+    return pose, q[None] if q.ndim == len(pose) == 1 else q
+
+
+def _checked_stage(name: str, stage: Stage | None, shape: tuple[int, ...]) -> Stage | None:
+    """A stage with arrays, of as many grasps and joints as `q` of a shape (N, n)."""
+    check_kind(name, stage, Stage | None)
+    if stage is None:
+        return None
+    pose, q = as_numbers(f"{name}.pose", stage.pose), as_numbers(f"{name}.q", stage.q)
+    pose, q = _batched(pose, q)
+    check_shape(f"{name}.pose", pose, shape[0], 7, why="x y z qw qx qy qz, one row per grasp")
+    check_shape(f"{name}.q", q, *shape, why="as those of the grasps")
+    return Stage(pose, q)
+
+
+def _checked_targets(targets: Targets | None, count: int) -> Targets | None:
+    """Targets with arrays, of as many grasps."""
+    check_kind("targets", targets, Targets | None)
+    if targets is None:
+        return None
+    links = tuple(targets.links)
+    shape = count, len(links), 3
+    of_links = as_numbers("targets.point_link", targets.point_link, *shape)
+    return Targets(links, of_links, as_numbers("targets.point_object", targets.point_object, *shape))
 
 
 def _check_schema(file: NpzFile) -> None:

@@ -46,13 +46,11 @@ def rebased(grasps: GraspSet, base_link: str, load: Callable[[str], Hand]) -> Gr
 
     def moved(stage: Stage) -> Stage:
         q, _ = match_joints(grasps.at(stage), whole)
-        T_object_root = transform_from_pose(stage.hand_pose)
+        T_object_root = transform_from_pose(stage.pose)
         T_root_link = inner(np.broadcast_to(np.eye(4), (len(q), 4, 4)), q).T_world_link[:, 0]
         T = T_object_root @ (inverse(T_root_link) if upwards else T_root_link)
         return Stage(pose_from_transform(T), q[:, columns])
 
-    grasp = moved(Stage(grasps.hand_pose, grasps.q))
+    grasp = moved(grasps.grasp)
     others: dict[str, Any] = {name: moved(stage) for name, stage in grasps.other_stages.items()}
-    return replace(
-        grasps, base_link=base_link, joint_names=new.joint_names, hand_pose=grasp.hand_pose, q=grasp.q, **others
-    )
+    return replace(grasps, base_link=base_link, joint_names=new.joint_names, hand_pose=grasp.pose, q=grasp.q, **others)

@@ -13,7 +13,7 @@ from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
 from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
-from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.mujoco_messages import compiled, one_line, unlogged
 from grasp_refine.hands.prefixed_names import prefixed_names
 
 MAX_RADIANS = 2 * math.pi
@@ -68,8 +68,7 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         HandError: MuJoCo cannot compile it.
     """
     try:
-        with unlogged():
-            return spec.compile()
+        return compiled(spec)
     except ValueError as error:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 

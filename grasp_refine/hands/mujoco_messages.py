@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -21,6 +22,19 @@ def unlogged() -> Iterator[None]:
         yield
     finally:
         mujoco.set_mju_user_warning(before)
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a model without messages.
+
+    MuJoCo warns in Python of what its own later versions will not read, such as `settotalmass`: no matter of the hand.
+
+    Raises:
+        ValueError: MuJoCo cannot compile it.
+    """
+    with unlogged(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return spec.compile()
 
 
 def one_line(error: ValueError) -> str:

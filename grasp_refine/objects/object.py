@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, TypeAlias, TypeGuard, cast
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
-from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
+from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, mesh_of, watertight
 from grasp_refine.geometry.pieces import Piece, cut_meshes, hull
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.units import UNITS, Unit, check_size
@@ -25,6 +25,9 @@ from grasp_refine.objects.folders import given_pieces, surface
 
 if TYPE_CHECKING:
     import trimesh
+    from numpy.typing import ArrayLike
+
+    Mesh: TypeAlias = trimesh.Trimesh | tuple[ArrayLike, ArrayLike]
 
 PRIMITIVE_FORMS = "box:x,y,z, sphere:r, cylinder:r,h (metres)"
 
@@ -82,25 +85,28 @@ class UncutObject:
 
 
 def load_object(
-    source: str | Path,
+    source: str | Path | Mesh,
     *,
+    name: str | None = None,
     scale: float = 1.0,
     unit: Unit | None = None,
     decomposition: Decomposition | None = None,
     holes: Holes = "refuse",
     candidates: int = 1024,
     seed: int = 0,
-    cache: Path | Literal["user"] | None = "user",
+    cache: str | Path | None = "user",
     progress: Callable[[str], None] | None = None,
 ) -> Object:
-    """The object, cut into convex pieces, that `source` names: embedded, a primitive, a mesh file, a folder of pieces.
+    """The object, cut into convex pieces, that `source` names or is: embedded, a primitive, a mesh, a folder of pieces.
 
     The hulls of the meshes in a folder (see `folders`) are the convex pieces; nothing is decomposed. The
     displayed surface is the folder's if it has one, else all pieces. A mesh file of convex bodies is not decomposed
     either, and the pieces of the embedded objects come with the program.
 
     Args:
-        source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path.
+        source: name in EMBEDDED, "box:x,y,z", "sphere:r", "cylinder:r,h", or a path; or a mesh in memory, a
+            `trimesh.Trimesh` or a pair of vertices (V, 3) and faces (F, 3).
+        name: of the object; None: that of the source, "object" for a mesh in memory.
         scale: factor that takes the mesh, or the pieces, to metres.
         unit: of the mesh times the scale. None is metres too, but a size that no hand grasps is then an error that
             asks for the unit; "m" accepts metres whatever the size.
@@ -117,48 +123,75 @@ def load_object(
             no usable piece or one that cannot be read, or the scale is not positive.
         GraspRefineError: an argument of another kind.
     """
-    check_kind("source", source, str | Path)
+    if not is_mesh(source):
+        check_kind("source", source, str | Path)
+    check_kind("name", name, str | None)
     check_kind("unit", unit, Unit | None)
     check_kind("decomposition", decomposition, Decomposition | None)
     check_kind("holes", holes, Holes)
     check_kind("candidates", candidates, int)
     check_kind("seed", seed, int)
-    check_kind("cache", cache, Path | Literal["user"] | None)
-    uncut = read_object(source, scale=scale, unit=unit, holes=holes)
+    check_kind("cache", cache, str | Path | None)
+    uncut = read_object(source, name=name, scale=scale, unit=unit, holes=holes)
     (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
     return cut
 
 
+def is_mesh(source: object) -> TypeGuard[Mesh]:
+    """Return whether an object is given as a mesh in memory, see `load_object`."""
+    return isinstance(source, tuple | list) or (hasattr(source, "vertices") and hasattr(source, "faces"))
+
+
+def as_object(name: str, value: Object | Mesh) -> Object:
+    """Return an argument as an object: itself, or loaded from a mesh in memory.
+
+    Raises:
+        MeshError: the mesh cannot be used.
+        GraspRefineError: it is neither.
+    """
+    if is_mesh(value):
+        return load_object(value)
+    check_kind(name, value, Object)
+    return cast(Object, value)
+
+
 def read_object(
-    source: str | Path, *, scale: float = 1.0, unit: Unit | None = None, holes: Holes = "refuse"
+    source: str | Path | Mesh,
+    *,
+    name: str | None = None,
+    scale: float = 1.0,
+    unit: Unit | None = None,
+    holes: Holes = "refuse",
 ) -> UncutObject:
-    """The object that `source` names, read and checked, which is quick: the first half of `load_object`.
+    """The object that `source` names or is, read and checked, which is quick: the first half of `load_object`.
 
     Raises:
         AssetError, MeshError: as `load_object`.
     """
-    text = str(source)
+    text = (name or "object") if is_mesh(source) else str(source)
     if not (is_number(scale) and 0 < scale < np.inf):
         raise MeshError(f"{text}: the scale must be positive and finite, got {describe_value(scale)}")
     scale *= (factor := UNITS[unit or "m"])
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     file: tuple[Path, float] | None = None
+    if is_mesh(source):
+        known, mesh = text, _mesh_in_memory(source, scale, text)
     # An empty path would be the current folder.
-    if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
-        name = Path(os.path.abspath(text)).name
+    elif text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
+        known = Path(os.path.abspath(text)).name
         pieces, notes = given_pieces(Path(text), scale)
         mesh, more = surface(Path(text), pieces, scale)
         notes += more
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
-        name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
+        known, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     elif text in EMBEDDED:
-        name, mesh = text, EMBEDDED[text]().apply_scale(scale)
+        known, mesh = text, EMBEDDED[text]().apply_scale(scale)
     elif ":" in text:
-        name, mesh = text, primitive(text).apply_scale(scale)
+        known, mesh = text, primitive(text).apply_scale(scale)
         pieces = [Piece(p.vertices * scale, p.faces, p.radius * scale) for p in primitive_pieces(text)]
     elif "/" in text or Path(text).suffix:
-        name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
+        known, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     else:
         raise AssetError(
             f"no object '{text}': embedded ones are {', '.join(EMBEDDED)}; "
@@ -166,6 +199,7 @@ def read_object(
             f"or give a mesh file ({', '.join(SUFFIXES)}), or a folder of meshes that are its convex pieces"
         )
     check_size(mesh.extents / factor, unit, text)
+    name = name or known
     convex = len(pieces) == 1
     if not pieces:
         mesh, notes = watertight(mesh, name, holes)
@@ -175,13 +209,23 @@ def read_object(
     return UncutObject(name, mesh, tuple(pieces), convex, notes, file)
 
 
+def _mesh_in_memory(source: Mesh, scale: float, name: str) -> trimesh.Trimesh:
+    """Return the mesh of a source that `is_mesh`, in metres; the source stays as it is."""
+    if not isinstance(source, tuple | list):
+        return mesh_of(source.vertices, source.faces, scale, name)
+    if len(source) != 2:
+        raise MeshError(f"{name}: a mesh is a pair of vertices (V, 3) and faces (F, 3), got {len(source)}")
+    vertices, faces = source
+    return mesh_of(vertices, faces, scale, name)
+
+
 def cut_objects(
     objects: Sequence[UncutObject],
     decomposition: Decomposition | None = None,
     *,
     candidates: int = 1024,
     seed: int = 0,
-    cache: Path | Literal["user"] | None = "user",
+    cache: str | Path | None = "user",
     progress: Callable[[str], None] | None = None,
 ) -> list[Object]:
     """The objects, cut into convex pieces, several at a time as by `cut_meshes`: the second half of `load_object`.
@@ -189,7 +233,7 @@ def cut_objects(
     Raises:
         MeshError: one cannot be cut.
     """
-    folder = default_cache() if cache == "user" else cache
+    folder = default_cache() if cache == "user" else None if cache is None else Path(cache)
     meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
     cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
     bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]

@@ -54,7 +54,8 @@ def _asset_meant(name: str) -> Asset | None:
     """Return the asset that `name` means, or None where it means an embedded object, a primitive or a path."""
     if name in EMBEDDED or ":" in name or Path(name).suffix or exists(Path(name)):
         return None
-    asset = find_asset(name, "objects")
+    # In another case, an embedded name is not that of an asset that ends with it.
+    asset = None if name.casefold() in EMBEDDED else find_asset(name, "objects")
     if asset is None:
         meant = did_you_mean(name.replace("/", "_"), [*EMBEDDED, *read_manifest("objects")], otherwise=":")
         raise AssetError(

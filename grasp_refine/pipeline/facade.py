@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from grasp_refine.core.se3 import inverse, is_rigid, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object
+from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
@@ -44,13 +44,16 @@ from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 from grasp_refine.validation.world import build_world
 
+if TYPE_CHECKING:
+    from grasp_refine.objects.object import Mesh
+
 VIEWERS = "grasp_refine.viewers"
-"""Group of entry points of viewers: functions that show a `Problem` and return the viewer."""
+"""Group of entry points of viewers: functions that show `RefinedGrasps` or a `Problem` and return the viewer."""
 
 
 def problem_of(
     hand: Hand,
-    obj: Object,
+    obj: Object | Mesh,
     grasps: GraspSet,
     *,
     table: float | None = None,
@@ -64,7 +67,7 @@ def problem_of(
 
     Args:
         hand: The hand.
-        obj: The object, in metres; scales of the grasps are those of its mesh.
+        obj: The object, or its mesh as for `load_object`, in metres; scales of the grasps are those of its mesh.
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
         scene: Bodies around the object, as of `load_scene`; None: there are none.
@@ -83,7 +86,7 @@ def problem_of(
             cannot be used.
     """
     check_kind("hand", hand, Hand)
-    check_kind("object", obj, Object)
+    obj = as_object("object", obj)
     check_kind("grasps", grasps, GraspSet)
     names = list(dict.fromkeys(grasps.object.tolist()))
     if len(names) > 1 or len(np.unique(grasps.scale)) > 1:
@@ -131,7 +134,7 @@ def problem_of(
 
 def refine(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     config: Config | None = None,
     *,
@@ -147,7 +150,7 @@ def refine(
 
     Args:
         hand: The hand; or a problem of `load_problem`, which has object and grasps.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it.
         config: Settings; the defaults when None.
         table: Height (metres) of a table in the object's frame, z up, that no link may go through.
@@ -193,7 +196,7 @@ def simulate(
 
 def evaluate(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     protocol: str | Path | Protocol | None = None,
     *,
@@ -208,7 +211,7 @@ def evaluate(
 
     Args:
         hand: The hand; or a problem of `load_problem`.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None: nothing is
             simulated.
@@ -240,7 +243,7 @@ def evaluate(
 
 def margins(
     hand: Hand | Problem,
-    object: Object | None = None,
+    object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
     protocol: str | Protocol = "dexgraspbench",
     *,
@@ -255,7 +258,7 @@ def margins(
 
     Args:
         hand: The hand; or a problem of `load_problem`.
-        object: The object, in metres.
+        object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         protocol: Name of a protocol that pushes, or one of your own, for everything that is not drawn.
         factors: Ranges of what is drawn; the defaults when None.
@@ -277,7 +280,7 @@ def view(grasps: RefinedGrasps | Problem) -> Any:
     """Show grasps in a browser and return the viewer; its `address` is the page's, `close()` ends it.
 
     Args:
-        grasps: Refined grasps, or a problem.
+        grasps: Refined grasps, shown with what they were before and their measures; or a problem.
 
     Raises:
         GraspRefineError: no viewer is registered, as in a checkout that is not installed.
@@ -286,14 +289,7 @@ def view(grasps: RefinedGrasps | Problem) -> Any:
     viewers = entry_points(group=VIEWERS)
     if not viewers:
         raise GraspRefineError("no viewer is registered: install grasp-refine again, a checkout by pip install -e .")
-    problem = grasps
-    if isinstance(grasps, RefinedGrasps):
-        after = grasps.after
-        groups = [(group, after.select(np.sort(group.place))) for group in grasps.problem.groups]
-        problem = replace(
-            grasps.problem, files=(), groups=tuple(_with_grasps(group, refined) for group, refined in groups)
-        )
-    return next(iter(viewers)).load()(problem)
+    return next(iter(viewers)).load()(grasps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,7 +354,7 @@ def base_pose(base: ArrayLike) -> np.ndarray:
 
 def _problem(
     hand: Hand | Problem,
-    obj: Object | None,
+    obj: Object | Mesh | None,
     grasps: GraspSet | None,
     table: float | None,
     scene: Environment | None,
@@ -379,16 +375,3 @@ def _problem(
 
 def _protocol(protocol: str | Path | Protocol) -> Protocol:
     return protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
-
-
-def _with_grasps(group: Group, grasps: GraspSet) -> Group:
-    """Return a group with other grasps on the same object."""
-    scene = replace(
-        group.scene,
-        T_world_root=transform_from_pose(grasps.hand_pose),
-        q=grasps.q,
-        target_link=None,
-        target_object=None,
-        direction=None,
-    )
-    return replace(group, scene=scene, grasps=grasps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,9 @@ from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.core.versions import versions
+from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.pipeline.problem import Problem, aim
 from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry, scene_entry
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
@@ -26,6 +27,7 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, refined_set, result_paths, save_results
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
+from grasp_refine.results.validation_document import TABLE_SUFFIXES, check_table, save_table
 from grasp_refine.validation.motion import STAGES
 
 
@@ -60,7 +62,7 @@ class RefinedGrasps:
     def before(self) -> GraspSet:
         """Input grasps, joint values in the order of the hand."""
         hand, outcome = self.problem.hand, self.outcome
-        pose, q = outcome.initial_pose, outcome.initial_q
+        pose, q = outcome.hand_pose_before, outcome.q_before
         return GraspSet(
             hand.name, hand.base_link, hand.joint_names, outcome.object, outcome.scale, pose, q, labels=outcome.labels
         )
@@ -80,6 +82,37 @@ class RefinedGrasps:
         """Set points of position actuators with which the hand presses: poses (N, 7) and joint values (N, n)."""
         return self._stage("squeeze")
 
+    @property
+    def forces(self) -> ContactForces:
+        """Forces on the object with which the squeezes are planned to press, at all contact points.
+
+        An actuator that ends before them (`Actuator.force_limit`) presses with less.
+
+        Raises:
+            GraspRefineError: they are not known.
+        """
+        if self.outcome.forces is None:
+            raise GraspRefineError("the forces of these squeezes are not known")
+        return self.outcome.forces.flat()
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return one column (N,) per number or name of the grasps, as for `pandas.DataFrame(refined.columns())`.
+
+        They are those of `after`, the status, and all measures by their names in result files, in SI units.
+        """
+        return {**self.after.columns(), "status": self.status, **self.outcome.entries()}
+
+    def as_problem(self) -> Problem:
+        """Return the refined grasps as a problem on the same objects, with their targets, pregrasps and squeezes."""
+        after, hand = self.after, self.problem.hand
+        groups = []
+        for group in self.problem.groups:
+            targets = aim(hand, after.targets, group.place)
+            moved = replace(self.outcome.select(group.place).posed(group.scene), direction=None)
+            scene = replace(moved, target_link=targets[0], target_object=targets[1])
+            groups.append(replace(group, scene=scene, grasps=after.select(group.place)))
+        return replace(self.problem, files=(), groups=tuple(groups))
+
     def table(self, *, verbose: bool = False) -> RenderableType:
         """Return the table of `refine-grasp run`, for a console of rich; `verbose` lists all of many grasps."""
         return grasp_table(self.outcome, self.problem.hand.name, self.config, self.simulated, verbose=verbose)
@@ -87,19 +120,31 @@ class RefinedGrasps:
     def save(self, path: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write a result file, or, of grasps on several objects, a folder with one for each; return the paths.
 
-        `refine-grasp validate`, `refine-grasp view` and `load_grasps` read them.
+        `refine-grasp validate`, `refine-grasp view` and `load_grasps` read them. A table has the `columns` alone, of
+        all objects.
 
         Args:
-            path: The file, .npz; for several objects a folder.
+            path: The file, .npz; for several objects a folder; or a table, .csv or .parquet.
             overwrite: Whether existing files are replaced.
 
         Raises:
-            GraspRefineError: there are no grasps, a file exists, or it cannot be written.
+            GraspRefineError: there are no grasps, a file exists or cannot be written, or has another ending.
         """
         if not len(self.outcome):
             raise GraspRefineError(f"{path}: there are no grasps to save")
         path, names = Path(path), list(dict.fromkeys(self.outcome.object.tolist()))
+        if path.suffix.lower() in TABLE_SUFFIXES:
+            check_table(path)
+            check_writable(path, overwrite=overwrite)
+            columns = self.columns()
+            rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+            save_table(path, [dict(zip(columns, row, strict=True)) for row in rows])
+            return (path,)
         one = len(names) == 1
+        if one != (path.suffix.lower() == ".npz"):
+            tables = " or ".join(TABLE_SUFFIXES)
+            results = "of one object end with .npz" if one else f"of {len(names)} objects go into a folder"
+            raise GraspRefineError(f"{path}: results {results}; tables end with {tables}")
         paths = {names[0]: path} if one else result_paths(path, self.problem.hand.name, tuple(names))
         check_writable(*paths.values(), overwrite=overwrite, inside=None if one else path)
         if not one:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
@@ -25,6 +26,12 @@ NO_SCENE = "none"
 
 SAMPLE = "sample:"
 """Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
+
+PATHS = ("urdf", "mjcf", "objects", "grasps")
+"""Fields that are kept as `Path`."""
+
+NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
+"""Fields that are names, or paths if they cannot be names; kept as text."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,20 @@ class SourceSpec:
     as_is: bool = False
     """Whether to accept grasps that are most likely in other units, quaternions or frames than those of their format,
     such as joint values in degrees."""
+
+    def __post_init__(self) -> None:
+        """Take names and paths as text or as `Path`, and lists for tuples.
+
+        Raises:
+            GraspRefineError: a field of another type.
+        """
+        for name in PATHS:
+            if isinstance(value := getattr(self, name, None), str):
+                object.__setattr__(self, name, Path(value))
+        for name in NAMES_OR_PATHS:
+            if isinstance(value := getattr(self, name, None), Path):
+                object.__setattr__(self, name, str(value))
+        check_fields(self)
 
     def check(self) -> None:
         """Refuse an invalid scale, table or hull limit.

@@ -39,7 +39,7 @@ def run_document(
         cpu_s: CPU time of the whole command in seconds.
         profile: Time by stage; None: not measured.
     """
-    values = outcome.entries()
+    values, forces = outcome.entries(), None if outcome.forces is None else outcome.forces.flat()
     return {
         "schema": SCHEMA,
         "command": "run",
@@ -66,6 +66,7 @@ def run_document(
                 "status": Status(outcome.status[i]).label,
                 "advice": text,
                 **measure_entries(values, i),
+                "forces": None if forces is None else forces.of_grasp(i),
                 "simulation": dict.fromkeys(SIDES)
                 if simulated is None
                 else {side: simulation_entry(getattr(simulated, side), i, simulated.protocol) for side in SIDES},

@@ -11,6 +11,7 @@ from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
 from grasp_refine.core.short_repr import brief
+from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
@@ -38,9 +39,9 @@ class Outcome:
     """Refined poses (N, 7) of the base link, x y z qw qx qy qz, object frame, metres."""
     q: np.ndarray
     """Refined joint values (N, n)."""
-    initial_pose: np.ndarray
+    hand_pose_before: np.ndarray
     """Poses (N, 7) before refinement, as `hand_pose`."""
-    initial_q: np.ndarray
+    q_before: np.ndarray
     """Joint values (N, n) before refinement."""
     status: np.ndarray
     """A `Status` (N,)."""
@@ -49,13 +50,13 @@ class Outcome:
     (N, 2, L) or (N, L), NaN for links that should not touch. SI units."""
     touching: np.ndarray
     """Links that should touch (N, L)."""
-    target_link: np.ndarray
+    target_point_link: np.ndarray
     """Target points on the links (N, L, 3), link frames, metres; NaN: none."""
-    target_object: np.ndarray
+    target_point_object: np.ndarray
     """Target points on the object (N, L, 3), object frame, metres."""
-    contact_link: np.ndarray
+    contact_point_link: np.ndarray
     """Refined witness points on links that should touch (N, L, 3), link frames, metres; NaN for other links."""
-    contact_object: np.ndarray
+    contact_point_object: np.ndarray
     """Refined witness points on the object (N, L, 3), object frame, metres."""
     contact_normal: np.ndarray
     """Unit normals from link to object at the witness points (N, L, 3), object frame."""
@@ -69,6 +70,8 @@ class Outcome:
     """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers (N,) that the generator gave the grasps, as `GraspSet.labels`."""
+    forces: SqueezeForces | None = None
+    """Forces that the squeezes are planned for; None: not known."""
 
     __repr__ = brief
 
@@ -93,7 +96,7 @@ class Outcome:
     @property
     def aimed(self) -> np.ndarray:
         """True where a grasp (N,) had targets."""
-        return ~np.isnan(self.target_link).all(axis=(1, 2))
+        return ~np.isnan(self.target_point_link).all(axis=(1, 2))
 
     def __getitem__(self, key: str) -> np.ndarray:
         """Return the values of a measure before and after (N, 2), or after alone (N,); of one per link the worst."""
@@ -199,20 +202,21 @@ def compare(
         index=index,
         hand_pose=pose_after,
         q=refinement.q,
-        initial_pose=pose_before,
-        initial_q=scene.q,
+        hand_pose_before=pose_before,
+        q_before=scene.q,
         status=refinement.status,
         measures=measures,
         touching=refinement.touching,
-        target_link=refinement.target_link,
-        target_object=refinement.target_object,
-        contact_link=at_contacts(transform_points(inverse(T_link), witness.point_a)),
-        contact_object=at_contacts(witness.point_b),
+        target_point_link=refinement.target_link,
+        target_point_object=refinement.target_object,
+        contact_point_link=at_contacts(transform_points(inverse(T_link), witness.point_a)),
+        contact_point_object=at_contacts(witness.point_b),
         contact_normal=at_contacts(witness.normal),
         contact_distance=at_contacts(witness.distance),
         stage_pose=pose_from_transform(motion.T_world_root),
         stage_q=motion.q,
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
+        forces=motion.forces,
     )
 
 

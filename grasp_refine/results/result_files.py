@@ -42,9 +42,11 @@ def refined_set(hand: Hand, links: tuple[str, ...], outcome: Outcome) -> GraspSe
         links: Its links with collision geometry, as in `Scene.links`.
         outcome: The grasps.
     """
-    aimed = np.flatnonzero(~np.isnan(outcome.target_link[..., 0]).all(axis=0))
+    aimed = np.flatnonzero(~np.isnan(outcome.target_point_link[..., 0]).all(axis=0))
     names = tuple(links[k] for k in aimed)
-    targets = Targets(names, outcome.target_link[:, aimed], outcome.target_object[:, aimed]) if names else None
+    targets = (
+        Targets(names, outcome.target_point_link[:, aimed], outcome.target_point_object[:, aimed]) if names else None
+    )
     return GraspSet(
         hand=hand.name,
         base_link=hand.base_link,
@@ -73,12 +75,17 @@ def save_results(
 ) -> None:
     """Write the grasps of one object as a grasp file with further entries; the file appears whole or not at all.
 
-        initial_pose, initial_q             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
+        hand_pose_before, q_before             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
         contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres
         contact_point_object                (N, K, 3)  witness point on the object, object frame
         contact_normal                      (N, K, 3)  unit normal from link to object, object frame
         contact_distance                    (N, K)     signed distance, metres
+        forces_grasp                        (C,)       row of the grasp of each force of the squeezes
+        forces_link                         (C,)       link that presses
+        forces_point                        (C, 3)     contact point on the object, object frame, metres
+        forces_normal                       (C, 3)     unit normal into the object, object frame
+        forces_vector                       (C, 3)     planned force of the link on the object, object frame, newtons
         status                              (N,)       status of the refinement
         quality_before, quality_after, ...  (N,)       `Measure.entries` of each of `RECORDED`, SI units
         contact_error_mean_before, _after   (N,)       mean over the contacts; the measure itself is the worst of them
@@ -118,7 +125,7 @@ def save_results(
 
 
 def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.ndarray]:
-    """Return the entries of a result file beside the grasps: poses before, contacts, status and measures.
+    """Return the entries of a result file beside the grasps: poses before, contacts, forces, status and measures.
 
     Args:
         links: Links of the hand with collision geometry, as in `Scene.links`.
@@ -126,13 +133,14 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
     """
     touching = np.flatnonzero(outcome.touching.any(axis=0))
     return {
-        "initial_pose": outcome.initial_pose,
-        "initial_q": outcome.initial_q,
+        "hand_pose_before": outcome.hand_pose_before,
+        "q_before": outcome.q_before,
         "contact_link": np.array([links[k] for k in touching], dtype=str),
-        "contact_point_link": outcome.contact_link[:, touching],
-        "contact_point_object": outcome.contact_object[:, touching],
+        "contact_point_link": outcome.contact_point_link[:, touching],
+        "contact_point_object": outcome.contact_point_object[:, touching],
         "contact_normal": outcome.contact_normal[:, touching],
         "contact_distance": outcome.contact_distance[:, touching],
+        **({} if outcome.forces is None else outcome.forces.flat().entries()),
         "status": labels(Status, outcome.status),
         **outcome.entries(),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,7 +21,7 @@ from grasp_refine.hands.chain import Frames
 from grasp_refine.hands.clear_rest import clear_rest
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.solid_links import check_collides
-from grasp_refine.objects.object import Object
+from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
@@ -34,6 +35,9 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
 from grasp_refine.scene.surroundings import Surroundings
+
+if TYPE_CHECKING:
+    from grasp_refine.objects.object import Mesh
 
 MAX_GRASPS = 10_000
 """Most grasps that can be sampled."""
@@ -75,7 +79,7 @@ MIN_SPACING_M, MAX_HALVINGS = 0.02, 6
 
 def sample_grasps(
     hand: Hand,
-    obj: Object,
+    obj: Object | Mesh,
     count: int,
     *,
     seed: int | tuple[int, ...] = 0,
@@ -99,7 +103,7 @@ def sample_grasps(
 
     Args:
         hand: Any hand whose joints move contact links; sampled joint values are around the rest pose, or `clear_rest`.
-        obj: The object.
+        obj: The object, or its mesh as for `load_object`.
         count: Number of grasps, 1 to `MAX_GRASPS`.
         seed: The same seed gives the same grasps.
         table: A plane that no link goes through, and no hand approaches from below.
@@ -117,7 +121,7 @@ def sample_grasps(
             found at all.
     """
     check_kind("hand", hand, Hand)
-    check_kind("obj", obj, Object)
+    obj = as_object("obj", obj)
     check_kind("count", count, int)
     check_kind("seed", seed, int | tuple[int, ...])
     check_kind("table", table, Plane | None)

@@ -83,7 +83,7 @@ def load_scene(
     if len(drafts) > MAX_BODIES:
         raise GraspRefineError(f"{where}has {len(drafts)} bodies, of at most {MAX_BODIES}")
     uncut = {draft.key: draft.uncut for draft in drafts if draft.uncut is not None}
-    cut = cut_objects(list(uncut.values()), cache=cache, progress=on_message)  # type: ignore[arg-type]
+    cut = cut_objects(list(uncut.values()), cache=cache, progress=on_message)
     found = dict(zip(uncut, (one.body for one in cut), strict=True))
     taken: set[str] = set()
     bodies = tuple(draft.finish(found, taken, where) for draft in drafts)

@@ -12,7 +12,8 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
-from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeezed
+from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeeze
+from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.pregrasp import open_hand
@@ -32,6 +33,8 @@ class Motion:
     """Poses (N, 3, 4, 4) of the hand's base link in the object's frame, metres."""
     q: Float[np.ndarray, "N 3 n"]
     """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
+    forces: SqueezeForces | None = None
+    """Forces that the squeezes are planned for; None: they are not ours."""
 
     __repr__ = brief
 
@@ -75,9 +78,8 @@ def closing_motion(
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = open_hand(scene, prepared, progress)
     q = np.where(posed[:, None], scene.q, np.nan)
-    return Motion(
-        np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared, total=pressure)], axis=1)
-    )
+    pressing = squeeze(scene, prepared, total=pressure)
+    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, pressing.q], axis=1), pressing.forces)
 
 
 def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:

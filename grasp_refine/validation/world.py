@@ -15,7 +15,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.hands.inertia import Inertia
-from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.mujoco_messages import compiled, one_line, unlogged
 from grasp_refine.hands.servos import moments
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
@@ -133,8 +133,7 @@ def build_world(
     for geom in spec.geoms:
         geom.condim, geom.friction = 4, [protocol.friction, protocol.torsion, ROLLING_FRICTION]
     try:
-        with unlogged():
-            model = spec.compile()
+        model = compiled(spec)
     except ValueError as error:
         raise GraspRefineError(f"MuJoCo cannot simulate {obj.name} in this hand: {_error_with_advice(error)}") from None
     return replace(_located(spec, model, hand, obj.name, protocol, mass), up=up, **_neighbours(model, around))

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from grasp_refine.collision.query import Pairs, Witness, check_poses, query
 from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import ambient_gradient
 from grasp_refine.witness.derivative import Derivative
@@ -27,8 +27,8 @@ class WitnessLayer:
     """Differentiable witness points of body pairs.
 
     Exact: the signed distance's gradient, d' = n . (V_b(x_b) - V_a(x_a)), wherever the witness pair is unique; it
-    needs no smoothing. Approximated, by `method`: the slip of points and normals along the surfaces. Poses get
-    gradients once (no double backward).
+    needs no smoothing. Approximated, by `method`: the slip of points and normals along the surfaces. Poses get first
+    derivatives only: a second one through the layer (double backward, a Hessian) is a GraspRefineError.
     """
 
     def __init__(self, pairs: Pairs, method: Derivative, patch: Patch | None = None) -> None:
@@ -126,15 +126,25 @@ class _WitnessFunction(torch.autograd.Function):
         return x_a, x_b, n, d
 
     @staticmethod
-    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:  # noqa: D102
+        with torch.no_grad():
+            found: tuple[Tensor | None, ...] = _WitnessFunction._pull_back(ctx, *gradients)
+        if torch.is_grad_enabled():
+            # For create_graph=True: without an edge, torch would say that the poses were not used at all.
+            edges = *ctx.saved_tensors, *(gradient for gradient in gradients if gradient is not None)
+            found = tuple(None if part is None else _NoSecondDerivative.apply(part, *edges) for part in found)
+        return *found, None, None, None, None, None
+
+    @staticmethod
     @stage("derivative")
-    def backward(  # noqa: D102
+    def _pull_back(
         ctx: Any,
         grad_a: Tensor | None,
         grad_b: Tensor | None,
         grad_normal: Tensor | None,
         grad_distance: Tensor | None,
-    ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
+    ) -> tuple[Tensor | None, Tensor | None]:
+        """Gradients of both poses; None where one needs none."""
         tensor_a, tensor_b = ctx.saved_tensors
         poses = np.stack([_array(tensor_a), _array(tensor_b)])
         found, valid = ctx.found, None
@@ -162,11 +172,22 @@ class _WitnessFunction(torch.autograd.Function):
         moved = ambient_gradient(poses, wrenches)
         gradient = torch.as_tensor(moved, dtype=tensor_a.dtype, device=tensor_a.device)
         need_a, need_b = ctx.needs_input_grad[:2]
-        return (
-            gradient[0] if need_a else None,
-            gradient[1] if need_b else None,
-            None, None, None, None, None,
-        )  # fmt: skip
+        return gradient[0] if need_a else None, gradient[1] if need_b else None
+
+
+class _NoSecondDerivative(torch.autograd.Function):
+    """Identity on a gradient that refuses to be differentiated."""
+
+    @staticmethod
+    def forward(ctx: Any, gradient: Tensor, *edges: Tensor) -> Tensor:  # noqa: D102
+        return gradient.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Any:  # noqa: D102
+        raise GraspRefineError(
+            "WitnessLayer has first derivatives only: differentiate its outputs once, without a Hessian or a gradient "
+            "penalty through it, or take finite differences of its gradients"
+        )
 
 
 def _pull_back_points(

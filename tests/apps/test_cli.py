@@ -252,7 +252,7 @@ def test_index_counts_the_grasps_of_the_object(grasp_file: Callable[..., Path]):
     report = json.loads(Path("report.json").read_text())["grasps"]
     assert [(grasp["index"], grasp["row"]) for grasp in report] == [(1, 3), (0, 1)]
     with np.load("grasp-refine-results/allegro_rounded_box.npz") as result:
-        np.testing.assert_allclose(result["initial_pose"], load_grasps(grasps).select([3, 1]).hand_pose)
+        np.testing.assert_allclose(result["hand_pose_before"], load_grasps(grasps).select([3, 1]).hand_pose)
 
 
 def test_several_objects_and_scales_are_refined_together(grasp_file: Callable[..., Path], inputs: Path):

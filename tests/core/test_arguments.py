@@ -120,7 +120,7 @@ REFUSED = {
     "WitnessLayer(ball, ContactKinematics())": "Pairs",
     "WitnessLayer(pairs, ContactKinematics)": "ContactKinematics",
     "load_object(box)": "Object",
-    "load_object(box.mesh)": "Trimesh",
+    "load_object((box.mesh,))": "vertices",
     "load_hand(hand)": "Hand",
     "load_hand(None)": "None",
     "load_grasps(grasps)": "GraspSet",

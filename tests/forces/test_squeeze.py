@@ -8,6 +8,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.collision.query import query
+from grasp_refine.core.array_records import join
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import (
     MIN_PRESSURE_SHARE,
@@ -17,9 +18,10 @@ from grasp_refine.forces.squeeze import (
     contacts,
     pressure_shortfall,
     set_point_offsets,
+    squeeze,
     squeezed,
 )
-from grasp_refine.forces.wrench import center_of_mass
+from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
@@ -87,6 +89,47 @@ def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Obje
     np.testing.assert_allclose(found, [[0.002 - 15.0 / 5.0, 5.0 / 5.0]], atol=1e-6)
     np.testing.assert_allclose(squeezed(scene, total=4.0), [[0.002 - 2.0 / 5.0, 2.0 / 5.0]], atol=1e-6)
     assert found[0, 0] < clamp.lower[0], "set points may lie beyond the limits"
+
+
+def test_planned_forces_are_those_of_the_contacts(clamp: Hand, ball: Object) -> None:
+    """Two balls press a ball with half of the total each, where they touch it, towards each other."""
+    T, q = np.tile(np.eye(4), (3, 1, 1)), np.array([[0.002, 0.0], [0.0, 0.0], [0.1, 0.0]])
+    T[1, 0, 3] = np.nan
+    found = squeeze(Scene(clamp, ball, T, q), total=8.0).forces.flat()
+    # The second grasp has no pose; in the third one link is out of reach, and the other presses alone.
+    assert found.grasp.tolist() == [0, 0, 2] and found.link.tolist() == ["left", "right", "right"]
+    np.testing.assert_allclose(found.point, [[0.05, 0, 0], [-0.05, 0, 0], [-0.05, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(found.normal, [[-1, 0, 0], [1, 0, 0], [1, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(found.vector[:2], [[-4, 0, 0], [4, 0, 0]], atol=1e-6)
+    assert [entry["link"] for entry in found.of_grasp(2)] == ["right"]
+
+
+def test_planned_forces_leave_the_residual_of_an_independent_program_and_stay_in_their_cones(mugs: Scene) -> None:
+    force, on_link = forces_of(mugs)
+    found, center = squeeze(mugs).forces.flat(), center_of_mass(mugs.object)
+    for i in range(4):
+        f, r = (values[found.grasp == i] for values in (found.vector, found.point - center))
+        left = np.concatenate([f.sum(axis=0), np.cross(r, f).sum(axis=0)])
+        wanted = np.concatenate([force[i].sum(axis=0), np.nansum(np.cross(on_link[i] - center, force[i]), axis=0)])
+        np.testing.assert_allclose(left[:3], wanted[:3], atol=1e-4)
+        # Those points are on the links, these on the object, a gap of at most millimetres away.
+        np.testing.assert_allclose(left[3:], wanted[3:], atol=30.0 * 0.005)
+    along = (found.vector * found.normal).sum(axis=1)
+    across = np.linalg.norm(found.vector - along[:, None] * found.normal, axis=1)
+    assert (along > -1e-9).all() and (across <= PLANNING_FRICTION * along + 1e-9).all()
+    np.testing.assert_allclose(np.bincount(found.grasp, along), TOTAL_PRESSURE_N, rtol=1e-9)
+
+
+def test_forces_on_objects_with_and_without_flat_faces_are_joined() -> None:
+    """Where flat faces meet, there are up to four forces for a link; a ball has one."""
+    hand = load_hand("franka_hand", candidates=16)
+    T, q = np.eye(4)[None].copy(), np.array([[0.02]])
+    T[0, 2, 3] = -0.1034
+    parts = [squeeze(Scene(hand, load_object(name), T, q)).forces for name in ("box:0.06,0.04,0.02", "sphere:0.02")]
+    found = join(*parts).flat()
+    assert np.bincount(found.grasp).tolist() == [8, 2]
+    for i in range(2):
+        np.testing.assert_allclose(found.vector[found.grasp == i].sum(axis=0), 0.0, atol=1e-3)
 
 
 def test_set_points_are_those_of_the_actuators_that_pull(clamp: Hand, ball: Object) -> None:

@@ -181,7 +181,7 @@ def read(path: Path) -> Hashable:
     assert (grasps.scale > 0).all() and np.isfinite(grasps.scale).all()
     for stage in (grasps, grasps.pregrasp, grasps.squeeze):
         if stage is not None:
-            poses = stage.hand_pose[grasps.finite]
+            poses = stage.pose[grasps.finite]
             np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1, atol=1e-9)
     for text in (grasps.hand, grasps.base_link, *grasps.joint_names, *grasps.object.tolist()):
         plain(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import zipfile
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints, save_npz
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets, load_grasps, match_joints, save_npz
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from grasp_refine.hands.tree import Joint, Mimic
@@ -286,7 +289,7 @@ def test_stages_are_read_where_they_are(write):
     grasps = load_grasps(write(**stages()))
     np.testing.assert_array_equal(grasps.pregrasp.q, stages()["pregrasp_q"])
     np.testing.assert_array_equal(grasps.squeeze.q, stages()["squeeze_q"])
-    np.testing.assert_allclose(grasps.pregrasp.hand_pose, stages()["pregrasp_pose"], atol=1e-12)
+    np.testing.assert_allclose(grasps.pregrasp.pose, stages()["pregrasp_pose"], atol=1e-12)
     only = {key: value for key, value in stages().items() if key.startswith("squeeze")}
     grasps = load_grasps(write(**only))
     assert grasps.pregrasp is None and grasps.squeeze is not None
@@ -299,7 +302,7 @@ def test_stages_are_read_where_they_are(write):
 def test_select_takes_rows_of_everything_in_the_given_order(write):
     grasps = load_grasps(write(object=["mug", "can", "jar"], label_score=[1.0, np.nan, 3.0], **targets(), **stages()))
     chosen = grasps.select([2, 0])
-    np.testing.assert_array_equal(chosen.pregrasp.hand_pose, grasps.pregrasp.hand_pose[[2, 0]])
+    np.testing.assert_array_equal(chosen.pregrasp.pose, grasps.pregrasp.pose[[2, 0]])
     np.testing.assert_array_equal(chosen.squeeze.q, grasps.squeeze.q[[2, 0]])
     assert chosen.object.tolist() == ["jar", "mug"]
     np.testing.assert_array_equal(chosen.labels["score"], [3.0, 1.0])
@@ -389,6 +392,89 @@ def test_joints_are_matched_by_name():
     q, notes = match_joints(grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3], [4, 5, 6]])), CLAW)
     assert q.tolist() == [[2, 3, 1], [5, 6, 4]]
     assert notes == ()
+
+
+def all_parts(n: int = 3) -> GraspSet:
+    pose = entries(n)["hand_pose"]
+    q, points = np.arange(2.0 * n).reshape(n, 2), np.arange(6.0 * n).reshape(2, n, 1, 3)
+    grasps = GraspSet("claw", "palm", ("a", "b"), np.array(["mug", "box", "mug"][:n]), np.array(0.1), pose, q)
+    return replace(grasps, targets=Targets(("tip",), *points), squeeze=Stage(pose, q + 1), labels={"success": q[:, 0]})
+
+
+def test_grasps_are_indexed_and_iterated_like_a_list():
+    grasps = all_parts()
+    for rows, chosen in (
+        (1, [1]), (-1, [2]), (np.int64(0), [0]), (slice(1, None), [1, 2]), (slice(None, None, -1), [2, 1, 0]),
+        ([2, 0], [2, 0]), (np.array([True, False, True]), [0, 2]), (grasps.object == "mug", [0, 2]), (slice(0, 0), []),
+    ):  # fmt: skip
+        found = grasps[rows]
+        np.testing.assert_array_equal(found.q, grasps.q[chosen])
+        np.testing.assert_array_equal(found.squeeze.q, grasps.squeeze.q[chosen])
+        np.testing.assert_array_equal(found.targets.point_link, grasps.targets.point_link[chosen])
+        np.testing.assert_array_equal(found.labels["success"], grasps.labels["success"][chosen])
+        assert found.object.tolist() == grasps.object[chosen].tolist()
+    assert [one.q.tolist() for one in grasps] == [[[0.0, 1.0]], [[2.0, 3.0]], [[4.0, 5.0]]]
+    for wrong in (3, -4, "mug", 0.5, [0, 7], [True]):
+        with expected(GraspFileError, "rows"):
+            grasps[wrong]
+
+
+def test_grasps_are_joined_by_the_names_of_their_joints_links_and_labels():
+    one, other = all_parts(), all_parts(2)
+    other = replace(
+        other,
+        joint_names=("b", "a"),
+        targets=Targets(("thumb",), *np.ones((2, 2, 1, 3))),
+        labels={"energy": np.ones(2)},
+    )
+    found = one + other
+    assert len(found) == 5 and found.joint_names == ("a", "b") and found.object.tolist() == [*one.object, *other.object]
+    np.testing.assert_array_equal(found.q[3:], other.q[:, ::-1])
+    np.testing.assert_array_equal(found.squeeze.q[3:], other.squeeze.q[:, ::-1])
+    assert found.targets.links == ("tip", "thumb")
+    assert np.isnan(found.targets.point_link[:3, 1]).all() and np.isnan(found.targets.point_object[3:, 0]).all()
+    np.testing.assert_array_equal(found.targets.point_link[:3, 0], one.targets.point_link[:, 0])
+    np.testing.assert_array_equal(found.labels["success"], [0, 2, 4, np.nan, np.nan])
+    np.testing.assert_array_equal(found.labels["energy"], [np.nan] * 3 + [1, 1])
+    again = GraspSet.join(iter(one))
+    np.testing.assert_array_equal(again.q, one.q)
+    assert set(again.arrays()) == set(one.arrays())
+    for wrong, named in (
+        (replace(one, hand="paw"), ("paw", "claw")),
+        (replace(one, joint_names=("a", "c")), ("a, c", "a, b")),
+        (replace(one, squeeze=None), ("squeeze", "only some")),
+    ):
+        with expected(GraspFileError, *named):
+            GraspSet.join([one, wrong])
+    with expected(GraspFileError, "no grasps"):
+        GraspSet.join([])
+
+
+def test_grasps_are_columns_of_a_table():
+    grasps = all_parts()
+    columns = grasps.columns()
+    assert list(columns) == ["object", "scale", "x", "y", "z", "qw", "qx", "qy", "qz", "a", "b", "label_success"]
+    assert {values.shape for values in columns.values()} == {(3,)}
+    np.testing.assert_array_equal(columns["qw"], grasps.hand_pose[:, 3])
+    np.testing.assert_array_equal(columns["b"], grasps.q[:, 1])
+
+
+def test_one_grasp_needs_no_batch_dimension_and_tensors_may_be_on_a_graph():
+    pose, q = entries(1)["hand_pose"][0], [0.1, 0.2, 0.3]
+    T = transform_from_pose(pose)
+    tensor = torch.tensor(q, dtype=torch.float64, requires_grad=True)
+    poses = pose, pose.tolist(), T, pose[None], torch.tensor(T, requires_grad=True), torch.tensor(pose)[None]
+    for given, values in itertools.product(poses, (q, tensor, [q], tensor[None] * 1.0)):
+        found = GraspSet.of(CLAW, given, values)
+        assert len(found) == 1 and found.q.tolist() == [q]
+        np.testing.assert_allclose(transform_from_pose(found.hand_pose)[0], T, atol=1e-12)
+    stage = Stage(torch.tensor(pose, requires_grad=True), tensor)
+    found = replace(GraspSet.of(CLAW, pose, q), squeeze=stage)
+    assert isinstance(found.squeeze.q, np.ndarray) and found.squeeze.q.tolist() == [q]
+    with expected(GraspFileError, "squeeze.q", "(1, 3)", "(1, 2)"):
+        replace(found, squeeze=Stage(pose[None], np.zeros((1, 2))))
+    with expected(GraspFileError, "pose", "numbers"):
+        GraspSet.of(CLAW, "here", q)
 
 
 def test_joints_of_a_stage_are_matched_like_those_of_the_grasp():

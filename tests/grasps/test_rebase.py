@@ -48,7 +48,7 @@ def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def places(grasps: GraspSet, stage: Stage, hand: Hand, name: str) -> np.ndarray:
     q, _ = match_joints(grasps.at(stage), hand)
-    T = Kinematics(hand, (name,))(torch.as_tensor(transform_from_pose(stage.hand_pose)), torch.as_tensor(q))
+    T = Kinematics(hand, (name,))(torch.as_tensor(transform_from_pose(stage.pose)), torch.as_tensor(q))
     return T[:, 0].numpy()
 
 

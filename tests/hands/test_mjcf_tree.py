@@ -15,8 +15,11 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import candidate_pairs, touching_pairs
 from grasp_refine.hands.visuals import load_visuals
+from grasp_refine.objects.object import load_object
 from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import model_of
+from grasp_refine.validation.world import build_world
 from refusals import assert_names, refused
 
 PUBLISHED = {
@@ -232,6 +235,16 @@ def test_the_simulated_hand_moves_as_it_does(tmp_path: Path) -> None:
         T_base = inverse(pose(data, made.root) @ inverse(made.T_base_root))
         for name, T in zip(chain.links, chain(np.eye(4)[None], q[None]).T_world_link[0], strict=True):
             np.testing.assert_allclose(T, T_base @ pose(data, name), atol=1e-9, err_msg=name)
+
+
+def test_messages_of_mujoco_about_its_later_versions_are_not_shown(tmp_path: Path) -> None:
+    """It warned in Python, on the terminal, whenever it compiled the file; here, warnings are errors."""
+    path = awkward(tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace("<compiler", '<compiler settotalmass="0.5"', 1))
+    assert path.read_text() != text
+    hand = load_hand(path, candidates=16)
+    build_world(model_of(hand), load_object("sphere:0.02"), Protocol())
 
 
 def test_a_hand_toml_goes_with_an_mjcf(tmp_path: Path) -> None:

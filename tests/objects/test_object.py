@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from grasp_refine.core.errors import AssetError, MeshError
@@ -19,6 +20,11 @@ from grasp_refine.objects.folders import find_object
 from refusals import assert_names, refused
 
 load_object = partial(object.load_object, unit="m")  # most bodies of these tests are metres large
+
+
+def without_top(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.update_faces(mesh.triangles_center[:, 2] < mesh.bounds[1, 2] - 1e-6)
+    return mesh
 
 
 @pytest.fixture
@@ -75,6 +81,37 @@ def corner(tmp_path: Path) -> Path:
     leg = trimesh.creation.box(bounds=[[0, 0, 0], [1, 3, 1]])
     trimesh.boolean.union([arm, leg]).export(path)
     return path
+
+
+def test_a_mesh_in_memory_is_the_object_of_its_file(corner: Path, cache: Path):
+    """A trimesh, or vertices and faces, were refused."""
+    from_file = object.load_object(corner, scale=0.05, cache=cache)
+    mesh = trimesh.load_mesh(corner)
+    vertices, faces = mesh.vertices.tolist(), torch.as_tensor(np.array(mesh.faces))
+    for source in (mesh, (vertices, faces)):
+        found = object.load_object(source, name="corner", scale=0.05, cache=cache)
+        assert found.name == "corner" and found.file is None
+        np.testing.assert_allclose(found.mesh.bounds, from_file.mesh.bounds, atol=1e-12)
+        assert found.mesh.volume == pytest.approx(from_file.mesh.volume)
+        assert len(found.body.pieces) == len(from_file.body.pieces) > 1
+    assert object.load_object(mesh, scale=0.05, cache=str(cache)).name == "object"
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+
+
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [
+        ((np.zeros((4, 3)),), ("mine", "vertices", "faces", "got 1")),
+        ((np.eye(3), [[0, 1, 3]]), ("mine", "faces", "3 vertices")),
+        ((np.eye(3), [[0, 1]]), ("mine", "faces", "(F, 3)", "(1, 2)")),
+        ((np.zeros((4, 2)), [[0, 1, 2]]), ("mine", "vertices", "(V, 3)", "(4, 2)")),
+        (trimesh.creation.box((100.0, 90.0, 80.0)), ("mine", "mm")),
+        (trimesh.Trimesh(np.eye(3), [[0, 1, 2]]), ("mine", "4 points")),
+    ],
+)
+def test_a_mesh_in_memory_is_checked_as_a_file(source, named: tuple[str, ...]):
+    with refused(MeshError, *named):
+        object.load_object(source, name="mine")
 
 
 def test_a_concave_mesh_is_decomposed_once_for_all_scales(corner: Path, cache: Path):
@@ -239,11 +276,6 @@ def put(path: Path, *meshes: trimesh.Trimesh) -> Path:
 
 def block(bounds) -> trimesh.Trimesh:
     return trimesh.creation.box(bounds=bounds)
-
-
-def without_top(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    mesh.update_faces(mesh.triangles_center[:, 2] < mesh.bounds[1, 2] - 1e-6)
-    return mesh
 
 
 SHEET = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [2, 1, 3]], process=False)

@@ -29,7 +29,7 @@ def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> 
     assert chosen_object(name, silent).source == name
 
 
-@pytest.mark.parametrize(("name", "meant"), [("ycb/011_bananna", "ycb_011_banana"), ("mugg", "mug")])
+@pytest.mark.parametrize(("name", "meant"), [("ycb/011_bananna", "ycb_011_banana"), ("mugg", "mug"), ("Mug", "mug")])
 def test_an_unknown_object_is_refused_with_the_one_that_may_be_meant(workplace: Path, name: str, meant: str) -> None:
     for function in (lambda: chosen_object(name, silent), lambda: check_object(name)):
         with refused(AssetError, f"'{name}'", f" {meant}?", " mug, bottle"):

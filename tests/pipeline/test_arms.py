@@ -103,7 +103,7 @@ def test_base_of_the_arm_never_moves(refined: gr.RefinedGrasps) -> None:
     outcome = refined.outcome
     at = outcome.status != Status.OUT_OF_REACH
     arm = refined.problem.hand.arm_joints
-    np.testing.assert_array_equal(outcome.hand_pose[at], outcome.initial_pose[at])
+    np.testing.assert_array_equal(outcome.hand_pose[at], outcome.hand_pose_before[at])
     np.testing.assert_array_equal(outcome.stage_pose[at], np.repeat(outcome.hand_pose[at, None], 3, axis=1))
     np.testing.assert_array_equal(outcome.stage_q[at, 2][:, arm], outcome.q[at][:, arm])
 
@@ -210,7 +210,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
         )
     )
     assert its.free.any() and (first.status == second.status).all()
-    for name in ("hand_pose", "q", "initial_q", "stage_q", "quality"):
+    for name in ("hand_pose", "q", "q_before", "stage_q", "quality"):
         np.testing.assert_allclose(getattr(first.outcome, name), getattr(second.outcome, name), atol=1e-9, err_msg=name)
     for one, other in zip(its.ways, others.ways, strict=True):
         assert (one.status, one.other_arm) == (other.status, other.other_arm)

@@ -57,7 +57,7 @@ def refined(hand: gr.Hand, block: gr.Object, given: gr.GraspSet) -> gr.RefinedGr
 def contact_heights(refined: gr.RefinedGrasps) -> np.ndarray:
     """Heights (K,) of all points of the object at which links touch after refinement."""
     outcome = refined.outcome
-    return outcome.contact_object[..., 2][outcome.contact_distance <= CONTACT_DISTANCE_M]
+    return outcome.contact_point_object[..., 2][outcome.contact_distance <= CONTACT_DISTANCE_M]
 
 
 def test_contacts_slide_out_of_what_they_should_avoid(refined: gr.RefinedGrasps, given: gr.GraspSet) -> None:

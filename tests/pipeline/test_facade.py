@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 from urllib.request import urlopen
@@ -13,7 +14,9 @@ import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.wrench import LEVER_M, center_of_mass
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.results.document import run_document
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.world import World
@@ -41,9 +44,29 @@ def test_what_is_saved_is_what_is_told(refined: gr.RefinedGrasps, workplace: Pat
     saved = gr.load_grasps("refined.npz")
     np.testing.assert_array_equal(saved.labels["confidence"], [0.5, np.nan, 1.0])
     # Reading divides quaternions by their length, which is 1 up to rounding.
-    for was, found in ((refined.after, saved), (refined.pregrasp, saved.pregrasp), (refined.squeeze, saved.squeeze)):
-        np.testing.assert_allclose(found.hand_pose, was.hand_pose, rtol=0.0, atol=1e-15)
+    stages = (refined.after.grasp, saved.grasp), (refined.pregrasp, saved.pregrasp), (refined.squeeze, saved.squeeze)
+    for was, found in stages:
+        np.testing.assert_allclose(found.pose, was.pose, rtol=0.0, atol=1e-15)
         np.testing.assert_array_equal(found.q, was.q)
+
+
+def test_the_forces_of_the_squeeze_are_in_every_result_under_one_name(refined: gr.RefinedGrasps, workplace: Path):
+    """They balance on the object within the stated residual: no result had any."""
+    forces, center = refined.forces, center_of_mass(refined.problem.groups[0].scene.object)
+    residual = refined.outcome["wrench_residual"][:, 1]
+    for i in range(3):
+        f, r = (values[forces.grasp == i] for values in (forces.vector, forces.point - center))
+        pressure = (f * forces.normal[forces.grasp == i]).sum()
+        left = np.concatenate([f.sum(axis=0), np.cross(r, f).sum(axis=0) / LEVER_M])
+        assert len(f) >= 2 and pressure > 10.0
+        assert np.linalg.norm(left) / pressure < residual[i] + 1e-4
+    refined.save("refined.npz")
+    with np.load("refined.npz", allow_pickle=False) as file:
+        for name in ("grasp", "link", "point", "normal", "vector"):
+            np.testing.assert_array_equal(file[f"forces_{name}"], getattr(forces, name))
+    document = run_document(refined.outcome, refined.config, config={}, wall_s=0.0, cpu_s=0.0)
+    entries = document["grasps"][2]["forces"]
+    np.testing.assert_array_equal([entry["vector"] for entry in entries], forces.vector[forces.grasp == 2])
 
 
 def test_the_way_of_the_command_line_gives_the_same(workplace: Path):
@@ -133,6 +156,46 @@ def test_a_file_that_exists_is_kept(refined: gr.RefinedGrasps, workplace: Path):
         refined.save("nowhere/mine.npz")
 
 
+def test_the_suffix_says_what_is_written(refined: gr.RefinedGrasps, workplace: Path):
+    """`save("x.csv")` wrote a zip."""
+    assert refined.save("mine.csv") == (Path("mine.csv"),)
+    with open("mine.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = refined.columns()
+    assert list(rows[0]) == list(columns) and [row["status"] for row in rows] == refined.status.tolist()
+    np.testing.assert_array_equal([float(row["quality_after"]) for row in rows], refined.quality[:, 1])
+    np.testing.assert_array_equal([float(row["qw"]) for row in rows], refined.after.hand_pose[:, 3])
+    for name in ("mine.zip", "mine", "mine.json"):
+        with refused(gr.GraspRefineError, name, ".npz", ".csv", ".parquet"):
+            refined.save(name)
+        assert not Path(name).exists()
+    with refused(gr.GraspRefineError, "mine.csv"):
+        refined.save("mine.csv")
+
+
+def test_a_mesh_in_memory_is_an_object(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    mesh = refined.problem.groups[0].scene.object.mesh
+    config = gr.Config(LevenbergMarquardt(iterations=3), starts=1)
+    found = gr.refine(gripper, mesh, refined.before, config)
+    again = gr.refine(gripper, (mesh.vertices, mesh.faces), refined.before, config)
+    np.testing.assert_array_equal(found.after.q, again.after.q)
+    assert len(gr.sample_grasps(gripper, mesh, 1)) == 1
+    np.testing.assert_allclose(gr.evaluate(gripper, mesh, refined.after).quality, refined.quality[:, 1], atol=0.02)
+
+
+def test_a_specification_takes_text_and_paths(workplace: Path):
+    """`ProblemSpec(grasps="dir")` was an AttributeError."""
+    example = resource_dir("robots") / "allegro" / "example_mug.npz"
+    as_text = gr.load_problem(gr.ProblemSpec(grasps=str(example), object="mug", index=[1]))
+    as_path = gr.load_problem(gr.ProblemSpec(grasps=example, object="mug", index=(1,)))
+    np.testing.assert_array_equal(as_text.groups[0].scene.q, as_path.groups[0].scene.q)
+    spec = gr.ProblemSpec(hand=Path("my.urdf"), urdf="other.urdf", mjcf="my.xml", objects="meshes", grasps="sample:3")
+    assert spec.hand == "my.urdf" and spec.grasps == Path("sample:3")
+    assert (spec.urdf, spec.mjcf, spec.objects) == (Path("other.urdf"), Path("my.xml"), Path("meshes"))
+    with refused(gr.GraspRefineError, "ProblemSpec: table", "'high'"):
+        gr.ProblemSpec(table="high")
+
+
 def test_bad_arguments_are_refused_by_name(gripper: gr.Hand, refined: gr.RefinedGrasps):
     box, grasps = refined.problem.groups[0].scene.object, refined.after
     with refused(gr.GraspRefineError, "object", "grasps"):
@@ -151,6 +214,8 @@ def test_the_viewer_shows_refined_grasps(refined: gr.RefinedGrasps):
         assert urlopen(viewer.address).status == 200
         state = viewer.controller.state
         np.testing.assert_allclose(state.pose.q, refined.after.q[0], atol=1e-12)
+        np.testing.assert_allclose(state.collection.initial(1)[1], refined.before.q[1], atol=1e-12)
+        assert state.collection.columns["status"].values.tolist() == refined.status.tolist()
     finally:
         viewer.close()
 

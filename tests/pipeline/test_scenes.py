@@ -44,7 +44,7 @@ def test_hands_keep_the_margins_when_sampled_refined_and_open(refined: gr.Refine
     scene, before, after = refined.problem.groups[0].scene, refined.before, refined.after
     assert (slack(scene, before.hand_pose, before.q) >= 0.0).all()
     assert (slack(scene, after.hand_pose, after.q) >= -5e-4).all()
-    assert (slack(scene, refined.pregrasp.hand_pose, refined.pregrasp.q) >= -5e-4).all()
+    assert (slack(scene, refined.pregrasp.pose, refined.pregrasp.q) >= -5e-4).all()
     assert (refined.outcome["scene_penetration"] == 0.0).all()
 
 

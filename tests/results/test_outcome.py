@@ -65,16 +65,16 @@ def test_the_outcome_measures_a_refinement():
     # Of two measures of the refined grasp alone, that of the input is another.
     assert metrics(hand, ball, T[None], q[None]).limits_violated == [1] and outcome["limits_violated"] == [0]
     assert (outcome.object[0], outcome.scale[0], outcome.row[0], outcome.index[0]) == ("ball", 2.0, 5, 1)
-    with_target = ~np.isnan(outcome.target_link[0, :, 0])
+    with_target = ~np.isnan(outcome.target_point_link[0, :, 0])
     # Witness points on a ball lie on it, along the normal that looks into it.
-    on_ball = outcome.contact_object[0, with_target]
+    on_ball = outcome.contact_point_object[0, with_target]
     np.testing.assert_allclose(np.linalg.norm(on_ball, axis=1), 0.04)
     np.testing.assert_allclose(outcome.contact_normal[0, with_target], -on_ball / 0.04, atol=1e-9)
-    assert np.isnan(outcome.contact_object[0, ~with_target]).all()
+    assert np.isnan(outcome.contact_point_object[0, ~with_target]).all()
     np.testing.assert_allclose(
         outcome["moved_palm_m"][0], np.linalg.norm(refinement.T_world_root[0, :3, 3] - T[:3, 3]), rtol=1e-12
     )
-    miss = np.linalg.norm(outcome.contact_link - outcome.target_link, axis=-1)[0, with_target]
+    miss = np.linalg.norm(outcome.contact_point_link - outcome.target_point_link, axis=-1)[0, with_target]
     assert (miss <= outcome.measures["contact_error"][0, 1, with_target] + 1e-12).all()
     before, after = outcome["contact_error"][0]
     assert after < before

@@ -122,10 +122,10 @@ def test_results_say_where_grasps_were_before(tmp_path: Path, monkeypatch: pytes
     path = Path("grasp-refine-results/allegro_rounded_box.npz")
     refined = load_grasps(path)
     with np.load(path, allow_pickle=False) as entries:
-        before = Stage(entries["initial_pose"], entries["initial_q"])
+        before = Stage(entries["hand_pose_before"], entries["q_before"])
     assert source.joint_names == refined.joint_names
     # A pose goes through a rotation matrix, which keeps a quaternion up to its sign and rounding.
-    assert np.allclose(transform_from_pose(before.hand_pose), transform_from_pose(source.hand_pose[[2, 0]]), atol=1e-12)
+    assert np.allclose(transform_from_pose(before.pose), transform_from_pose(source.hand_pose[[2, 0]]), atol=1e-12)
     assert (before.q == source.q[[2, 0]]).all()
     assert np.abs(before.q - refined.q).max() > 1e-3
 

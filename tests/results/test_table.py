@@ -36,7 +36,7 @@ def with_quality(outcome: Outcome, **grasps: float) -> Outcome:
 
 def aimed(outcome: Outcome) -> Outcome:
     """The outcome, as if there had been targets."""
-    outcome = replace(outcome, target_link=np.zeros_like(outcome.target_link))
+    outcome = replace(outcome, target_point_link=np.zeros_like(outcome.target_point_link))
     return with_measures(outcome, starts=np.ones_like(outcome["starts"]))
 
 

@@ -20,16 +20,13 @@ from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import is_other, may_be_other
 from grasp_refine.objects.region_spec import VERBS, resolve_spec
-from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
+from grasp_refine.pipeline.spec import NAMES_OR_PATHS, SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
 """Suffixes of job lists."""
 
 KEYS = tuple(field.name for field in fields(ProblemSpec) if field.name != "index")
 """Keys of a job in a list, besides its name: the options of `refine-grasp run` of these names."""
-
-NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
-"""ProblemSpec that are names, or paths if they cannot be names."""
 
 
 @dataclass(frozen=True)

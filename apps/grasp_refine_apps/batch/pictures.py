@@ -82,7 +82,7 @@ def _draw_case(case: Case, out: Path, load: Load, prepared: Callable[[Hand], Ske
     hand, obj = load(case)
     path = out / case.file
     after, file = load_grasps(path).select([case.row]), load_npz(path)
-    pose, q = (file.numbers(f"initial_{name}")[[case.row]] for name in ("pose", "q"))
+    pose, q = (file.numbers(f"{name}_before")[[case.row]] for name in ("hand_pose", "q"))
     initial = replace(after, hand_pose=pose, q=q)
     T = transform_from_pose(np.concatenate([initial.hand_pose, after.hand_pose]))
     q = np.concatenate([match_joints(grasps, hand)[0] for grasps in (initial, after)])

@@ -67,7 +67,7 @@ class Output:
 
     out: Path = Path("grasp-refine-batch")
     """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""
-    index: IndexKind = "auto"
+    index_format: IndexKind = "auto"
     """Format of the table of all grasps with all measures; auto: Parquet if pyarrow is installed, else CSV."""
     report: bool = True
     """Write report.html: distributions before and after, the worst cases with pictures, failures and their causes."""
@@ -173,7 +173,7 @@ class Batch:
             GraspRefineError: the index cannot be written in the chosen format.
         """
         out = self.output.out.absolute()
-        index = index_path(out, self.output.index)
+        index = index_path(out, self.output.index_format)
         has_all_parts = self.sharding.shard is None
         return Outputs(out, index if has_all_parts else None, self.output.report and has_all_parts, self.output.json)
 

@@ -27,6 +27,7 @@ from grasp_refine.grasps.formats.reading import Reading
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 from grasp_refine.pipeline.load import Loader
+from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
@@ -207,14 +208,15 @@ class View:
         return controller
 
 
-def show(problem: Problem) -> Viewer:
-    """Show a problem in a browser, and return the viewer: the entry point of `grasp_refine.view`."""
+def show(grasps: RefinedGrasps | Problem) -> Viewer:
+    """Show grasps in a browser, and return the viewer: the entry point of `grasp_refine.view`."""
     from grasp_refine_apps.viewer.collection import Collection
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.page import open_server
     from grasp_refine_apps.viewer.panels.app import Viewer
 
-    viewer = Viewer(open_server(Serving.host, 0), Controller(Collection.of(problem), Settings()))
+    collection = Collection.of_refined(grasps) if isinstance(grasps, RefinedGrasps) else Collection.of(grasps)
+    viewer = Viewer(open_server(Serving.host, 0), Controller(collection, Settings()))
     screen().print(f"{viewer.address} shows it", soft_wrap=True, highlight=False)
     if _has_screen():
         webbrowser.open(viewer.address)

@@ -15,7 +15,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.description import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hands.hand import Hand, Joint
-from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.mujoco_messages import compiled, one_line
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
@@ -84,8 +84,7 @@ def _jaws(hand: Hand) -> tuple[float, ...]:
 def _simulated(hand: Hand) -> tuple[tuple[str, ...], str]:
     notes = simulation_notes(hand)
     try:
-        with unlogged():
-            model = model_of(hand).spec.compile()
+        model = compiled(model_of(hand).spec)
     except (ValueError, mujoco.FatalError) as error:
         return notes, one_line(error)
     sizes = {"joints": model.njnt, "followers": model.neq, "geoms": model.ngeom, "actuators": model.nu}

@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from grasp_refine.core.array_records import take
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.pipeline.problem import Group, Problem
+from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
@@ -93,6 +95,23 @@ class Collection:
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
         return Collection(
             problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins, uncut or {}
+        )
+
+    @staticmethod
+    def of_refined(refined: RefinedGrasps) -> Collection:
+        """Return refined grasps with what they were before, their measures and statuses, as of their result file."""
+        collection, outcome = Collection.of(refined.as_problem()), refined.outcome
+        T, q = transform_from_pose(outcome.hand_pose_before), outcome.q_before
+        known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
+        recorded = {**outcome.entries(), STATUS.key: refined.status}
+        columns = [one.with_values(recorded[one.key]) for one in (*NUMBERS, STATUS) if one.key in recorded]
+        touching = np.isfinite(outcome.contact_distance)
+        return replace(
+            collection,
+            T_initial=np.where(known[:, None, None], T, collection.T_initial),
+            q_initial=np.where(known[:, None], q, collection.q_initial),
+            columns={column.key: column for column in columns if column.known.any()},
+            counted=tuple(Counted(links, refined.config.margin) if links.any() else None for links in touching),
         )
 
     def __len__(self) -> int:

@@ -20,6 +20,11 @@ from grasp_refine.scene.scene import links_of
 from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
 from grasp_refine_apps.viewer.counted import Counted
 
+BEFORE = ("hand_pose_before", "q_before")
+"""Entries of result files that hold poses and joint values before refinement."""
+BEFORE_OF_VERSION_0_1 = ("initial_pose", "initial_q")
+"""Their names in results of version 0.1."""
+
 
 @dataclass(frozen=True, eq=False)
 class Records:
@@ -125,24 +130,24 @@ def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, n
     """Poses (R, 4, 4) and joint values (R, n) before refinement, NaN where the file has none."""
     hand = problem.hand
     unknown = np.full((count, 4, 4), np.nan), np.full((count, len(hand.joint_names)), np.nan)
-    keys = "initial_pose", "initial_q"
-    if not all(key in file.entries for key in keys):
+    keys = next((keys for keys in (BEFORE, BEFORE_OF_VERSION_0_1) if all(key in file.entries for key in keys)), None)
+    if keys is None:
         return unknown
     grasps = load_grasps(file.path)
     # For another base link, poses before refinement would need the hand below the base link of the file.
     if grasps.base_link != problem.groups[0].grasps.base_link:
         return unknown
-    stage = _initial_stage(file, grasps)
+    stage = _initial_stage(file, keys, grasps)
     q, _ = match_joints(grasps.at(stage), hand)
-    return transform_from_pose(stage.hand_pose), q
+    return transform_from_pose(stage.pose), q
 
 
-def _initial_stage(file: NpzFile, grasps: GraspSet) -> Stage:
-    """Return the entries `initial_pose` and `initial_q`, checked."""
-    pose, q = (file.numbers(key, allowed="any") for key in ("initial_pose", "initial_q"))
+def _initial_stage(file: NpzFile, keys: tuple[str, str], grasps: GraspSet) -> Stage:
+    """Return the entries of two keys, of poses and joint values before refinement, checked."""
+    pose, q = (file.numbers(key, allowed="any") for key in keys)
     if pose.shape != grasps.hand_pose.shape or q.shape != grasps.q.shape:
         raise file.error(
-            f"initial_pose and initial_q must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "
+            f"{' and '.join(keys)} must have the shapes of hand_pose and q, {grasps.hand_pose.shape} and "
             f"{grasps.q.shape}; they have {pose.shape} and {q.shape}"
         )
-    return Stage(unit_poses(pose, "initial_pose", file.error), q)
+    return Stage(unit_poses(pose, keys[0], file.error), q)

@@ -102,7 +102,8 @@ def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
     """
     count = len(trace)
     touching, target_link, target_object = (
-        np.repeat(values, count, axis=0) for values in (outcome.touching, outcome.target_link, outcome.target_object)
+        np.repeat(values, count, axis=0)
+        for values in (outcome.touching, outcome.target_point_link, outcome.target_point_object)
     )
     geometry = measure(
         scene.hand,

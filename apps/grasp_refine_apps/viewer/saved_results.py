@@ -51,10 +51,15 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
     if refined:
         links = collection.group(int(numbers[rows[0]])).scene.links
         for key, values in result_entries(links, Outcome.join(list(refined.values()))).items():
-            found[key] = values if key == "contact_link" else _spread(values, rows, len(numbers))
+            if key == "forces_grasp":
+                found[key] = rows[values]
+            elif key == "contact_link" or key.startswith("forces_"):
+                found[key] = values
+            else:
+                found[key] = _spread(values, rows, len(numbers))
         others = np.setdiff1d(np.arange(len(numbers)), rows)
-        found["initial_pose"][others] = pose_from_transform(collection.T_initial[numbers[others]])
-        found["initial_q"][others] = collection.q_initial[numbers[others]]
+        found["hand_pose_before"][others] = pose_from_transform(collection.T_initial[numbers[others]])
+        found["q_before"][others] = collection.q_initial[numbers[others]]
     for column in (*NUMBERS, STATUS):
         known = collection.columns.get(column.key)
         if known is not None and known.known[numbers].any():

@@ -77,7 +77,7 @@ def grasp_set(
     opened, grasp, pressing = (
         Stage(pose_from_transform(motion.T_world_root[:, stage]), motion.q[:, stage]) for stage in range(3)
     )
-    alone = GraspSet.of(scene.hand, grasp.hand_pose, grasp.q, object=name, scale=float(scale))
+    alone = GraspSet.of(scene.hand, grasp.pose, grasp.q, object=name, scale=float(scale))
     return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing)
 
 

@@ -9,7 +9,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.grasps.formats.format import Load
 from grasp_refine.grasps.formats.grippers import without_follower
-from grasp_refine.grasps.grasp_set import GraspSet, Stage, match_joints
+from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 
@@ -53,11 +53,11 @@ def check_same(before: GraspSet, after: GraspSet) -> float:
         raise DisagreementError(f"{told[0]} was written, {told[1]} is read")
     columns = [after.joint_names.index(name) for name in before.joint_names]
     shared = [name for name in before.other_stages if name in after.other_stages]
-    pairs: list[tuple[GraspSet | Stage, GraspSet | Stage]] = [(before, after)]
+    pairs = [(before.grasp, after.grasp)]
     pairs += [(before.other_stages[name], after.other_stages[name]) for name in shared]
     differences = [np.zeros(1)]
     for one, other in pairs:
-        T_one, T_other = (transform_from_pose(np.asarray(stage.hand_pose, dtype=float)) for stage in (one, other))
+        T_one, T_other = (transform_from_pose(stage.pose) for stage in (one, other))
         differences += [(T_one - T_other).ravel(), (one.q - other.q[:, columns]).ravel()]
     worst = float(np.abs(np.nan_to_num(np.concatenate(differences), nan=np.inf)).max())
     if worst > MAX_DIFFERENCE_M:

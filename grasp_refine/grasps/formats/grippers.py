@@ -38,6 +38,6 @@ def without_follower(grasps: GraspSet) -> GraspSet:
     if any(np.abs(stage.q[:, first] - stage.q[:, second]).max() > MAX_APART_M for stage in stages):
         return grasps
     others: dict[str, Any] = {
-        name: Stage(stage.hand_pose, stage.q[:, [first]]) for name, stage in grasps.other_stages.items()
+        name: Stage(stage.pose, stage.q[:, [first]]) for name, stage in grasps.other_stages.items()
     }
     return replace(grasps, joint_names=FRANKA_JOINTS[:1], q=grasps.q[:, [first]], **others)

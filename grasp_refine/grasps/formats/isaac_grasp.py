@@ -101,7 +101,7 @@ class IsaacGrasp:
         opened = grasps.q
         if grasps.pregrasp is None:
             notes.append("there is no pregrasp: the joints of the grasp itself are written in its place")
-        elif (grasps.pregrasp.hand_pose != grasps.hand_pose).any():
+        elif (grasps.pregrasp.pose != grasps.hand_pose).any():
             notes.append("a pregrasp with another pose of the hand has no place in this format and is left out")
         else:
             opened = grasps.pregrasp.q

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.arguments import check_kind
-from grasp_refine.core.array_records import join
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.npz_files import ZIP_ERRORS, is_zip
@@ -21,7 +20,7 @@ from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.torch_files import is_torch_archive
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
 from grasp_refine.hands.hand import Hand
 
 MAX_LISTED_ROWS = 10
@@ -198,27 +197,12 @@ def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, li
                 f"{', '.join(grasps.joint_names)}; {files[0]} is for '{first.hand}' from '{first.base_link}' on, with "
                 f"{', '.join(first.joint_names)}: give them one by one"
             )
-    stages = [name for name in OTHER_STAGES if all(name in grasps.other_stages for grasps in sets)]
-    lost = [name for name in OTHER_STAGES if name not in stages and any(name in grasps.other_stages for grasps in sets)]
+    lost = [name for name in OTHER_STAGES if len({name in grasps.other_stages for grasps in sets}) > 1]
     notes = [f"only some files have a {name}: it is left out" for name in lost]
     if any(grasps.targets is not None for grasps in sets):
         notes.append("targets are read from single files only, not from folders: they are left out")
-    labels = list(dict.fromkeys(name for grasps in sets for name in grasps.labels))
-    return join(*(_with_columns(grasps, first.joint_names, stages, labels) for grasps in sets)), notes
-
-
-def _with_columns(
-    grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str], labels: Sequence[str]
-) -> GraspSet:
-    """The grasps with the columns of `joint_names`, the given stages only and all `labels`, NaN where it has none."""
-    columns = [grasps.joint_names.index(name) for name in joint_names]
-    parts: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
-    for name in stages:
-        stage = grasps.other_stages[name]
-        parts[name] = Stage(stage.hand_pose, stage.q[:, columns])
-    none = np.full(len(grasps), np.nan)
-    parts["labels"] = {name: grasps.labels.get(name, none) for name in labels}
-    return replace(grasps, joint_names=joint_names, q=grasps.q[:, columns], targets=None, **parts)
+    without: dict[str, Any] = dict.fromkeys(("targets", *lost))
+    return GraspSet.join(replace(grasps, **without) for grasps in sets), notes
 
 
 def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
@@ -229,7 +213,7 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
     notes = []
     for name, stage in grasps.other_stages.items():
         known = grasps.finite
-        if not ((stage.hand_pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any()):
+        if not ((stage.pose != grasps.hand_pose)[known].any() or (stage.q != grasps.q)[known].any()):
             without: dict[str, Any] = {name: None}
             grasps = replace(grasps, **without)
             notes.append(f"the {name} is the grasp itself in all {len(grasps)}, so that there is none")

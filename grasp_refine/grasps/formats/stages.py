@@ -76,7 +76,7 @@ def grasps_of_stages(
         joint_names=layout.joints,
         object=np.full(len(grasp.q), object_name),
         scale=np.full(len(grasp.q), scale),
-        hand_pose=grasp.hand_pose,
+        hand_pose=grasp.pose,
         q=grasp.q,
         **stages,
     )
@@ -87,14 +87,14 @@ def rows_of_stage(grasps: GraspSet, name: str, layout: Layout) -> Float[np.ndarr
 
     The grasp itself is used for a stage that they lack.
     """
-    stage = grasps.other_stages.get(name, grasps)
+    stage = grasps.at(grasps.other_stages[name]) if name in grasps.other_stages else grasps
     columns = [grasps.joint_names.index(joint) for joint in layout.joints]
     return np.concatenate([root_poses(stage, layout), stage.q[:, columns]], axis=1)
 
 
-def root_poses(stage: GraspSet | Stage, layout: Layout) -> Float[np.ndarray, "N 7"]:
-    """Poses (N, 7) of the frame of a layout whose base link has the poses of a stage."""
-    return pose_from_transform(transform_from_pose(stage.hand_pose) @ inverse(layout.T_root_base))
+def root_poses(grasps: GraspSet, layout: Layout) -> Float[np.ndarray, "N 7"]:
+    """Poses (N, 7) of the frame of a layout whose base link has the poses of the grasps."""
+    return pose_from_transform(transform_from_pose(grasps.hand_pose) @ inverse(layout.T_root_base))
 
 
 def missing_stage_notes(grasps: GraspSet) -> list[str]:

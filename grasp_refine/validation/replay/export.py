@@ -14,7 +14,7 @@ import numpy as np
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.mujoco_messages import compiled, one_line, unlogged
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
 PUSH = "push"
@@ -69,7 +69,7 @@ def export_xml(
         _add_push(spec, model, replay.force)
     _add_keyframes(spec, replay, keyframes, pushed=pushed)
     with unlogged(), _all_digits():
-        spec.compile()
+        compiled(spec)
         root = ET.fromstring(spec.to_xml())
     _embed_files(root, model)
     for node in root.iter():

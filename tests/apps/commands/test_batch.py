@@ -22,7 +22,7 @@ from refusals import assert_names
 from running_processes import PATIENCE_S, nothing_left, soon
 
 EXAMPLES = resource_dir("robots") / "allegro"
-WITH_REPORT = ("--geometry-only", "--iterations", "12", "--index", "csv", "--workers", "1")
+WITH_REPORT = ("--geometry-only", "--iterations", "12", "--index-format", "csv", "--workers", "1")
 QUICK = (*WITH_REPORT, "--no-report")
 """Refinements of a moment; Parquet is tested with the index."""
 TIMING = ("wall_s", "cpu_s")
@@ -151,7 +151,7 @@ def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
 def test_other_settings_and_other_inputs_are_made_anew(
     copy: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    other = ("--geometry-only", "--iterations", "5", "--index", "csv", "--workers", "1", "--no-report")
+    other = ("--geometry-only", "--iterations", "5", "--index-format", "csv", "--workers", "1", "--no-report")
     before = {path: path.stat().st_mtime_ns for path in (copy / "example_bottle").glob("*.npz")}
     assert batch(sources / "example_bottle.npz", "--out", copy, "--shard-size", 3, *other) == 0
     assert len(before) == 2 and all(path.stat().st_mtime_ns != time for path, time in before.items())
@@ -176,7 +176,7 @@ def test_parts_of_a_batch_make_up_the_whole(
 
 
 def test_a_part_without_shards_is_done(sources: Path, tmp_path: Path):
-    command = ("--out", tmp_path / "out", "--shard", "3/20", "--index", "csv")
+    command = ("--out", tmp_path / "out", "--shard", "3/20", "--index-format", "csv")
     assert batch(sources / "example_bottle.npz", *command) == 0
 
 
@@ -275,7 +275,7 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
     one, other = results(out).values()
     assert len(one["q"]) == 2
     assert len(other["q"]) == 1
-    assert not (one["initial_q"] == other["initial_q"]).all(axis=1).any()
+    assert not (one["q_before"] == other["q_before"]).all(axis=1).any()
 
 
 @pytest.mark.parametrize(
@@ -306,7 +306,7 @@ def test_bad_input_is_refused(
     ("arguments", "taken"),
     [
         (("grasps.npz", "--out", "out", "--json", "grasps.npz"), "grasps.npz"),
-        (("lists/index.csv", "--out", "lists", "--index", "csv"), "lists/index.csv"),
+        (("lists/index.csv", "--out", "lists", "--index-format", "csv"), "lists/index.csv"),
     ],
     ids=["grasps", "list"],
 )
@@ -393,7 +393,7 @@ def test_a_full_disk_costs_only_what_cannot_be_written(
 
 @pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on_and_comes_out_the_same(tmp_path: Path, sources: Path):
-    options = ("--workers", "2", "--geometry-only", "--no-report", "--index", "csv")
+    options = ("--workers", "2", "--geometry-only", "--no-report", "--index-format", "csv")
     expected, out = tmp_path / "expected", tmp_path / "out"
     assert finished(running(sources, expected, *options)) == 0
     seed = time.time_ns()

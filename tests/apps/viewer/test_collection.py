@@ -15,7 +15,10 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.pipeline.load import load_problem
+from grasp_refine.pipeline.refine import refine_problem
 from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.viewer.collection import Collection
@@ -64,7 +67,7 @@ def test_grasps_keep_the_order_that_was_asked_for(results: Path) -> None:
 def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: Path) -> None:
     collection = opened(results)
     with np.load(results, allow_pickle=False) as entries:
-        pose, q = entries["initial_pose"], entries["initial_q"]
+        pose, q = entries["hand_pose_before"], entries["q_before"]
     for i in (0, 7):
         T, joints = collection.initial(i)
         assert np.allclose(T, transform_from_pose(pose[i]), atol=1e-12)
@@ -77,6 +80,24 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
     assert "contact_distance_after" not in columns
+
+
+def test_refined_grasps_in_memory_are_shown_as_their_result_file(tmp_path: Path) -> None:
+    """`gr.view(refined)` showed the problem again: no status, no measures, nothing before."""
+    config = Config(LevenbergMarquardt(iterations=5), starts=1)
+    refined = refine_problem(load_problem(ProblemSpec(grasps=EXAMPLE, index=(2, 0))), config)
+    (path,) = refined.save(tmp_path / "refined.npz")
+    saved, shown = opened(path), Collection.of_refined(refined)
+    assert list(shown.columns) == list(saved.columns) and {"status", "quality_before"} <= set(shown.columns)
+    for key, column in saved.columns.items():
+        np.testing.assert_array_equal(shown.columns[key].values, column.values)
+    for i in range(2):
+        one, other = shown.pose(i), saved.pose(i)
+        np.testing.assert_allclose(one.T_object_root, other.T_object_root, atol=1e-12)
+        np.testing.assert_allclose(shown.initial(i)[0], saved.initial(i)[0], atol=1e-12)
+        np.testing.assert_array_equal(shown.initial(i)[1], refined.before.q[i])
+        assert np.abs(shown.initial(i)[1] - one.q).max() > 1e-3
+        assert shown.counted[i].touching.tolist() == saved.counted[i].touching.tolist()
 
 
 def test_grasps_of_several_objects_keep_their_own_object_and_targets(tmp_path: Path) -> None:
@@ -126,8 +147,8 @@ def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"initial_q": np.zeros((2, 16))}, ("initial_pose", "initial_q", "hand_pose")),
-        ({"initial_pose": np.zeros((20, 7))}, ("initial_pose", "row 0", "quaternion")),
+        ({"q_before": np.zeros((2, 16))}, ("hand_pose_before", "q_before", "hand_pose")),
+        ({"hand_pose_before": np.zeros((20, 7))}, ("hand_pose_before", "row 0", "quaternion")),
         ({"quality_after": np.zeros(3)}, ("quality_after", "(20,)", "(3,)")),
         ({"loss": np.array(["a"])}, ("loss",)),
         ({"status": np.array(["\x1b[2J"] * 20)}, ("status",)),
@@ -150,13 +171,17 @@ def test_entries_of_other_programs_mean_nothing(tmp_path: Path) -> None:
     assert not opened(path).columns
 
 
-def test_older_results_do_not_say_where_grasps_were(results: Path, tmp_path: Path) -> None:
+def test_older_results_say_where_grasps_were_in_other_words_or_not(results: Path, tmp_path: Path) -> None:
     path = tmp_path / "old.npz"
     with np.load(results, allow_pickle=False) as entries:
-        np.savez(path, **{key: entries[key] for key in entries.files if not key.startswith("initial")})
+        before = {key: entries[key] for key in ("hand_pose_before", "q_before")}
+        np.savez(path, **{key: entries[key] for key in entries.files if key not in before})
     collection = opened(path)
     assert (collection.initial(2)[1] == collection.scene(2).q[0]).all()
     assert collection.columns["quality_before"].known.all()
+    with np.load(path, allow_pickle=False) as entries:
+        np.savez(path, **entries, initial_pose=before["hand_pose_before"], initial_q=before["q_before"])
+    assert (opened(path).initial(2)[1] == before["q_before"][2]).all()
 
 
 def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:

@@ -455,8 +455,8 @@ def test_all_are_refined_as_each_alone_and_what_is_done_is_not_done_again(viewer
     assert viewer.state.unsaved == (0, 1, 2, 3) and viewer.state.outcome is works[0].outcome
     np.testing.assert_allclose(works[1].pose.q, alone.pose.q, atol=1e-7)
     np.testing.assert_allclose(works[1].pose.T_object_root, alone.pose.T_object_root, atol=1e-7)
-    assert not np.isnan(works[2].outcome.target_link).all() and works[2].targets is aimed
-    assert np.isnan(works[3].outcome.target_link).all()
+    assert not np.isnan(works[2].outcome.target_point_link).all() and works[2].targets is aimed
+    assert np.isnan(works[3].outcome.target_point_link).all()
     before = {number: work.outcome for number, work in works.items()}
     viewer.refine_many(range(4))
     assert viewer.state.job is None and all(viewer.state.works[n].outcome is before[n] for n in range(4))

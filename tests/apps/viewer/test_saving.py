@@ -111,7 +111,7 @@ def test_the_stages_are_those_that_simulation_closes_with():
     np.testing.assert_array_equal(grasps.pregrasp.q, motion.q[:, 0])
     np.testing.assert_array_equal(grasps.q, pose.q[None])
     np.testing.assert_array_equal(grasps.squeeze.q, motion.q[:, 2])
-    assert np.isfinite(grasps.pregrasp.hand_pose).all()
+    assert np.isfinite(grasps.pregrasp.pose).all()
 
 
 def test_a_format_for_another_hand_says_which_hands_it_knows():

@@ -186,7 +186,7 @@ def test_a_grasp_of_others_is_closed_as_its_file_says(make_world: MakeWorld, sha
     motion = record_direction(make_world, bottle_grasp, trial, "-y", ignored())
     assert motion.held and len(motion) == 141 and motion.time[-1] - motion.time[0] == pytest.approx(2.8)
     assert group.grasps.pregrasp is not None
-    np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.hand_pose, atol=1e-6)
+    np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.pose, atol=1e-6)
 
 
 def test_what_was_compiled_is_kept(make_world: MakeWorld, scene: Scene) -> None:

@@ -48,7 +48,7 @@ def grasps(load: Callable[[str, str | None], Hand]) -> Callable[..., GraspSet]:
             joint_names=hand.joint_names,
             object=np.array([("mug", "bottle")[i % 2] for i in range(count)]),
             scale=np.array([(0.06, 0.1, 0.0637)[i % 3] for i in range(count)]),
-            hand_pose=grasp.hand_pose,
+            hand_pose=grasp.pose,
             q=grasp.q,
             pregrasp=stage(),
             squeeze=stage(),
