@@ -51,8 +51,6 @@ class Collection:
     """Joint values before refinement (N, n)."""
     columns: Mapping[str, Column]
     """Measures of the grasps: key -> column."""
-    counted: tuple[Counted | None, ...]
-    """Links of each grasp that count by its refinement (N,); None where that is not recorded."""
     marks: tuple[Marks, ...]
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
     stand_ins: frozenset[str] = frozenset()
@@ -81,9 +79,7 @@ class Collection:
         first = problem.files[:1] if not problem.sampled else ()
         files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
         columns: dict[str, Column] = {}
-        counted: tuple[Counted | None, ...] = (None,) * len(rows)
         if found is not None:
-            counted = tuple(found.counted[at] for at in rows)
             files, file_of, row = found.files, found.file[rows], found.row[rows]
             refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
             T = np.where(refined[:, None, None], found.T[rows], T)
@@ -91,9 +87,7 @@ class Collection:
             columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(
-            problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins, uncut or {}
-        )
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins, uncut or {})
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -160,6 +154,7 @@ class Collection:
             target_link=take(scene.target_link, rows),
             target_object=take(scene.target_object, rows),
             direction=take(scene.direction, rows),
+            contact_gap=take(scene.contact_gap, rows),
         )
 
     def initial(self, number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +170,13 @@ class Collection:
         """Return a grasp as in its file, with its simulation result if that is known."""
         targets, pose = targets_of(self.scene(number)), self.pose(number)
         T = self.T_world_object(number)
-        return Work(pose, targets, T, counted=self.counted[number], trial=self.trials.get(number), of_file=pose)
+        return Work(pose, targets, T, counted=self.recorded(number), trial=self.trials.get(number), of_file=pose)
+
+    def recorded(self, number: int) -> Counted | None:
+        """Return the contact links that are recorded with a grasp in its file; None: none are."""
+        gap = self.group(number).scene.contact_gap
+        gap = None if gap is None else gap[self.member[number]]
+        return None if gap is None or np.isnan(gap).all() else Counted(gap)
 
     def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Return the pose (4, 4) in which the object is shown at first: what is up in a scene is up in the picture."""

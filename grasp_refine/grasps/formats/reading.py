@@ -20,7 +20,7 @@ from grasp_refine.grasps.formats.format import Format
 from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.torch_files import is_torch_archive
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage
 from grasp_refine.hands.hand import Hand
 
 MAX_LISTED_ROWS = 10
@@ -192,19 +192,26 @@ def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, li
     if any(grasps.targets is not None for grasps in sets):
         notes.append("targets are read from single files only, not from folders: they are left out")
     labels = list(dict.fromkeys(name for grasps in sets for name in grasps.labels))
-    return join(*(_with_columns(grasps, first.joint_names, stages, labels) for grasps in sets)), notes
+    links = [grasps.contact_links for grasps in sets]
+    most = max((0 if one is None else one.name.shape[1] for one in links), default=0)
+    return join(*(_with_columns(grasps, first.joint_names, stages, labels, most) for grasps in sets)), notes
 
 
 def _with_columns(
-    grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str], labels: Sequence[str]
+    grasps: GraspSet, joint_names: tuple[str, ...], stages: Sequence[str], labels: Sequence[str], most: int
 ) -> GraspSet:
-    """The grasps with the columns of `joint_names`, the given stages only and all `labels`, NaN where it has none."""
+    """The grasps with the columns of `joint_names`, the given stages only and all `labels`, NaN where it has none.
+
+    Contact links are in `most` columns; of 0 there are none.
+    """
     columns = [grasps.joint_names.index(name) for name in joint_names]
     parts: dict[str, Any] = dict.fromkeys(OTHER_STAGES)
     for name in stages:
         stage = grasps.other_stages[name]
         parts[name] = Stage(stage.hand_pose, stage.q[:, columns])
     none = np.full(len(grasps), np.nan)
+    nothing = ContactLinks(np.full((len(grasps), 0), ""), np.zeros((len(grasps), 0)))
+    parts["contact_links"] = (grasps.contact_links or nothing).padded(most) if most else None
     parts["labels"] = {name: grasps.labels.get(name, none) for name in labels}
     return replace(grasps, joint_names=joint_names, q=grasps.q[:, columns], targets=None, **parts)
 
