@@ -112,7 +112,7 @@ def plain_outcome(
         initial_q=q,
         status=np.full(count, Status.CONVERGED),
         measures=values | {"contact_error": error},
-        touching=np.ones((count, links), dtype=bool),
+        contact_gap=np.zeros((count, links)),
         target_link=nowhere,
         target_object=nowhere,
         contact_link=points,

@@ -17,6 +17,7 @@ from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.pose import Pose, posed_scene
 from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.work import Work
 
 
 class ContactMeter:
@@ -92,7 +93,12 @@ class ContactMeter:
 
 def counted_of(state: State) -> Counted | None:
     """Return the links that count in the shown pose by a refinement or the file; None: by neither."""
-    work, trace = state.work, state.work.trace
+    return counted_in(state.work, refining=state.job is not None and state.job.kind == "refine")
+
+
+def counted_in(work: Work, *, refining: bool = False) -> Counted | None:
+    """Return the links that count in a grasp as it stands, by a refinement or the file; None: by neither."""
+    trace = work.trace
     if trace is None:
         return work.counted
     last = len(trace) - 1
@@ -102,7 +108,6 @@ def counted_of(state: State) -> Counted | None:
         return Counted(trace.gap[min(work.frame, last)], iteration=True)
     if work.outcome is not None:
         return work.counted
-    refining = state.job is not None and state.job.kind == "refine"
     at_last = refining or work.pose.same(trace.pose(last))
     return Counted(trace.gap[last], iteration=True) if at_last else work.counted
 
