@@ -128,10 +128,10 @@ def test_a_stopped_refinement_that_reports_late_changes_nothing(
 ) -> None:
     began, release, shown = (threading.Event() for _ in range(3))
     zero = np.zeros(1)
-    late = Trace(np.eye(4)[None], np.zeros((1, 16)), np.zeros((1, 1), dtype=bool), zero, zero, zero, ("late",))
+    late = Trace(np.eye(4)[None], np.zeros((1, 16)), np.zeros((1, 1)), zero, zero, zero, ("late",))
 
     def refine_late(prepared: object, scene: object, pose: object, *given: Any) -> None:
-        _, _, control, show, _ = given
+        _, _, control, show, *_ = given
         began.set()
         release.wait(PATIENCE_S)
         show(late)
