@@ -112,7 +112,7 @@ def plain_outcome(
         q_before=q,
         status=np.full(count, Status.CONVERGED),
         measures=values | {"contact_error": error},
-        touching=np.ones((count, links), dtype=bool),
+        contact_gap=np.zeros((count, links)),
         target_point_link=nowhere,
         target_point_object=nowhere,
         contact_point_link=points,

@@ -40,16 +40,16 @@ def check_size(extents: Float[np.ndarray, " 3"], unit: Unit | None, name: str) -
     here = unit or "m"
     if here in fitting:
         return
-    guess = "".join(f"--unit {known} if it is {_format_size(readings[known])}, " for known in fitting)
+    guess = "".join(f"--unit {known} if it is {size_text(readings[known])}, " for known in fitting)
     right = "--unit m if that is right, or another --scale" if unit is None else "or another --scale"
     raise MeshError(
-        f"{name}: is {_format_size(readings[here])} if its numbers are {NAMES[here]}, which is no size for a hand; "
+        f"{name}: is {size_text(readings[here])} if its numbers are {NAMES[here]}, which is no size for a hand; "
         f"in which unit is it? {guess}{right} (in Python: unit, scale)"
     )
 
 
-def _format_size(extents: Float[np.ndarray, " 3"]) -> str:
-    """Extents formatted for people."""
+def size_text(extents: Float[np.ndarray, " 3"]) -> str:
+    """Return extents (3,) in metres as text for people."""
     largest = float(np.max(extents))
     unit, factor = ("m", 1.0) if largest >= 1 else ("mm", 1e3)
     return f"{' x '.join(f'{value * factor:.3g}' for value in extents)} {unit}"

@@ -15,13 +15,15 @@ and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K
 `target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
 the motion that closes the hand may be present, each whole or not at all, in the form of `hand_pose` and `q`:
 `pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
-actuators are sent so that it presses; those joint values may lie beyond the limits. Entries `label_<name>` (N,) are
-numbers that a generator gives its grasps. Other entries (results, provenance) may be present too and are not read here.
+actuators are sent so that it presses; those joint values may lie beyond the limits. `contact_links` (N, M), names of
+the links that should touch, empty where a grasp has fewer, and `contact_gaps` (N, M), the gap in metres that each
+should keep, are the contact links of the grasps. Entries `label_<name>` (N,) are numbers that a generator gives its
+grasps. Other entries (results, provenance) may be present too and are not read here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -50,6 +52,7 @@ SCHEMA = 1
 """The version of grasp files that is written, and the newest that is read."""
 REQUIRED = ("hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q")
 TARGET_KEYS = ("target_link", "target_point_link", "target_point_object")
+CONTACT_KEYS = ("contact_links", "contact_gaps")
 OTHER_STAGES = ("pregrasp", "squeeze")
 """Stages beside the grasp itself: attributes of a set, and prefixes of their entries in a file."""
 POSE_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -72,6 +75,49 @@ class Targets:
     """(N, K, 3) wanted contact points, metres, object frame."""
 
     __repr__ = brief
+
+
+@dataclass(frozen=True, eq=False)
+class ContactLinks:
+    """Contact links of grasps, at most M each, over which their contact errors are measured."""
+
+    name: Shaped[np.ndarray, "N M"]
+    """(N, M) names of links; empty where a grasp has fewer."""
+    gap: Float[np.ndarray, "N M"]
+    """(N, M) gaps in metres that they should keep from the object; NaN where there is no link."""
+
+    __repr__ = brief
+
+    @classmethod
+    def of(cls, links: Sequence[str], gap: Float[np.ndarray, "N L"]) -> ContactLinks:
+        """Return the links that have a gap, each once, of L links that may be listed several times."""
+        names = tuple(dict.fromkeys(links))
+        each = [np.fmin.reduce(gap[:, [k for k, one in enumerate(links) if one == name]], axis=1) for name in names]
+        gaps = np.stack(each, axis=1) if each else np.zeros((len(gap), 0))
+        # Links come first, in order.
+        order = np.argsort(np.isnan(gaps), axis=1, kind="stable")
+        gaps = np.take_along_axis(gaps, order, axis=1)
+        most = int((~np.isnan(gaps)).sum(axis=1).max(initial=0))
+        found = np.array(names, dtype=str)[order][:, :most]
+        return cls(np.where(np.isnan(gaps[:, :most]), "", found), gaps[:, :most])
+
+    def padded(self, most: int) -> ContactLinks:
+        """Return the same links in `most` columns."""
+        pad = ((0, 0), (0, most - self.name.shape[1]))
+        return ContactLinks(np.pad(self.name, pad), np.pad(self.gap, pad, constant_values=np.nan))
+
+    def on(self, links: Sequence[str]) -> Float[np.ndarray, "N L"]:
+        """Return the gaps (N, L) of links, those listed several times in their first column; NaN for all others.
+
+        Grasps with a contact link that is not listed have none.
+        """
+        gap = np.full((len(self.name), len(links)), np.nan)
+        for column, link in enumerate(links):
+            if links.index(link) == column:
+                gap[:, column] = np.fmin.reduce(np.where(self.name == link, self.gap, np.nan), axis=1, initial=np.nan)
+        known = ((self.name == "") | np.isin(self.name, list(links))).all(axis=1)
+        gap[~known] = np.nan
+        return gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +161,8 @@ class GraspSet:
     """Set points of the hand after that, to press, if the file has them."""
     labels: Mapping[str, Float[np.ndarray, " N"]] = field(default_factory=dict)
     """Numbers (N,) that the generator gives each grasp, by name, such as confidence or success; NaN: none."""
+    contact_links: ContactLinks | None = None
+    """Links that should touch, as recorded by a refinement; None: not recorded."""
 
     @classmethod
     def of(cls, hand: Hand, pose: ArrayLike, q: ArrayLike, *, object: str = "object", scale: float = 1.0) -> GraspSet:
@@ -168,10 +216,16 @@ class GraspSet:
                 )
         links = tuple(dict.fromkeys(link for grasps in sets if grasps.targets for link in grasps.targets.links))
         labels = tuple(dict.fromkeys(name for grasps in sets for name in grasps.labels))
-        return join(*(grasps._with_columns(first.joint_names, labels, links) for grasps in sets))
+        most = max(0 if grasps.contact_links is None else grasps.contact_links.name.shape[1] for grasps in sets)
+        return join(*(grasps._with_columns(first.joint_names, labels, links, most) for grasps in sets))
 
-    def _with_columns(self, joint_names: tuple[str, ...], labels: tuple[str, ...], links: tuple[str, ...]) -> GraspSet:
-        """The grasps with the joints in this order, and with all labels and target links, NaN where there are none."""
+    def _with_columns(
+        self, joint_names: tuple[str, ...], labels: tuple[str, ...], links: tuple[str, ...], most: int
+    ) -> GraspSet:
+        """The grasps with the joints in this order, and with all labels and target links, NaN where there are none.
+
+        Contact links are in `most` columns; of 0 there are none.
+        """
         order = [self.joint_names.index(name) for name in joint_names]
         none = np.full(len(self), np.nan)
         targets = None
@@ -183,12 +237,14 @@ class GraspSet:
                     self.targets.point_object,
                 )
             targets = Targets(links, *points)
+        nothing = ContactLinks(np.full((len(self), 0), ""), np.zeros((len(self), 0)))
         stages: dict[str, Any] = {name: Stage(one.pose, one.q[:, order]) for name, one in self.other_stages.items()}
         return replace(
             self,
             joint_names=joint_names,
             q=self.q[:, order],
             targets=targets,
+            contact_links=(self.contact_links or nothing).padded(most) if most else None,
             labels={name: self.labels.get(name, none) for name in labels},
             **stages,
         )
@@ -251,6 +307,7 @@ class GraspSet:
             check_shape("object", thing, count)
             stages = {name: _checked_stage(name, getattr(self, name), q.shape) for name in OTHER_STAGES}
             targets = _checked_targets(self.targets, count)
+            check_kind("contact_links", self.contact_links, ContactLinks | None)
             check_kind("labels", self.labels, Mapping)
             numbers = {str(name): as_numbers(f"labels[{name!r}]", its, count) for name, its in self.labels.items()}
         except GraspRefineError as error:
@@ -308,6 +365,8 @@ class GraspSet:
             entries["target_link"] = np.array(self.targets.links, dtype=str)
             entries["target_point_link"] = self.targets.point_link
             entries["target_point_object"] = self.targets.point_object
+        if self.contact_links is not None:
+            entries |= dict(zip(CONTACT_KEYS, (self.contact_links.name, self.contact_links.gap), strict=True))
         for name, stage in self.other_stages.items():
             entries |= {f"{name}_pose": stage.pose, f"{name}_q": stage.q}
         return entries | {LABEL_PREFIX + name: values for name, values in self.labels.items()}
@@ -352,6 +411,7 @@ def load_grasps(path: str | Path) -> GraspSet:
         targets=_targets(file, n),
         **{name: _optional_stage(file, name, n, len(joint_names)) for name in OTHER_STAGES},
         labels=_labels(file, n),
+        contact_links=_contact_links(file, n),
     )
 
 
@@ -489,6 +549,18 @@ def _labels(file: NpzFile, n: int) -> dict[str, Float[np.ndarray, " N"]]:
             raise file.error(f"{key} must have shape ({n},), one number per grasp; it has {values.shape}")
         found[key.removeprefix(LABEL_PREFIX)] = values
     return found
+
+
+def _contact_links(file: NpzFile, n: int) -> ContactLinks | None:
+    if not all(key in file.entries for key in CONTACT_KEYS):
+        return None
+    name, gap = file.text(CONTACT_KEYS[0]), file.numbers(CONTACT_KEYS[1], allowed="nan")
+    if name.ndim != 2 or len(name) != n or gap.shape != name.shape:
+        raise file.error(
+            f"{' and '.join(CONTACT_KEYS)} must have one shape (N, M) for {n} grasps; they have {name.shape} and "
+            f"{gap.shape}"
+        )
+    return ContactLinks(name, np.where(name == "", np.nan, gap))
 
 
 def _targets(file: NpzFile, n: int) -> Targets | None:

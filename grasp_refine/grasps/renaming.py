@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
+import numpy as np
+
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.prefixed_names import prefixed_names
 
@@ -19,9 +21,16 @@ def with_prefixes(grasps: GraspSet, links: Collection[str], joints: Collection[s
     """
     base = prefixed_names(grasps.base_link, links)
     columns = [prefixed_names(name, joints) for name in grasps.joint_names]
+    recorded = grasps.contact_links
+    touching = (
+        {} if recorded is None else {name: prefixed_names(name, links) for name in set(recorded.name.flat) - {""}}
+    )
     aimed = [] if grasps.targets is None else [prefixed_names(name, links) for name in grasps.targets.links]
-    if any(len(found) != 1 for found in (base, *columns, *aimed)):
+    if any(len(found) != 1 for found in (base, *columns, *aimed, *touching.values())):
         return None
     names = tuple(name for (name,) in columns)
     targets = None if grasps.targets is None else replace(grasps.targets, links=tuple(name for (name,) in aimed))
-    return replace(grasps, base_link=base[0], joint_names=names, targets=targets)
+    if recorded is not None:
+        renamed = [touching[name][0] if name else "" for name in recorded.name.flat]
+        recorded = replace(recorded, name=np.array(renamed, dtype=str).reshape(recorded.name.shape))
+    return replace(grasps, base_link=base[0], joint_names=names, targets=targets, contact_links=recorded)

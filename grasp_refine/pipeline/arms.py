@@ -19,7 +19,7 @@ from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.mount import mount, standing
 from grasp_refine.objects.object import Object
-from grasp_refine.pipeline.problem import Group, Problem, aim
+from grasp_refine.pipeline.problem import Group, Problem, aim, recorded_gaps
 from grasp_refine.pipeline.spec import SourceSpec
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
@@ -119,8 +119,7 @@ def group_on_arm(
         T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
     clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
     grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
-    if scene.environment is not None:
-        notes = (*notes, *_sunk_notes(hand, T_object_base, scene.environment))
+    notes = (*notes, *_sunk_notes(hand, T_object_base, scene))
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
     targets = aim(hand, grasps.targets, np.arange(len(grasps)))
     moved = Scene(
@@ -129,6 +128,7 @@ def group_on_arm(
         transform_from_pose(grasps.hand_pose),
         grasps.q[:, columns],
         *targets,
+        contact_gap=recorded_gaps(hand, grasps),
         table=scene.table,
         environment=scene.environment,
         regions=scene.regions,
@@ -136,20 +136,28 @@ def group_on_arm(
     return replace(group, scene=moved, grasps=grasps), notes
 
 
-def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], environment: Environment) -> tuple[str, ...]:
-    """Return a note where the standing links of an arm are deep inside a body of the scene."""
+def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], scene: Scene) -> tuple[str, ...]:
+    """Return notes where the standing links of an arm are deep in the object, the table or a body of the scene."""
     assert hand.arm is not None
     names = [link.name for link in hand.links if link.body is not None and link.name in hand.arm.standing]
-    if not names or not environment.bodies:
+    if not names:
         return ()
     T_link = Chain(hand, tuple(names))(T_object_base[None], hand.rest[None]).T_world_link
-    found = scene_depths(environment, tuple(hand.links_by_name[name].solid for name in names), T_link)
-    depth, link, body = found.depth[0], names[found.link[0]], environment.bodies[found.body[0]].name
-    if not depth > MAX_SUNK_M:
-        return ()
-    return (
-        f"link '{link}', on which the arm stands, is {1e3 * depth:.0f} mm inside body '{body}' of the scene: "
-        "move the base (--base)",
+    bodies, found = tuple(hand.links_by_name[name].solid for name in names), list[tuple[str, float, int]]()
+    witness = query(Pairs.against(bodies, scene.object.body), T_link, np.broadcast_to(np.eye(4), T_link.shape))
+    distance = np.where(witness.valid, witness.distance, np.inf)[0]
+    found.append((scene.object.name, -float(distance.min()), int(distance.argmin())))
+    if scene.table is not None:
+        height = scene.table.heights(bodies, T_link)[0][0]
+        found.append(("the table", -float(height.min()), int(height.argmin())))
+    if scene.environment is not None and scene.environment.bodies:
+        deepest = scene_depths(scene.environment, bodies, T_link)
+        name = scene.environment.bodies[deepest.body[0]].name
+        found.append((f"body '{name}' of the scene", float(deepest.depth[0]), int(deepest.link[0])))
+    return tuple(
+        f"link '{names[link]}', on which the arm stands, is {1e3 * depth:.0f} mm inside {what}: move the base (--base)"
+        for what, depth, link in found
+        if depth > MAX_SUNK_M
     )
 
 

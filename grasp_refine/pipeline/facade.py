@@ -24,7 +24,7 @@ from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
-from grasp_refine.pipeline.problem import Group, Problem, aim
+from grasp_refine.pipeline.problem import Group, Problem, aim, recorded_gaps
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
@@ -36,6 +36,7 @@ from grasp_refine.scene.convention_check import convention_notes, refuse_convent
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene_check import surroundings_notes
 from grasp_refine.validation.engines import EngineName
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.protocols.protocol import Protocol
@@ -117,6 +118,7 @@ def problem_of(
         transform_from_pose(grasps.hand_pose),
         q,
         *targets,
+        contact_gap=recorded_gaps(hand, grasps),
         table=plane,
         environment=scene,
         regions=regions_of(obj, touch, avoid, scene),
@@ -128,7 +130,8 @@ def problem_of(
         refuse_conventions(doubts)
     for note in doubts:
         warnings.warn(note, stacklevel=2)
-    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
+    around = surroundings_notes([made])
+    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *around, *doubts))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
 

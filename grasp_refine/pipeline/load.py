@@ -29,7 +29,7 @@ from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
-from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
+from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim, recorded_gaps
 from grasp_refine.pipeline.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
 from grasp_refine.pipeline.sampled import check_sampled, sample_group, sampled_problem
 from grasp_refine.pipeline.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
@@ -37,6 +37,7 @@ from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene_check import surroundings_notes
 from grasp_refine.scene.scene_file import load_scene
 
 
@@ -149,7 +150,7 @@ class Loader:
         for name, rows in chosen.items():
             index = np.asarray(spec.index) if spec.index else np.arange(len(rows))
             place, count = np.arange(count, count + len(rows)), count + len(rows)
-            scales = grasps.scale[rows] * spec.scale
+            scales = self.scales(grasps, rows)
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
                 uncut = self.read_object(sources[name], float(scale))
@@ -170,16 +171,20 @@ class Loader:
                     transform_from_pose(some.hand_pose),
                     q[group.rows],
                     *points,
+                    contact_gap=recorded_gaps(hand, some),
                     table=table,
                     environment=environment,
                     regions=regions_of(obj, spec.touch, spec.avoid, environment),
                 )
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
-            doubts = convention_notes([group.scene for group in found])
+            scenes = [group.scene for group in found]
+            doubts = convention_notes(scenes)
             if not spec.as_is:
                 refuse_conventions(doubts, str(path))
-            all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            all_notes = dict.fromkeys(
+                (*notes, *check_objects(read.files, cut, other=True), *surroundings_notes(scenes), *doubts)
+            )
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)
 
@@ -254,6 +259,16 @@ class Loader:
             GraspRefineError: an object is not known, or ambiguous.
         """
         return {name: self._source(name, path) for name in self._names(grasps, path)}
+
+    def scales(self, grasps: GraspSet, rows: np.ndarray) -> np.ndarray:
+        """Return the scales of the objects of some grasps of a file (N,), to the unit of the specification.
+
+        The factor of a scene's own object is not applied twice, where the file has it already as results have.
+        """
+        scales, environment = grasps.scale[rows], self.environment()
+        if environment is not None and environment.object is not None:
+            scales = np.where(np.isclose(scales, environment.scale, rtol=1e-9), 1.0, scales)
+        return scales * self.spec.scale
 
     def load_arm(self, source: str) -> Hand:
         """Return an arm."""

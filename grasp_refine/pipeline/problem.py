@@ -137,6 +137,11 @@ class Problem:
         return np.argsort(np.concatenate([group.place for group in self.groups]))
 
 
+def recorded_gaps(hand: Hand, grasps: GraspSet) -> np.ndarray | None:
+    """Return `contact_gap` of a scene of some grasps; None: no contact links are recorded."""
+    return None if grasps.contact_links is None else grasps.contact_links.on(links_of(hand))
+
+
 def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return `target_link` and `target_object` of a scene with some rows of a grasp file; None each without targets.
 

@@ -120,6 +120,7 @@ def refine_group(
         closing_motion(after, prepared, on_opening, pressure=config.pressure),
         margin=config.margin,
         clearance=clearances(config, scene.hand, prepared.chain),
+        selection=config.contact_selection,
         name=group.object,
         scale=group.scale,
         row=group.rows,

@@ -108,7 +108,8 @@ class RefinedGrasps:
         groups = []
         for group in self.problem.groups:
             targets = aim(hand, after.targets, group.place)
-            moved = replace(self.outcome.select(group.place).posed(group.scene), direction=None)
+            part = self.outcome.select(group.place)
+            moved = replace(part.posed(group.scene), direction=None, contact_gap=part.contact_gap)
             scene = replace(moved, target_link=targets[0], target_object=targets[1])
             groups.append(replace(group, scene=scene, grasps=after.select(group.place)))
         return replace(self.problem, files=(), groups=tuple(groups))

@@ -21,6 +21,7 @@ from grasp_refine.pipeline.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene_check import surroundings_notes
 
 
 def check_sampled(spec: ProblemSpec) -> int:
@@ -81,5 +82,6 @@ def sampled_problem(
     grasps = grasps.select(rows)
     T = transform_from_pose(grasps.hand_pose)
     scene = Scene(hand, obj, T, grasps.q, table=table, environment=environment, regions=regions)
+    notes += surroundings_notes([scene])
     group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
     return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")

@@ -111,7 +111,8 @@ def refine(
     status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
     status[scene.out_of_reach] = Status.OUT_OF_REACH
     starts = sound.astype(np.int64)
-    scene = scene.masked(sound)
+    # Contact links are chosen anew: those recorded are of the input grasps.
+    scene = replace(scene.masked(sound), contact_gap=None)
     if config.holds and scene.target_link is None and not config.nearest:
         held = search(scene, prepared, config, status, progress, on_iteration)
         goal, found, starts = held.goal, held.minimum, held.starts

@@ -16,9 +16,11 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
+from grasp_refine.scene.contact_links import contact_gaps
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
-from grasp_refine.validation.geometry import measure, movement
+from grasp_refine.validation.geometry import contact_errors, measure, movement, worst_over_links
 from grasp_refine.validation.measures import MEASURE, RECORDED
 from grasp_refine.validation.motion import Motion
 
@@ -48,8 +50,9 @@ class Outcome:
     measures: Mapping[str, np.ndarray]
     """Key of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; of a measure per link
     (N, 2, L) or (N, L), NaN for links that should not touch. SI units."""
-    touching: np.ndarray
-    """Links that should touch (N, L)."""
+    contact_gap: np.ndarray
+    """Gap that each contact link (N, L) of the refined grasps should keep from the object, metres, as `contact_gaps`;
+    NaN for other links."""
     target_point_link: np.ndarray
     """Target points on the links (N, L, 3), link frames, metres; NaN: none."""
     target_point_object: np.ndarray
@@ -80,6 +83,11 @@ class Outcome:
         return len(self.status)
 
     @property
+    def touching(self) -> np.ndarray:
+        """Contact links (N, L) of the refined grasps."""
+        return ~np.isnan(self.contact_gap)
+
+    @property
     def usable(self) -> np.ndarray:
         """True where a grasp (N,) was refined at all: it had links to touch with, and its queries succeeded."""
         return ~np.isin(self.status, UNUSABLE)
@@ -91,7 +99,8 @@ class Outcome:
 
     def posed(self, scene: Scene) -> Scene:
         """Return the scene of N grasps with the refined ones."""
-        return replace(scene, T_world_root=transform_from_pose(self.hand_pose), q=self.q)
+        T = transform_from_pose(self.hand_pose)
+        return replace(scene, T_world_root=T, q=self.q, contact_gap=self.contact_gap)
 
     @property
     def aimed(self) -> np.ndarray:
@@ -137,6 +146,7 @@ def compare(
     *,
     margin: float,
     clearance: np.ndarray | float = 0.0,
+    selection: ContactSelection | None = None,
     name: str,
     scale: float,
     row: np.ndarray,
@@ -150,6 +160,7 @@ def compare(
         motion: Motion that closes the hand to the refined grasps.
         margin: Gap in metres that contact links should keep.
         clearance: Gap (L,) in metres that links without a target keep beside it.
+        selection: Selection of the contact links of input grasps (`contact_gaps`); None: the defaults.
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
@@ -162,17 +173,12 @@ def compare(
     q_after = np.where(scene.posed[:, None], refinement.q, np.nan)
     T, q = np.concatenate([before.T_world_root, T_after]), np.concatenate([before.q, q_after])
     aimed = ~np.isnan(refinement.target_link[..., 0])
-    geometry = measure(
-        scene.hand,
-        scene.object,
-        scene.links,
-        T,
-        q,
-        np.concatenate([refinement.target_link, refinement.target_link]),
-        np.concatenate([refinement.target_object, refinement.target_object]),
-        margin + np.tile(np.where(aimed, 0.0, clearance), (2, 1)),
-        np.concatenate([refinement.touching, refinement.touching]),
-    )
+    targets = tuple(np.concatenate([one, one]) for one in (refinement.target_link, refinement.target_object))
+    geometry = measure(scene.hand, scene.object, scene.links, T, q, *targets)
+    gap_after = np.where(refinement.touching, margin + np.where(aimed, 0.0, clearance), np.nan)
+    gaps = np.concatenate([contact_gaps(before, geometry.witness.rows(slice(count)), selection), gap_after])
+    errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
+    geometry = replace(geometry, contact_error=errors)
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment, scene.regions)
     hand, own = scene.hand, ~scene.hand.arm_joints
     T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
@@ -206,7 +212,7 @@ def compare(
         q_before=scene.q,
         status=refinement.status,
         measures=measures,
-        touching=refinement.touching,
+        contact_gap=gap_after,
         target_point_link=refinement.target_link,
         target_point_object=refinement.target_object,
         contact_point_link=at_contacts(transform_points(inverse(T_link), witness.point_a)),
@@ -235,11 +241,6 @@ def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
             inside[i] = f"{inside[i]}; {why}" if i in inside else why
     texts = weaknesses(grasps.quality, links, hand.joint_names, tuple(mode.joint for mode in hand.modes))
     return [inside.get(i, text) for i, text in enumerate(texts)]
-
-
-def worst_over_links(values: np.ndarray) -> np.ndarray:
-    """Return the largest of the values (..., L) of a measure per link; NaN where no link has one."""
-    return np.fmax.reduce(values, axis=-1)
 
 
 def mean_over_links(values: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from grasp_refine.core.json_files import dumps
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.short_repr import labels
 from grasp_refine.grasps.formats.folders import UNUSUAL
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage, Targets, save_npz
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage, Targets, save_npz
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
@@ -57,6 +57,7 @@ def refined_set(hand: Hand, links: tuple[str, ...], outcome: Outcome) -> GraspSe
         q=outcome.q,
         targets=targets,
         labels=outcome.labels,
+        contact_links=ContactLinks.of(links, outcome.contact_gap),
         **{
             name: Stage(outcome.stage_pose[:, at], outcome.stage_q[:, at])
             for at, name in enumerate(STAGES)
@@ -75,6 +76,7 @@ def save_results(
 ) -> None:
     """Write the grasps of one object as a grasp file with further entries; the file appears whole or not at all.
 
+        contact_links, contact_gaps         (N, M)     the contact links of the refined grasps, and the gaps they keep
         hand_pose_before, q_before             (N, 7), (N, n)  the grasps before refinement, as hand_pose and q
         contact_link                        (K,)       links that should touch in any of the grasps
         contact_point_link                  (N, K, 3)  witness point on the link, link frame, metres

@@ -135,11 +135,12 @@ def _simulated(validated: Validated, i: int, protocol: Protocol | None) -> list[
     trials = validated.trials
     if protocol is None or trials is None:
         return []
-    worst = trials.worst[i]
-    moved = (
-        f"{number_text(trials.displacement_m[i, worst] * 1e3, 1):>5} "
-        f"{number_text(np.degrees(trials.angle_rad[i, worst]), 1):>5}"
-    )
+    # As in the line on objects that were held; of a lost one, at its failure.
+    if trials.success[i]:
+        metres, radians = trials.most("peak_m")[i], trials.most("peak_rad")[i]
+    else:
+        metres, radians = trials.displacement_m[i, trials.worst[i]], trials.angle_rad[i, trials.worst[i]]
+    moved = f"{number_text(1e3 * metres, 1):>5} {number_text(np.degrees(radians), 1):>5}"
     return [moved, _reason(validated, i, protocol)]
 
 

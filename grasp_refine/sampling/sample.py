@@ -34,6 +34,7 @@ from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
+from grasp_refine.scene.scene_check import check_object
 from grasp_refine.scene.surroundings import Surroundings
 
 if TYPE_CHECKING:
@@ -117,8 +118,8 @@ def sample_grasps(
         progress: Called after each batch with the number of grasps found and that of hands tried.
 
     Raises:
-        GraspRefineError: an argument of another kind, a count out of range, a hand that cannot grip, or no grasp was
-            found at all.
+        GraspRefineError: an argument of another kind, a count out of range, surroundings that cannot be
+            (`check_object`), a hand that cannot grip, or no grasp was found at all.
     """
     check_kind("hand", hand, Hand)
     obj = as_object("obj", obj)
@@ -131,6 +132,7 @@ def sample_grasps(
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
     if not 1 <= count <= MAX_GRASPS:
         raise GraspRefineError(f"1 to {MAX_GRASPS} grasps can be sampled, got {count}")
+    check_object(obj, table, environment)
     check_collides(hand)
     hand = replace(hand, rest=clear_rest(hand))
     closure, rng = closure_frame(hand), np.random.default_rng(seed)

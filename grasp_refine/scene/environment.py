@@ -17,6 +17,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, capsule, hull
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.objects.region_spec import VERBS, spec_digest
 
 DEFAULT_MARGIN_M = 0.002
@@ -81,9 +82,9 @@ class Environment:
     lift: float = LIFT_M
     """Height in metres by which the object is lifted: what hangs above is out of the way of the links up to there."""
     object: str | None = None
-    """Object that is grasped, as `load_object` takes it; None: not told."""
+    """Object that is grasped, which `load_object` reads; others are refused. None: any."""
     scale: float = 1.0
-    """Factor that takes the mesh of the object to metres."""
+    """Factor that takes its mesh to metres."""
     source: str = ""
     """Scene file, or name of a scene that comes with the program; empty: made in memory."""
     touch: tuple[str, ...] = ()
@@ -113,6 +114,16 @@ class Environment:
         twice = [name for name in names if names.count(name) > 1] if len(set(names)) < len(names) else []
         if twice:
             raise GraspRefineError(f"{self.name}: two bodies are named '{twice[0]}'")
+
+    def load_object(self) -> Object:
+        """Return the object that is grasped in the scene, in its size there.
+
+        Raises:
+            GraspRefineError: the scene names none, or it cannot be read.
+        """
+        if self.object is None:
+            raise GraspRefineError(f"scene {self.name} names no object: load one with load_object")
+        return load_object(self.object, scale=self.scale, unit="m")
 
     @cached_property
     def T_object_body(self) -> Float[np.ndarray, "B 4 4"]:
@@ -148,8 +159,8 @@ class Environment:
         if index not in self._cleared:
             one = self.bodies[index]
             hangs, down = self._hanging(one), -self.lift * one.T_world_body[2, :3]
-            swept = [_swept(piece, down) if low else piece for piece, low in zip(one.body.pieces, hangs, strict=True)]
-            self._cleared[index] = replace(one.body, pieces=tuple(swept)) if hangs.any() else one.body
+            pieces = [swept(piece, down) if low else piece for piece, low in zip(one.body.pieces, hangs, strict=True)]
+            self._cleared[index] = replace(one.body, pieces=tuple(pieces)) if hangs.any() else one.body
         return self._cleared[index]
 
     @cached_property
@@ -195,13 +206,13 @@ def rigid_pose(name: str, T: object) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _swept(piece: Piece, way: np.ndarray) -> Piece:
+def swept(piece: Piece, way: np.ndarray) -> Piece:
     """Return the convex hull of a piece here and moved along `way` (3,); round ones become polyhedra inside of it."""
     if len(piece.vertices) == 1:
         return capsule(piece.radius, piece.vertices[0], piece.vertices[0] + way)
     core = np.asarray(piece.mesh().vertices) if len(piece.vertices) == 2 else piece.vertices
-    swept = hull(np.concatenate([core, core + way]))
-    return swept if len(piece.vertices) == 2 else replace(swept, radius=piece.radius)
+    found = hull(np.concatenate([core, core + way]))
+    return found if len(piece.vertices) == 2 else replace(found, radius=piece.radius)
 
 
 def _on_grid(metres: np.ndarray | float) -> bytes:

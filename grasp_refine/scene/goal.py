@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from grasp_refine.collision.query import Witness, query, query_items
 from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection, nearest_points
 from grasp_refine.scene.hand_object import POINT, HandObject
 from grasp_refine.scene.scene import Scene
@@ -66,7 +67,7 @@ def goal_of(
         none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
         return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)
-    chosen = _with_directions(touching.choose_within(scene.hand, scene.links, witness, scene.regions), scene)
+    chosen = ~np.isnan(contact_gaps(replace(scene, contact_gap=None), witness, touching))
     target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)
     if nearest:
         known = chosen & witness.valid

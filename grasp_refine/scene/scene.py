@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from grasp_refine.core.arguments import as_numbers, check_kind, shape_error
+from grasp_refine.core.arguments import as_numbers, check_kind, check_shape, shape_error
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import SKEWED, is_rigid, transform_from_pose
@@ -47,6 +47,9 @@ class Scene:
     """Contact points on the object (N, L, 3), object frame, metres."""
     direction: np.ndarray | None = None
     """Wanted contact normals from link to object (N, L, 3), object frame, unit length; NaN: any."""
+    contact_gap: np.ndarray | None = None
+    """Recorded contact links: the gap (N, L) in metres that each should keep from the object; NaN for other links, and
+    for all links of grasps without a record. None: no grasp has one; see `contact_links`."""
     table: Plane | None = None
     """A plane that no link may go through."""
     environment: Environment | None = None
@@ -85,6 +88,10 @@ class Scene:
                     why = f"one row for each grasp, one column for each of scene.links of hand '{self.hand.name}'"
                     raise shape_error(name, value, (count, links, 3), why)
                 arrays[name] = value
+        if self.contact_gap is not None:
+            gap = as_numbers("contact_gap", self.contact_gap)
+            check_shape("contact_gap", gap, count, links)
+            arrays["contact_gap"] = gap
         if (self.target_link is None) != (self.target_object is None):
             raise GraspRefineError("targets need target_link and target_object together, got one of them")
         for name, value in arrays.items():
@@ -125,7 +132,7 @@ class Scene:
 
     def select(self, rows: np.ndarray | slice) -> "Scene":
         """Return the scene with the grasps `rows`, in that order."""
-        names = ("T_world_root", "q", *TARGET_FIELDS)
+        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
         arrays: dict[str, Any] = {name: None if (its := getattr(self, name)) is None else its[rows] for name in names}
         return replace(self, **arrays)
 
@@ -137,7 +144,7 @@ class Scene:
         def kept(values: np.ndarray | None) -> np.ndarray | None:
             return None if values is None else np.where(rows.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
 
-        names = ("T_world_root", "q", *TARGET_FIELDS)
+        names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
         arrays: dict[str, Any] = {name: kept(getattr(self, name)) for name in names}
         return replace(self, **arrays)
 

@@ -1,6 +1,7 @@
 """Geometric measures of grasps by a plain query, without smoothing or data of the refinement."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +32,17 @@ class Geometry:
     """Witness points (N, L), world frame."""
     T_world_link: np.ndarray
     """Poses of the links (N, L, 4, 4)."""
+
+    def columns(self, chosen: Sequence[int]) -> "Geometry":
+        """Return the measures of some of the links."""
+        at = list(chosen)
+        return replace(
+            self,
+            distance=self.distance[:, at],
+            contact_error=self.contact_error[:, at],
+            witness=self.witness.pairs(at),
+            T_world_link=self.T_world_link[:, at],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,22 +91,47 @@ def measure(
     witness = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
     valid = witness.valid
     distance = np.where(valid, witness.distance, np.nan)
-    miss_link = np.linalg.norm(witness.point_a - transform_points(T_link, target_link), axis=-1)
-    miss_object = np.linalg.norm(witness.point_b - target_object, axis=-1)
-    gap, miss = np.abs(distance - margin), np.maximum(miss_link, miss_object)
     if touching is None:
-        error = np.maximum(gap, miss)
-    else:
-        error = np.where(touching, np.fmax(gap, np.where(np.isnan(gap), np.nan, miss)), np.nan)
+        touching = ~(np.isnan(target_link) | np.isnan(target_object)).any(axis=-1)
+    gap = np.where(touching, margin, np.nan)
     deepest = np.where(valid, witness.distance, np.inf).min(axis=1)
     return Geometry(
         distance=distance,
-        contact_error=error,
+        contact_error=contact_errors(distance, witness, T_link, gap, target_link, target_object),
         penetration=np.where(valid.any(axis=1), np.maximum(-deepest, 0.0), np.nan),
         limits_violated=((q > hand.upper + LIMIT_TOLERANCE) | (q < hand.lower - LIMIT_TOLERANCE)).sum(axis=1),
         witness=witness,
         T_world_link=T_link,
     )
+
+
+def contact_errors(
+    distance: np.ndarray,
+    witness: Witness,
+    T_world_link: np.ndarray,
+    gap: np.ndarray,
+    target_link: np.ndarray,
+    target_object: np.ndarray,
+) -> np.ndarray:
+    """Return the largest of |distance - gap| and target misses of each contact link (N, L); NaN for other links.
+
+    Args:
+        distance: Signed distances (N, L) in metres of links and object.
+        witness: Their witness points.
+        T_world_link: Poses of the links (N, L, 4, 4).
+        gap: Gap in metres that each contact link (N, L) should keep, as `contact_gaps`; NaN for other links.
+        target_link: Target points on the links (N, L, 3), link frames, metres; NaN: none.
+        target_object: Target points on the object (N, L, 3), object frame, metres.
+    """
+    miss_link = np.linalg.norm(witness.point_a - transform_points(T_world_link, target_link), axis=-1)
+    miss_object = np.linalg.norm(witness.point_b - target_object, axis=-1)
+    off = np.abs(distance - gap)
+    return np.where(np.isnan(off), np.nan, np.fmax(off, np.maximum(miss_link, miss_object)))
+
+
+def worst_over_links(values: np.ndarray) -> np.ndarray:
+    """Return the largest of the values (..., L) of a measure per link; NaN where no link has one."""
+    return np.fmax.reduce(values, axis=-1)
 
 
 def movement(

@@ -83,7 +83,7 @@ class Measure:
     recorded: bool = True
     """Whether refinements record it; others are measured where they are shown."""
     validated: bool = True
-    """Whether validations, which know no refinement and no targets, have it."""
+    """Whether validations, which know no refinement, have it."""
     per_link: bool = False
     """Whether it has a value for each link; reports have the worst, and files also the mean over the links."""
     head: tuple[str, str] = ("", "")
@@ -155,11 +155,11 @@ MEASURES = (
     Measure(
         key="contact_error",
         title="contact error",
-        hint="the worst gap, or miss of a target, of the links that should touch",
+        hint="the worst gap, or miss of a target, of the grasp's contact links, the links that should touch",
         unit=METRE,
         formula=lambda grasps: grasps.geometry.contact_error,
-        validated=False,
         per_link=True,
+        head=("contact", "err. mm"),
     ),
     Measure(
         key="penetration",
@@ -198,7 +198,6 @@ MEASURES = (
         unit=METRE,
         formula=contact_distance,
         recorded=False,
-        head=("  gap", "mm"),
     ),
     Measure(
         key="contact_number",

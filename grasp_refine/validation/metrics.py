@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,11 +14,12 @@ from grasp_refine.core.short_repr import spread
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
+from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.formulas import MeasuredGrasps
-from grasp_refine.validation.geometry import measure
-from grasp_refine.validation.measures import VALIDATED
+from grasp_refine.validation.geometry import contact_errors, measure, worst_over_links
+from grasp_refine.validation.measures import VALIDATED, Measure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,11 +85,28 @@ def metrics(
     Raises:
         GraspRefineError: an argument of another type or shape.
     """
-    scene = Scene(hand, obj, T_world_root, q, environment=environment)
+    return metrics_of(Scene(hand, obj, T_world_root, q, environment=environment, regions=regions))
+
+
+def metrics_of(scene: Scene) -> Metrics:
+    """Measure the grasps of a scene as `metrics`, contact errors with its targets and recorded contact links."""
     scene = scene.masked(scene.posed)
-    T_world_root, q = scene.T_world_root, scene.q
-    links = tuple(dict.fromkeys(links_of(hand)))  # a link with several contact points appears several times
-    no_target = np.full((len(q), len(links), 3), np.nan)
-    geometry = measure(hand, obj, links, T_world_root, q, no_target, no_target)
-    grasps = MeasuredGrasps(hand, obj, links, T_world_root, q, geometry, environment, regions)
-    return Metrics({one.name: np.where(grasps.known, one.formula(grasps), np.nan) for one in VALIDATED})
+    hand, obj, T, q, links = scene.hand, scene.object, scene.T_world_root, scene.q, scene.links
+    target_link, target_object = (
+        np.full((len(q), len(links), 3), np.nan) if one is None else one
+        for one in (scene.target_link, scene.target_object)
+    )
+    geometry = measure(hand, obj, links, T, q, target_link, target_object)
+    gap, where = contact_gaps(scene, geometry.witness), (geometry.distance, geometry.witness, geometry.T_world_link)
+    error = worst_over_links(contact_errors(*where, gap, target_link, target_object))
+    # A link with several contact points appears several times, and counts once in all other measures.
+    first = [column for column, link in enumerate(links) if links.index(link) == column]
+    geometry = replace(geometry.columns(first), contact_error=error[:, None])
+    names = tuple(links[column] for column in first)
+    grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.environment, scene.regions)
+
+    def values(one: Measure) -> np.ndarray:
+        found = one.formula(grasps)
+        return np.where(grasps.known, worst_over_links(found) if one.per_link else found, np.nan)
+
+    return Metrics({one.name: values(one) for one in VALIDATED})

@@ -19,7 +19,7 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines import EngineChoice, engine_of
 from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.metrics import Metrics, metrics
+from grasp_refine.validation.metrics import Metrics, metrics_of
 from grasp_refine.validation.mjcf_model import mjcf_model
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.mounted_model import mounted_model
@@ -183,7 +183,7 @@ def validate(
         "scale": np.full(count, scale),
         "row": rows,
         "index": index,
-        "metrics": metrics(scene.hand, scene.object, scene.T_world_root, scene.q, scene.environment, scene.regions),
+        "metrics": metrics_of(scene),
     }
     if world is None or motion is None:
         return Validated(**labels, wall_s=np.full(count, np.nan), cpu_s=np.full(count, np.nan))

@@ -26,7 +26,8 @@ def test_keys_in_files_are_those_that_programs_know():
         f"{entry}_m" if entry.startswith(LENGTHS) else entry.replace("loss", "loss_m2") for entry in entries
     }
     assert {measure.name for measure in VALIDATED} == {
-        *("quality", "wrench_residual", "penetration_m", "self_penetration_m", "scene_penetration_m"),
+        *("quality", "wrench_residual", "contact_error_m", "penetration_m", "self_penetration_m"),
+        "scene_penetration_m",
         *("region_miss_m", "contact_distance_m", "contact_number", "limits_violated", "arm_dexterity_m"),
     }
     assert [measure.key for measure in COMPARED] == list(both)

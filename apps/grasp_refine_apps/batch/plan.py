@@ -165,7 +165,7 @@ class Planner:
         for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps.object, object_name=name, index=None)
-            scales = read.grasps.scale[rows] * inputs.scale
+            scales = loader.scales(read.grasps, rows)
             # Grasps on objects of one size are refined at once.
             order = np.argsort(scales, kind="stable")
             for number, start in enumerate(range(0, len(rows), self.size)):

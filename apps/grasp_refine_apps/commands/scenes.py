@@ -12,16 +12,13 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import pose_from_transform
-from grasp_refine.objects.object import load_object
 from grasp_refine.results.table import plain_table
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.scene_check import body_notes, check_object
 from grasp_refine.scene.scene_file import list_scenes, load_scene
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
-
-OVERLAP_M = 1e-4
-"""Depth in metres from which on the object is told to be in a body."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Scenes:
         """Run the command and return its exit code.
 
         Raises:
-            GraspRefineError: there is no such scene, or its file is wrong.
+            GraspRefineError: there is no such scene, its file is wrong, or, after the list, it cannot be.
         """
         check_writable(self.json, overwrite=self.overwrite)
         console = screen()
@@ -69,10 +66,11 @@ class Scenes:
             kind = f"movable{mass}" if one["movable"] else "fixed"
             table.add_row(one["name"], size, at, f"{1e3 * one['margin_m']:g}", distance, kind)
         console.print(table)
-        for one in facts["bodies"]:
-            if one["distance_m"] is not None and one["distance_m"] < -OVERLAP_M:
-                depth = f"{-1e3 * one['distance_m']:.1f} mm"
-                console.print(f"the object is {depth} in {one['name']}: a simulation would throw it", markup=False)
+        notes = body_notes(found)
+        if found.object is not None:
+            notes = (*check_object(found.load_object(), None, found), *notes)
+        for note in notes:
+            console.print(f"note: {note}", markup=False, soft_wrap=True)
         return 0
 
 
@@ -80,7 +78,7 @@ def scene_facts(environment: Environment) -> dict[str, Any]:
     """Return what a scene holds, for JSON: metres, world frame; distances are those of the object from each body."""
     distance = np.full(len(environment.bodies), np.nan)
     if environment.object is not None and environment.bodies:
-        obj = load_object(environment.object, scale=environment.scale, unit="m").body
+        obj = environment.load_object().body
         bodies = tuple(one.body for one in environment.bodies)
         T = environment.T_object_body[None]
         distance = query(Pairs(bodies, (obj,) * len(bodies)), T, np.broadcast_to(np.eye(4), T.shape)).distance[0]

@@ -123,7 +123,7 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
     frames, found = [], []
     for k in subsample(len(trace), MAX_FRAMES).tolist():
         pose = trace.pose(k)
-        contacts = contacts_of(prepared, pose.T_object_root, pose.q, touching=trace.touching[k], targets=targets)
+        contacts = contacts_of(prepared, pose.T_object_root, pose.q, gap=trace.gap[k], targets=targets)
         caption = f"{trace.label[k]}: iteration {k + 1} of {len(trace)}\n{trace.text(k)}"
         lines = segments(contacts.point_link, contacts.point_object)
         frames.append(Frame(pose, caption, lines.astype(float), distance_colors(contacts.distance)))

@@ -46,6 +46,9 @@ def batches(collection: Collection, works: Mapping[int, Work]) -> Iterator[Batch
             group = collection.group(some[0])
             row = collection.member[list(some)]
             scene = stacked([posed_scene(group.scene, works[n].standing, works[n].targets) for n in some])
+            counted = [works[n].counted for n in some]
+            none = np.full(len(scene.links), np.nan)
+            scene = replace(scene, contact_gap=np.stack([none if one is None else one.gap for one in counted]))
             grasps = group.grasps.select(row)
             yield Batch(some, replace(group, scene=scene, grasps=grasps, rows=group.rows[row], index=group.index[row]))
 

@@ -53,8 +53,6 @@ class Collection:
     """Joint values before refinement (N, n)."""
     columns: Mapping[str, Column]
     """Measures of the grasps: key -> column."""
-    counted: tuple[Counted | None, ...]
-    """Links of each grasp that count by its refinement (N,); None where that is not recorded."""
     marks: tuple[Marks, ...]
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
     stand_ins: frozenset[str] = frozenset()
@@ -83,9 +81,7 @@ class Collection:
         first = problem.files[:1] if not problem.sampled else ()
         files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
         columns: dict[str, Column] = {}
-        counted: tuple[Counted | None, ...] = (None,) * len(rows)
         if found is not None:
-            counted = tuple(found.counted[at] for at in rows)
             files, file_of, row = found.files, found.file[rows], found.row[rows]
             refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
             T = np.where(refined[:, None, None], found.T[rows], T)
@@ -93,9 +89,7 @@ class Collection:
             columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(
-            problem, group_of, member, files, file_of, row, T, q, columns, counted, marks, stand_ins, uncut or {}
-        )
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins, uncut or {})
 
     @staticmethod
     def of_refined(refined: RefinedGrasps) -> Collection:
@@ -105,13 +99,11 @@ class Collection:
         known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
         recorded = {**outcome.entries(), STATUS.key: refined.status}
         columns = [one.with_values(recorded[one.key]) for one in (*NUMBERS, STATUS) if one.key in recorded]
-        touching = np.isfinite(outcome.contact_distance)
         return replace(
             collection,
             T_initial=np.where(known[:, None, None], T, collection.T_initial),
             q_initial=np.where(known[:, None], q, collection.q_initial),
             columns={column.key: column for column in columns if column.known.any()},
-            counted=tuple(Counted(links, refined.config.margin) if links.any() else None for links in touching),
         )
 
     def __len__(self) -> int:
@@ -179,6 +171,7 @@ class Collection:
             target_link=take(scene.target_link, rows),
             target_object=take(scene.target_object, rows),
             direction=take(scene.direction, rows),
+            contact_gap=take(scene.contact_gap, rows),
         )
 
     def initial(self, number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +187,13 @@ class Collection:
         """Return a grasp as in its file, with its simulation result if that is known."""
         targets, pose = targets_of(self.scene(number)), self.pose(number)
         T = self.T_world_object(number)
-        return Work(pose, targets, T, counted=self.counted[number], trial=self.trials.get(number), of_file=pose)
+        return Work(pose, targets, T, counted=self.recorded(number), trial=self.trials.get(number), of_file=pose)
+
+    def recorded(self, number: int) -> Counted | None:
+        """Return the contact links that are recorded with a grasp in its file; None: none are."""
+        gap = self.group(number).scene.contact_gap
+        gap = None if gap is None else gap[self.member[number]]
+        return None if gap is None or np.isnan(gap).all() else Counted(gap)
 
     def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Return the pose (4, 4) in which the object is shown at first: what is up in a scene is up in the picture."""

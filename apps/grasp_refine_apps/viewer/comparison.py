@@ -55,7 +55,7 @@ def compared_text(state: State, contacts_of: ContactMeter) -> str:
         if number >= len(collection):
             return f"{name}: has no grasp of this number, only {len(collection)}"
         return f"{name}: its grasp of this number is {collection.label(number)}, which cannot be compared"
-    found = contacts_of.at(state.scene, pose, collection.counted[number])
+    found = contacts_of.at(collection.scene(number), pose, collection.recorded(number))
     parts = [distances_text(found.contact_error, found.penetration)]
     work, column = compared.works.get(number), collection.columns.get(QUALITY.entries["after"])
     if column is not None and column.known[number] and (work is None or not work.changed):

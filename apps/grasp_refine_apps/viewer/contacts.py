@@ -116,10 +116,10 @@ class Contacts:
         return contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
 
 
-def distances_text(contact_error: float, penetration: float) -> str:
+def distances_text(contact_error: float, penetration: float, title: str = MEASURE["contact_error"].title) -> str:
     """Return text on the contact error and the penetration of a grasp, metres; a NaN error: nothing should touch."""
-    measures = zip((MEASURE["contact_error"], MEASURE["penetration"]), (contact_error, penetration), strict=True)
-    error, depth = (f"{measure.title} {measure.text(value)} {measure.unit.symbol}" for measure, value in measures)
+    measures = (title, MEASURE["contact_error"], contact_error), ("penetration", MEASURE["penetration"], penetration)
+    error, depth = (f"{name} {measure.text(value)} {measure.unit.symbol}" for name, measure, value in measures)
     return f"{'nothing near enough to touch' if np.isnan(contact_error) else error}, {depth}"
 
 
@@ -128,9 +128,8 @@ def contacts_of(
     T_object_root: Float[np.ndarray, "4 4"],
     q: Float[np.ndarray, " n"],
     *,
-    touching: Bool[np.ndarray, " L"] | None = None,
+    gap: Float[np.ndarray, " L"] | None = None,
     targets: Sequence[Target] = (),
-    margin: float = 0.0,
 ) -> Contacts:
     """Return the contacts of a grasp.
 
@@ -138,10 +137,9 @@ def contacts_of(
         prepared: The hand and the object.
         T_object_root: Pose of the hand's base link in the object's frame.
         q: Joint values.
-        touching: Links that should touch, columns as `Scene.links`; None: those with a target or, without targets,
-            those that a refinement would choose.
+        gap: Gap in metres that links should keep which should touch, besides those with a target, columns as
+            `Scene.links`; NaN for other links. None: without targets, those that `ContactSelection` takes.
         targets: Target points of links on the object.
-        margin: Gap in metres that these links should keep.
     """
     hand, links = prepared.hand, prepared.chain.links
     first = np.array([links.index(link) for link in links])
@@ -151,9 +149,13 @@ def contacts_of(
         [links.index(target.link) if target.link in links else -1 for target in targets], dtype=np.int64
     )
     should: np.ndarray | None = None
-    if touching is not None or targets:
+    wanted = np.zeros(len(links))
+    if gap is not None or targets:
+        known = np.zeros(len(links), dtype=bool) if gap is None else ~np.isnan(gap)
         should = np.zeros(len(links), dtype=bool)
-        should[first[touching] if touching is not None else target_columns[target_columns >= 0]] = True
+        should[target_columns[target_columns >= 0]] = True
+        should[first[known]] = True
+        wanted[first[known]] = 0.0 if gap is None else gap[known]
     cutoff = np.where(first == np.arange(len(links)), DEFAULT_SELECTION.cutoff(hand, links), -np.inf)
     if should is not None:
         cutoff[should] = np.inf
@@ -163,7 +165,7 @@ def contacts_of(
         should = DEFAULT_SELECTION.choose(hand, links, witness)[0]
     valid, distance = witness.valid[0], np.where(witness.valid[0], witness.distance[0], np.inf)
     target_link, target_object, miss = _targets(targets, target_columns, T_link[0], witness)
-    error = np.maximum(np.abs(distance - margin), miss)
+    error = np.maximum(np.abs(distance - wanted), miss)
     shown = np.flatnonzero(valid & (should | (distance < CONTACT_TOLERANCE_M)) & (first == np.arange(len(links))))
     return Contacts(
         link=tuple(links[column] for column in shown),

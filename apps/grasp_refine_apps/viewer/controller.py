@@ -18,7 +18,6 @@ from grasp_refine_apps.viewer.listing import Listing
 from grasp_refine_apps.viewer.many import ManyGrasps, now
 from grasp_refine_apps.viewer.marks import Mark
 from grasp_refine_apps.viewer.measuring import unmeasured, with_measures
-from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.obstacles import ObstacleMeter, Overlap
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.refining import refine_grasp
@@ -56,8 +55,6 @@ class Controller(ManyGrasps):
             other = Shelved(compared, 0, {}, Listing())
             state = replace(state, shelf=(other,), compared=other)
         super().__init__(state)
-        self.contacts = ContactMeter()
-        """Contacts of the shown grasp of a state."""
         self._obstacles = ObstacleMeter()
         self._misses = RegionMeter()
 
@@ -208,15 +205,15 @@ class Controller(ManyGrasps):
             self._become(self._with_step(self._state, "").evolve(pose=pose, **nothing))
             scene, targets = self._state.scene, self._state.targets
             number = self._state.number
-            name = self._state.collection.group(number)
+            name, start = self._state.collection.group(number), self.contacts.counted(self._state)
 
             def work(control: Control) -> Change:
                 def show(trace: Trace) -> None:
                     self._update_from_job(control, pose=trace.pose(len(trace) - 1), trace=trace)
 
-                found = refine_grasp(self._hand_object(scene), scene, pose, targets, config, control, show, name)
+                found = refine_grasp(self._hand_object(scene), scene, pose, targets, config, control, show, name, start)
                 refined = {"pose": found.pose, "trace": found.trace, "outcome": found.outcome}
-                counted = Counted(found.outcome.touching[0], config.margin)
+                counted = Counted(found.outcome.contact_gap[0])
                 return lambda state: state.evolve(
                     **refined, counted=counted, config=config, heeded=scene.regions, refined_at=now()
                 )

@@ -1,18 +1,28 @@
-"""Links whose contacts count in the contact error of a grasp."""
+"""Links whose gaps a text is on: the contact links of a grasp, or those that an iteration closes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float
+
+from grasp_refine.validation.measures import MEASURE
+
+REMAINING = "remaining gap"
+"""Name of the largest gap of the links that an iteration of a refinement closes, which are not those of the input."""
 
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Links whose contacts count, by the file or by the refinement."""
+    """Links that should touch the object, and their gaps."""
 
-    touching: Bool[np.ndarray, " L"]
-    """Links (L,) that should touch, as `Scene.links`."""
-    margin: float = 0.0
-    """Gap in metres that they should keep."""
+    gap: Float[np.ndarray, " L"]
+    """Gap (L,) in metres that each should keep, as `contact_gaps`; NaN for links that need not touch."""
+    iteration: bool = False
+    """Whether an iteration closes them; False: they are the contact links of a grasp."""
+
+    @property
+    def title(self) -> str:
+        """Name of their largest gap, or miss of a target."""
+        return REMAINING if self.iteration else MEASURE["contact_error"].title

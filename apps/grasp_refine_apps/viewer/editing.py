@@ -13,6 +13,7 @@ from grasp_refine.core.se3 import inverse
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.meter import ContactMeter
 from grasp_refine_apps.viewer.pose import Pose, Target, targets_of
 from grasp_refine_apps.viewer.refining import nearest_targets
 from grasp_refine_apps.viewer.state import Gizmo, State
@@ -45,6 +46,8 @@ class Editor(Store):
         self._last_edit: tuple[str, float] = ("", -np.inf)
         """Name of the last edit that could be continued, and its time."""
         self._prepared: HandObject | None = None
+        self.contacts = ContactMeter()
+        """Contacts of the shown grasp of a state."""
 
     def set_gizmo(self, gizmo: Gizmo) -> None:
         """Choose the body that can be dragged."""
@@ -83,9 +86,11 @@ class Editor(Store):
                 "pose": now.initial,
                 "targets": targets_of(now.scene),
                 "T_world_object": now.collection.T_world_object(now.number),
-                "counted": now.collection.counted[now.number],
             }
             of_file = now.initial.same(now.collection.pose(now.number))
+            start["counted"] = (
+                now.collection.recorded(now.number) if of_file else self.contacts.near(now.scene, now.initial)
+            )
             trial = now.collection.trials.get(now.number) if of_file else None
             self._edit("", **start, trial=trial, trace=None, picked=None)
 

@@ -137,7 +137,7 @@ class ManyGrasps(Cutter):
         regions: ContactRegions | None,
     ) -> None:
         """Keep the result of one of many refinements, unless the grasp was changed meanwhile."""
-        counted = Counted(outcome.touching[0], config.margin)
+        counted = Counted(outcome.contact_gap[0])
         refined = {**NO_RESULTS, "pose": pose_of(outcome, 0), "outcome": outcome, "counted": counted}
         refined |= {"config": config, "heeded": regions, "refined_at": now()}
 

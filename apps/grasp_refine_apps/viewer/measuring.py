@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from grasp_refine.pipeline.problem import Group
-from grasp_refine.validation.metrics import Metrics, metrics
+from grasp_refine.validation.metrics import Metrics, metrics_of
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import MEASURED, NUMBERS, Column
 
@@ -46,9 +46,7 @@ def with_measures(
         for group, rows, some in _batches(collection, todo):
             check()
             report(sum(map(len, numbers)) / todo.sum(), "measuring grasps")
-            scene = group.scene
-            poses = scene.T_world_root[rows], scene.q[rows]
-            found.append(metrics(scene.hand, scene.object, *poses, scene.environment, scene.regions))
+            found.append(metrics_of(group.scene.select(rows)))
             numbers.append(some)
     finally:
         if found:

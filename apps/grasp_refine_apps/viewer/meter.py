@@ -7,19 +7,24 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.collision.query import query
+from grasp_refine.scene.contact_links import contact_gaps
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.measures import MEASURE
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.counted import Counted
-from grasp_refine_apps.viewer.pose import Pose
+from grasp_refine_apps.viewer.pose import Pose, posed_scene
 from grasp_refine_apps.viewer.state import State
+from grasp_refine_apps.viewer.work import Work
 
 
 class ContactMeter:
     """Contacts of the shown grasp, for the scene and for all texts: one definition of which links count.
 
-    They are those of the shown iteration, of the file or of the last refinement; without either, those with a target
-    or, without targets, those within reach where the file has the hand, also if they were moved away since.
+    They are the contact links of the grasp as it was opened (`contact_gaps`), also if it was moved since; after a
+    refinement, those of its result. An iteration has the links that it closes.
     """
 
     def __init__(self) -> None:
@@ -40,28 +45,41 @@ class ContactMeter:
         pose, work = state.standing, state.work
         with self._lock:
             prepared = self._of(state.scene)
-            counted = counted_of(state)
-            if counted is None and not work.targets and work.of_file is not None:
-                if self._near is None or self._near[0] is not work.of_file:
-                    self._near = work.of_file, _within_reach(prepared, work.of_file)
-                counted = self._near[1]
+            counted = self._counted(state, prepared)
             # A counted iteration is made anew each time, its arrays are not.
-            key = (prepared, pose.T_object_root, pose.q, work.targets, counted and counted.touching)
+            key = (prepared, pose.T_object_root, pose.q, work.targets, counted and counted.gap)
             if self._last is None or not _same(self._last[0], key):
-                touching, margin = (None, 0.0) if counted is None else (counted.touching, counted.margin)
-                found = contacts_of(
-                    prepared, pose.T_object_root, pose.q, touching=touching, targets=work.targets, margin=margin
-                )
+                gap = None if counted is None else counted.gap
+                found = contacts_of(prepared, pose.T_object_root, pose.q, gap=gap, targets=work.targets)
                 self._last = key, found
             return self._last[1]
 
+    def counted(self, state: State) -> Counted | None:
+        """Return the links that count in the shown pose; None: those with a target."""
+        with self._lock:
+            return self._counted(state, self._of(state.scene))
+
+    def near(self, scene: Scene, pose: Pose) -> Counted | None:
+        """Return the contact links of a grasp of which none are recorded, without targets; None: there are none."""
+        with self._lock:
+            return _near(self._of(scene), scene, pose)
+
+    def _counted(self, state: State, prepared: HandObject) -> Counted | None:
+        work, counted = state.work, counted_of(state)
+        if counted is not None or work.targets or work.of_file is None:
+            return counted
+        if self._near is None or self._near[0] is not work.of_file:
+            self._near = work.of_file, _near(prepared, state.scene, work.of_file)
+        return self._near[1]
+
     def at(self, scene: Scene, pose: Pose, counted: Counted | None) -> Contacts:
-        """Return the contacts of another pose of the hand; without `counted`, those of links within reach there."""
+        """Return the contacts of another pose of the hand; without `counted`, those of links near the object there."""
         with self._lock:
             prepared = self._of(scene)
             if self._other is None or self._other[0] is not pose or self._other[1].prepared is not prepared:
-                touching, margin = (None, 0.0) if counted is None else (counted.touching, counted.margin)
-                found = contacts_of(prepared, pose.T_object_root, pose.q, touching=touching, margin=margin)
+                counted = counted or _near(prepared, scene, pose)
+                gap = None if counted is None else counted.gap
+                found = contacts_of(prepared, pose.T_object_root, pose.q, gap=gap)
                 self._other = pose, found
             return self._other[1]
 
@@ -75,23 +93,38 @@ class ContactMeter:
 
 def counted_of(state: State) -> Counted | None:
     """Return the links that count in the shown pose by a refinement or the file; None: by neither."""
-    work, trace = state.work, state.work.trace
-    if trace is None or work.outcome is not None:
+    return counted_in(state.work, refining=state.job is not None and state.job.kind == "refine")
+
+
+def counted_in(work: Work, *, refining: bool = False) -> Counted | None:
+    """Return the links that count in a grasp as it stands, by a refinement or the file; None: by neither."""
+    trace = work.trace
+    if trace is None:
         return work.counted
-    refining = state.job is not None and state.job.kind == "refine"
-    if work.frame is not None:
-        return Counted(trace.touching[min(work.frame, len(trace) - 1)], trace.margin)
     last = len(trace) - 1
-    return Counted(trace.touching[last], trace.margin) if refining or work.pose.same(trace.pose(last)) else work.counted
+    if work.frame == 0:
+        return trace.start
+    if work.frame is not None and (work.frame < last or work.outcome is None):
+        return Counted(trace.gap[min(work.frame, last)], iteration=True)
+    if work.outcome is not None:
+        return work.counted
+    at_last = refining or work.pose.same(trace.pose(last))
+    return Counted(trace.gap[last], iteration=True) if at_last else work.counted
 
 
-def _within_reach(prepared: HandObject, pose: Pose) -> Counted | None:
-    """Links (L,) that a refinement would choose at a pose; None: there is none."""
-    links = prepared.chain.links
-    found = contacts_of(prepared, pose.T_object_root, pose.q)
-    wanted = [link for link, should in zip(found.link, found.should, strict=True) if should]
-    first = np.array([links.index(link) == column for column, link in enumerate(links)])
-    return Counted(np.isin(links, wanted) & first) if wanted else None
+def title_of(state: State) -> str:
+    """Return the name of the largest gap of the links that count in the shown pose."""
+    counted = counted_of(state)
+    return MEASURE["contact_error"].title if counted is None else counted.title
+
+
+def _near(prepared: HandObject, scene: Scene, pose: Pose) -> Counted | None:
+    """Return the contact links of a grasp of which none are recorded, without targets; None: there are none."""
+    alone = posed_scene(scene, pose)
+    T = prepared.chain(alone.T_world_root, alone.q).T_world_link
+    cutoff = ContactSelection().cutoff(prepared.hand, prepared.chain.links)
+    (gap,) = contact_gaps(alone, query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape), cutoff=cutoff))
+    return None if np.isnan(gap).all() else Counted(gap)
 
 
 def _same(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:

@@ -21,7 +21,7 @@ from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, load_object, read_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
-from grasp_refine.pipeline.problem import Group, Problem, aim
+from grasp_refine.pipeline.problem import Group, Problem, aim, recorded_gaps
 from grasp_refine.pipeline.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
@@ -288,6 +288,7 @@ def _problem(
             transform_from_pose(some.hand_pose),
             q[rows],
             *targets,
+            contact_gap=recorded_gaps(hand, some),
             table=scene.table,
             environment=scene.environment,
             regions=scene.regions if obj is scene.object else None,

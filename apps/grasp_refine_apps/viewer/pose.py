@@ -51,14 +51,14 @@ class Target:
 
 
 def posed_scene(scene: Scene, pose: Pose, targets: Sequence[Target] = ()) -> Scene:
-    """Return a scene with the hand at one pose, and with these targets only.
+    """Return a scene with the hand at one pose, with these targets only, and without recorded contact links.
 
     Raises:
         GraspFileError: a link of a target cannot touch anything.
     """
     link, obj = aim(scene.hand, file_targets(targets), np.zeros(1, dtype=int))
     T, q = pose.T_object_root[None], pose.q[None]
-    return replace(scene, T_world_root=T, q=q, target_link=link, target_object=obj, direction=None)
+    return replace(scene, T_world_root=T, q=q, target_link=link, target_object=obj, direction=None, contact_gap=None)
 
 
 def file_targets(targets: Sequence[Target]) -> Targets | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +13,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
 from grasp_refine.grasps.poses import unit_poses
 from grasp_refine.pipeline.problem import Problem
-from grasp_refine.results.result_files import read_provenance
-from grasp_refine.scene.scene import links_of
 from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
-from grasp_refine_apps.viewer.counted import Counted
 
 BEFORE = ("hand_pose_before", "q_before")
 """Entries of result files that hold poses and joint values before refinement."""
@@ -42,8 +37,6 @@ class Records:
     """Poses of the base link before refinement, object frame; NaN where none is recorded."""
     q: Float[np.ndarray, "R n"]
     """Joint values before refinement, in the order of the hand; NaN where none are recorded."""
-    counted: tuple[Counted | None, ...]
-    """Links of each row (R,) that count by its refinement; None where that is not recorded."""
 
 
 def read_records(problem: Problem) -> Records | None:
@@ -70,9 +63,6 @@ def read_records(problem: Problem) -> Records | None:
         columns={key: np.concatenate([part[key] for part in columns]) for key in columns[0]},
         T=np.concatenate(T),
         q=np.concatenate(q),
-        counted=tuple(
-            one for file, count in zip(loaded, counts, strict=True) for one in _counted(file, count, problem)
-        ),
     )
 
 
@@ -94,36 +84,6 @@ def _columns(file: NpzFile, count: int) -> dict[str, np.ndarray]:
             value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
     return columns
-
-
-def _counted(file: NpzFile, count: int, problem: Problem) -> Iterator[Counted | None]:
-    """Yield the links that count in each row, and their margin."""
-    keys = "contact_link", "contact_distance", "provenance"
-    if not all(key in file.entries for key in keys):
-        yield from repeat(None, count)
-        return
-    names, distance = file.names("contact_link"), file.numbers("contact_distance", allowed="nan")
-    if distance.shape != (count, len(names)):
-        raise file.error(f"contact_distance must have the shape {(count, len(names))}, it has {distance.shape}")
-    links = links_of(problem.hand)
-    margin = _recorded_margin(file)
-    for row in np.isfinite(distance):
-        left, touching = np.array(names)[row].tolist(), np.zeros(len(links), dtype=bool)
-        for column, link in enumerate(links):
-            if link in left:
-                left.remove(link)
-                touching[column] = True
-        # Links of another hand, or below another base link.
-        known = touching.any() and not left
-        yield Counted(touching, margin) if known else None
-
-
-def _recorded_margin(file: NpzFile) -> float:
-    """Return the gap in metres that contacts should keep, by the settings that are recorded in a file; 0 by default."""
-    try:
-        return float(read_provenance(file.path)["config"]["refine"]["margin"])
-    except (LookupError, TypeError, ValueError):
-        return 0.0
 
 
 def _initial(file: NpzFile, count: int, problem: Problem) -> tuple[np.ndarray, np.ndarray]:

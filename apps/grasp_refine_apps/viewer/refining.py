@@ -14,11 +14,12 @@ from grasp_refine.pipeline.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.iteration_state import IterationState
-from grasp_refine.results.outcome import Outcome, worst_over_links
+from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
+from grasp_refine.validation.geometry import measure, worst_over_links
+from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.pose import Pose, Target, posed_scene, targets_of
 from grasp_refine_apps.viewer.trace import Recorder, Trace
 from grasp_refine_apps.viewer.worker import Control
@@ -48,6 +49,7 @@ def refine_grasp(
     control: Control,
     show: Callable[[Trace], None],
     group: Group,
+    counted: Counted | None = None,
 ) -> RefinedGrasp:
     """Refine one grasp from a pose of the hand.
 
@@ -60,14 +62,17 @@ def refine_grasp(
         control: Receives the progress, and can stop the refinement.
         show: Called with the iterations so far, often, and after each step of a paused refinement.
         group: Group of this grasp, for the names in the outcome.
+        counted: Contact links of this grasp, as shown; None: those of `contact_gaps`.
 
     Raises:
         GraspRefineError: a link that should touch does not exist.
         Stopped: the job was stopped.
     """
     scene = posed_scene(scene, pose, targets)
+    if counted is not None:
+        scene = replace(scene, contact_gap=counted.gap[None])
     config.contact_selection.named(scene.hand, scene.links)
-    recorder = Recorder(prepared, pose, targets, config.margin)
+    recorder = Recorder(prepared, pose, targets, config.margin, counted)
     searches = config.holds and not targets
     max_count = most_iterations(config) if searches else config.solver.iterations
     last, count = -np.inf, 0
@@ -91,19 +96,19 @@ def refine_grasp(
         alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
     )
     end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
-    trace = recorder.result(end, outcome.touching[0], float(outcome["loss"][0]))
+    trace = recorder.result(end, outcome.contact_gap[0], float(outcome["loss"][0]))
     return RefinedGrasp(end, recounted(trace, scene, outcome), outcome)
 
 
 def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
-    """Return a trace with its measures, the contact error over those links that the outcome counts in every iteration.
+    """Return a trace with its measures, the remaining gap of each iteration over the contact links of the result.
 
-    Each phase of a refinement chooses links anew, so that errors over its own links do not compare.
+    Each phase of a refinement chooses links anew, so that gaps of its own links do not compare.
     """
     count = len(trace)
-    touching, target_link, target_object = (
+    gap, target_link, target_object = (
         np.repeat(values, count, axis=0)
-        for values in (outcome.touching, outcome.target_point_link, outcome.target_point_object)
+        for values in (outcome.contact_gap, outcome.target_point_link, outcome.target_point_object)
     )
     geometry = measure(
         scene.hand,
@@ -113,11 +118,11 @@ def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
         trace.q,
         target_link,
         target_object,
-        trace.margin,
-        touching,
+        gap,
+        ~np.isnan(gap),
     )
-    error = worst_over_links(geometry.contact_error)
-    return replace(trace, touching=touching, contact_error=error, penetration=geometry.penetration)
+    remaining = worst_over_links(geometry.contact_error)
+    return replace(trace, gap=gap, remaining=remaining, penetration=geometry.penetration)
 
 
 def nearest_targets(prepared: HandObject, scene: Scene, pose: Pose, config: Config) -> tuple[Target, ...]:

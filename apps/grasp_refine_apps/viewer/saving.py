@@ -21,13 +21,15 @@ from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Stage
+from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine_apps.viewer.batches import batches
 from grasp_refine_apps.viewer.collection import Collection
+from grasp_refine_apps.viewer.counted import Counted
+from grasp_refine_apps.viewer.meter import counted_in
 from grasp_refine_apps.viewer.pose import Pose, Target, file_targets, file_targets_of, posed_scene
 from grasp_refine_apps.viewer.work import Work
 
@@ -57,6 +59,7 @@ def grasp_set(
     scale: float,
     targets: Sequence[Target] = (),
     prepared: HandObject | None = None,
+    counted: Counted | None = None,
 ) -> GraspSet:
     """Return one grasp with our own pregrasp and squeeze: it may have been edited or refined since it was read.
 
@@ -67,6 +70,7 @@ def grasp_set(
         scale: Factor from the units of the object's mesh to metres.
         targets: Target points of links on the object; empty: none are written.
         prepared: Prepared hand and object; None: built here.
+        counted: Contact links, which are recorded; None: none are.
 
     Raises:
         GraspFileError: the pose or the joint values are not finite.
@@ -78,7 +82,8 @@ def grasp_set(
         Stage(pose_from_transform(motion.T_world_root[:, stage]), motion.q[:, stage]) for stage in range(3)
     )
     alone = GraspSet.of(scene.hand, grasp.pose, grasp.q, object=name, scale=float(scale))
-    return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing)
+    links = _contact_links(scene.hand, [counted])
+    return replace(alone, targets=file_targets(targets), pregrasp=opened, squeeze=pressing, contact_links=links)
 
 
 def grasp_sets(
@@ -126,8 +131,17 @@ def grasp_sets(
         targets=file_targets_of([works[number].targets for number in numbers]),
         pregrasp=Stage(all_poses[:, 0], all_q[:, 0]),
         squeeze=Stage(all_poses[:, -1], all_q[:, -1]),
+        contact_links=_contact_links(hand, [counted_in(works[number]) for number in numbers]),
     )
     return found
+
+
+def _contact_links(hand: Hand, counted: Sequence[Counted | None]) -> ContactLinks | None:
+    """Return the contact links of grasps for a file, not those that an iteration closes; None: there are none."""
+    links = links_of(hand)
+    none = np.full(len(links), np.nan)
+    gap = np.stack([none if one is None or one.iteration else one.gap for one in counted])
+    return None if np.isnan(gap).all() else ContactLinks.of(links, gap)
 
 
 def _known_stages(collection: Collection, works: Mapping[int, Work]) -> dict[int, tuple[np.ndarray, np.ndarray]]:

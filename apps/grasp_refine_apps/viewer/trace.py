@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.contacts import contacts_of, distances_text
+from grasp_refine_apps.viewer.counted import REMAINING, Counted
 from grasp_refine_apps.viewer.pose import Pose, Target
 
 
@@ -23,18 +24,18 @@ class Trace:
     """Poses of the base link (K, 4, 4) in the object's frame, metres."""
     q: Float[np.ndarray, "K n"]
     """Joint values (K, n)."""
-    touching: Bool[np.ndarray, "K L"]
-    """Links (K, L) that should touch."""
+    gap: Float[np.ndarray, "K L"]
+    """Gaps (K, L) in metres that the links should keep which an iteration closes; NaN for others."""
     loss: Float[np.ndarray, " K"]
     """Losses (K,) in m^2; those of different stages do not compare."""
-    contact_error: Float[np.ndarray, " K"]
-    """Largest of gap and target misses (K,), metres."""
+    remaining: Float[np.ndarray, " K"]
+    """Largest gap or target miss (K,) of these links, metres."""
     penetration: Float[np.ndarray, " K"]
     """Deepest of all links (K,), metres."""
     label: tuple[str, ...]
     """Description of each iteration (K,), for users."""
-    margin: float = 0.0
-    """Gap in metres that contacts should keep."""
+    start: Counted | None = None
+    """Contact links of the grasp that is refined."""
 
     def __len__(self) -> int:
         """Return the number of iterations."""
@@ -42,7 +43,7 @@ class Trace:
 
     def text(self, k: int) -> str:
         """Text on the measures of an iteration."""
-        return distances_text(float(self.contact_error[k]), float(self.penetration[k]))
+        return distances_text(float(self.remaining[k]), float(self.penetration[k]), REMAINING)
 
     def pose(self, k: int) -> Pose:
         """Return the pose of the hand in an iteration."""
@@ -60,10 +61,10 @@ class _Iteration:
 
     way: int
     pose: Pose
-    touching: Bool[np.ndarray, " L"]
+    gap: Float[np.ndarray, " L"]
     loss: float
     label: str
-    contact_error: float = np.nan
+    remaining: float = np.nan
     penetration: float = np.nan
 
 
@@ -74,7 +75,14 @@ class Recorder:
     input grasp on: while it runs, that of the first start that is not done; in the end, that which led to the result.
     """
 
-    def __init__(self, prepared: HandObject, start: Pose, targets: Sequence[Target], margin: float) -> None:
+    def __init__(
+        self,
+        prepared: HandObject,
+        start: Pose,
+        targets: Sequence[Target],
+        margin: float,
+        counted: Counted | None = None,
+    ) -> None:
         """Record nothing yet.
 
         Args:
@@ -82,8 +90,10 @@ class Recorder:
             start: Pose of the hand before the refinement.
             targets: Target points of links on the object; empty: links touch anywhere.
             margin: Gap in metres that contacts should keep.
+            counted: Contact links of the grasp before the refinement.
         """
-        self._prepared, self._start, self._targets, self._margin = prepared, start, targets, margin
+        self._prepared, self._start, self._targets = prepared, start, targets
+        self._margin, self._counted = margin, counted
         self._iterations: list[_Iteration] = []
         self._ways: dict[tuple[int, int], int] = {}
         self._attempt, self._stage, self._followed = 0, "", 0
@@ -98,7 +108,8 @@ class Recorder:
             way = self._ways.setdefault((self._attempt, member), len(self._ways))
             label = state.stage if way == 0 else f"{state.stage}, try {way + 1}"
             pose = Pose(state.point.T[i].copy(), state.point.q[i].copy())
-            iteration = _Iteration(way, pose, state.touching[i].copy(), float(state.loss[i]), label)
+            gap = np.where(state.touching[i], self._margin, np.nan)
+            iteration = _Iteration(way, pose, gap, float(state.loss[i]), label)
             if member == first:
                 self._followed, iteration = way, self._measured(iteration)
             self._iterations.append(iteration)
@@ -110,24 +121,23 @@ class Recorder:
             self._prepared,
             pose.T_object_root,
             pose.q,
-            touching=iteration.touching,
+            gap=iteration.gap,
             targets=self._targets,
-            margin=self._margin,
         )
-        return replace(iteration, contact_error=found.contact_error, penetration=found.penetration)
+        return replace(iteration, remaining=found.contact_error, penetration=found.penetration)
 
     def trace(self) -> Trace | None:
         """Return the way that is followed so far; None: there is no iteration yet."""
         return self._trace([one for one in self._iterations if one.way == self._followed])
 
-    def result(self, end: Pose, touching: np.ndarray, loss: float) -> Trace:
+    def result(self, end: Pose, gap: np.ndarray, loss: float) -> Trace:
         """Return the way that led to the result, whose measures are not known yet in part."""
 
         def distance(one: _Iteration) -> float:
             moved = one.pose.T_object_root - end.T_object_root
             return float(np.abs(moved).max() + np.abs(one.pose.q - end.q).max())
 
-        last = _Iteration(-1, end, touching, loss, "the best of all")
+        last = _Iteration(-1, end, gap, loss, "the best of all")
         known = [one for one in self._iterations if one.pose.finite]
         way = min(known, key=distance).way if known else 0
         found = self._trace([*(one for one in self._iterations if one.way == way), self._measured(last)])
@@ -142,15 +152,15 @@ class Recorder:
         if not np.allclose(first.pose.T_object_root, self._start.T_object_root) or not np.allclose(
             first.pose.q, self._start.q
         ):
-            start = _Iteration(first.way, self._start, first.touching, np.nan, "the input grasp")
+            start = _Iteration(first.way, self._start, first.gap, np.nan, "the input grasp")
             iterations = [self._measured(start), *iterations]
         return Trace(
             T=np.stack([one.pose.T_object_root for one in iterations]),
             q=np.stack([one.pose.q for one in iterations]),
-            touching=np.stack([one.touching for one in iterations]),
+            gap=np.stack([one.gap for one in iterations]),
             loss=np.array([one.loss for one in iterations]),
-            contact_error=np.array([one.contact_error for one in iterations]),
+            remaining=np.array([one.remaining for one in iterations]),
             penetration=np.array([one.penetration for one in iterations]),
             label=tuple(one.label for one in iterations),
-            margin=self._margin,
+            start=self._counted,
         )

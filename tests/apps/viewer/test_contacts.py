@@ -59,7 +59,8 @@ def at(prepared: HandObject, left: float, right: float, **options) -> Contacts:
 
 
 def column(prepared: HandObject, *links: str) -> np.ndarray:
-    return np.isin(prepared.chain.links, links)
+    """Gaps of 0 of some links."""
+    return np.where(np.isin(prepared.chain.links, links), 0.0, np.nan)
 
 
 def test_gaps_and_penetrations_are_where_they_are(clamp: HandObject):
@@ -86,20 +87,20 @@ def test_all_is_in_the_frame_of_the_object(clamp: HandObject):
 
 def test_links_that_should_touch_are_shown_however_far_they_are(clamp: HandObject):
     assert at(clamp, 0.09, 0.09).link == ()
-    found = at(clamp, 0.09, 0.09, touching=column(clamp, "left", "far"))
+    found = at(clamp, 0.09, 0.09, gap=column(clamp, "left", "far"))
     assert found.link == ("left", "far") and found.should.all()
     np.testing.assert_allclose(found.distance, [0.09, 0.24], atol=1e-8)
     assert found.contact_error == pytest.approx(0.24)
     # The gap that they should keep counts.
-    assert at(clamp, 0.09, 0.09, touching=column(clamp, "left"), margin=0.01).contact_error == pytest.approx(0.08)
+    assert at(clamp, 0.09, 0.09, gap=column(clamp, "left") + 0.01).contact_error == pytest.approx(0.08)
 
 
 def test_links_that_touch_but_need_not_are_shown_without_an_error(clamp: HandObject):
-    found = at(clamp, 0.004, -0.002, touching=column(clamp, "left"))
+    found = at(clamp, 0.004, -0.002, gap=column(clamp, "left"))
     assert found.link == ("left", "right")
     np.testing.assert_array_equal(found.should, [True, False])
     assert np.isnan(found.error[1]) and found.contact_error == pytest.approx(0.004)
-    assert at(clamp, 0.004, 0.002, touching=column(clamp, "left")).link == ("left",)
+    assert at(clamp, 0.004, 0.002, gap=column(clamp, "left")).link == ("left",)
 
 
 def test_nothing_near_is_no_contact(clamp: HandObject):
@@ -131,7 +132,7 @@ def test_a_link_with_two_contact_points_is_shown_once(clamp: HandObject):
     twice = HandObject(replace(clamp.hand, contacts=contacts), clamp.object)
     assert twice.chain.links == ("left", "right", "left", "far")
     assert at(twice, 0.002, 0.002).link == ("left", "right")
-    found = at(twice, 0.002, 0.002, touching=np.array([False, True, True, False]))
+    found = at(twice, 0.002, 0.002, gap=np.array([np.nan, 0.0, 0.0, np.nan]))
     assert found.link == ("left", "right") and found.should.all()
     np.testing.assert_allclose(found.forces.force, at(clamp, 0.002, 0.002).forces.force, atol=1e-9)
 
@@ -145,7 +146,7 @@ def test_forces_of_two_opposite_contacts_balance(clamp: HandObject):
 
 @pytest.mark.filterwarnings("error")
 def test_a_pose_that_is_not_finite_has_no_contacts(clamp: HandObject):
-    found = at(clamp, np.nan, 0.0, touching=column(clamp, "left"))
+    found = at(clamp, np.nan, 0.0, gap=column(clamp, "left"))
     assert "left" not in found.link and np.isnan(found.penetration)
 
 

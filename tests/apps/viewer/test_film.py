@@ -37,10 +37,10 @@ def coming(scene: Scene, count: int) -> Trace:
     """The hand moves straight along x to where it is in the scene."""
     T = np.repeat(scene.T_world_root[:1], count, axis=0)
     T[:, 0, 3] += np.linspace(AWAY, 0.0, count)
-    touching = np.zeros((count, len(scene.links)), dtype=bool)
-    touching[:, -1] = True
+    gap = np.full((count, len(scene.links)), np.nan)
+    gap[:, -1] = 0.0
     ramp = np.linspace(0.002, 0.0, count)
-    return Trace(T, np.repeat(scene.q[:1], count, axis=0), touching, ramp, ramp, 0.5 * ramp, ("gaps close",) * count)
+    return Trace(T, np.repeat(scene.q[:1], count, axis=0), gap, ramp, ramp, 0.5 * ramp, ("gaps close",) * count)
 
 
 @pytest.fixture(scope="module")

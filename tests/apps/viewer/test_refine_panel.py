@@ -27,7 +27,7 @@ def trace_of(count: int, n: int = 2) -> Trace:
     return Trace(
         np.broadcast_to(np.eye(4), (count, 4, 4)),
         np.zeros((count, n)),
-        np.ones((count, 1), dtype=bool),
+        np.zeros((count, 1)),
         falling**2,
         falling,
         np.zeros(count),

@@ -15,6 +15,7 @@ from grasp_refine_apps.viewer.comparison import compared_text
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.glyphs import newtons_per_centimetre
+from grasp_refine_apps.viewer.meter import title_of
 from grasp_refine_apps.viewer.obstacles import overlaps_text
 from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
 from grasp_refine_apps.viewer.panels.banner import Banner
@@ -182,7 +183,7 @@ def _heading(state: State, controller: Controller) -> str:
         lines.append(html.escape(state.motion.text(state.motion_frame)))
     elif state.shown.finite:
         found = controller.contacts(state)
-        lines.append(distances_text(found.contact_error, found.penetration))
+        lines.append(distances_text(found.contact_error, found.penetration, title_of(state)))
         if compared := compared_text(state, controller.contacts):
             lines.append(f'<span style="color:var(--gr-good)">{html.escape(compared)}</span>')
         if overlaps := overlaps_text(controller.overlaps(state)):

@@ -189,10 +189,10 @@ class ExportPanel:
         if client is None or not self._controller.ready():
             return
         pose = now.standing
-        group = now.collection.group(now.number)
+        group, counted = now.collection.group(now.number), self._controller.contacts.counted(now)
 
         def work(control: Control) -> None:
-            grasps = grasp_set(now.scene, pose, group.object, group.scale, now.targets)
+            grasps = grasp_set(now.scene, pose, group.object, group.scale, now.targets, counted=counted)
             control.check()
             number = str(group.index[now.collection.member[now.number]])
             saved = grasp_file(now.collection.hand, grasps, to, number)

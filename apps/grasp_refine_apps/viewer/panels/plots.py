@@ -1,4 +1,4 @@
-"""Live plot of a refinement: contact error, penetration, and loss."""
+"""Live plot of a refinement: remaining gap, penetration, and loss."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
+from grasp_refine_apps.viewer.counted import REMAINING
 from grasp_refine_apps.viewer.state import State
 from grasp_refine_apps.viewer.trace import Trace, subsample
 
@@ -17,7 +18,7 @@ MIN_LENGTH_MM = 1e-3
 """Smallest length drawn, in mm: a logarithmic axis has no zero, and uPlot writes no smaller number."""
 
 _GRID: Any = {"stroke": "rgba(128, 128, 128, 0.15)", "width": 1}
-_SERIES = (("contact error", "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
+_SERIES = ((REMAINING, "#1c7ed6"), ("penetration", "#e8590c"), ("√loss", "#2b8a3e"))
 _SHOWN: Any = {"label": "shown now", "stroke": "#868e96", "width": 2, "points": {"show": False}}
 
 
@@ -63,13 +64,13 @@ def curves(trace: Trace, frame: int | None) -> Float[np.ndarray, "5 P"]:
         frame: The iteration with a line; None: the last one.
 
     Returns:
-        Iteration; contact error, penetration and root of the loss, in mm; the line, NaN elsewhere.
+        Iteration; remaining gap, penetration and root of the loss, in mm; the line, NaN elsewhere.
     """
     last = len(trace) - 1
     frame = last if frame is None else min(frame, last)
     kept = np.union1d(subsample(last + 1, MAX_POINTS - 3), [frame])
     kept = np.sort(np.append(kept, [frame, frame]))
-    lengths = np.stack((trace.contact_error, trace.penetration, np.sqrt(np.maximum(trace.loss, 0.0))))[:, kept]
+    lengths = np.stack((trace.remaining, trace.penetration, np.sqrt(np.maximum(trace.loss, 0.0))))[:, kept]
     lengths = np.maximum(1e3 * lengths, MIN_LENGTH_MM)
     line = np.full(len(kept), np.nan)
     line[np.searchsorted(kept, frame) + 1] = np.nanmax(lengths)
