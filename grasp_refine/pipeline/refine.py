@@ -10,6 +10,7 @@ from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.clearance import clearances
+from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationCallback
 from grasp_refine.refinement.refine import refine
@@ -31,7 +32,7 @@ class Listener:
         return None
 
     def note(self, line: str) -> None:
-        """Receive a note for the user on the simulated hand."""
+        """Receive a note for the user on the hand that is refined or simulated."""
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
         """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
@@ -66,7 +67,7 @@ def refine_problem(
         return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
 
     parts = [
-        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group))
+        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
         for group in problem.groups
     ]
     outcome = Outcome.join(parts).select(problem.order)
@@ -82,6 +83,7 @@ def refine_group(
     progress: Progress | None = None,
     on_iteration: IterationCallback | None = None,
     on_opening: Progress | None = None,
+    on_note: Callable[[str], None] = lambda line: None,
 ) -> Outcome:
     """Refine the grasps of one object, give them pregrasps and squeezes, and measure them before and after.
 
@@ -92,12 +94,15 @@ def refine_group(
         progress: As for `refine`.
         on_iteration: As the `on_iteration` of `refine`.
         on_opening: As the `progress` of `closing_motion`.
+        on_note: Called with notes for the user on open jaws.
 
     Raises:
         GraspRefineError: a link that should touch does not exist.
     """
     scene, prepared = group.scene, prepared or HandObject.of(group.scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
+    for note in () if refinement.closed_m is None else closing_notes(refinement.closed_m, jaws=True):
+        on_note(note)
     after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
     outcome = compare(
         scene,

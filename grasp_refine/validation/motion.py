@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeezed
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.scene.hand_object import HandObject
@@ -32,6 +33,8 @@ class Motion:
     """Poses (N, 3, 4, 4) of the hand's base link in the object's frame, metres."""
     q: Float[np.ndarray, "N 3 n"]
     """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
+    closed_m: Float[np.ndarray, " N"] | None = None
+    """Distance (N,) by which open fingers were closed to the grasp, as `ClosedHands.moved_m`; None: stages as given."""
 
     __repr__ = brief
 
@@ -58,6 +61,8 @@ def closing_motion(
 ) -> Motion:
     """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
+    Hands that are open (`closing.is_open`) are closed first, and begin as open as they are.
+
     Args:
         scene: Hand, object and grasps.
         prepared: Geometry of this hand and object; None: built here.
@@ -74,9 +79,13 @@ def closing_motion(
     posed = scene.posed | scene.out_of_reach
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = open_hand(scene, prepared, progress)
+    closed = close_hands(scene, prepared)
+    scene = replace(scene, q=closed.q)
     q = np.where(posed[:, None], scene.q, np.nan)
     return Motion(
-        np.stack([T_open, T, T], axis=1), np.stack([q_open, q, squeezed(scene, prepared, total=pressure)], axis=1)
+        np.stack([T_open, T, T], axis=1),
+        np.stack([q_open, q, squeezed(scene, prepared, total=pressure)], axis=1),
+        closed.moved_m,
     )
 
 

@@ -17,6 +17,7 @@ from grasp_refine.core.json_files import check_no_input, check_writable, save_js
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Group, Problem
+from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
@@ -240,6 +241,9 @@ class Validate:
         if clipped := clipping_note([world for _, world, *_ in trials], [motion for _, _, motion, _ in trials]):
             reporter.note(clipped)
         validated = Validated.join(parts).select(problem.order)
+        if validated.closed_m is not None:
+            for note in closing_notes(validated.closed_m, problem.hand.has_two_fingers):
+                reporter.note(note)
         joined = Margins.join(tried).select(problem.order) if tried else None
         return _Examined(problem, validated, tuple(trials), compiling, joined)
 
