@@ -210,7 +210,7 @@ def evaluate(
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     problem = _problem(hand, object, grasps, table, scene, base, touch, avoid)
-    chosen = None if protocol is None else _protocol(protocol)
+    chosen = None if protocol is None else _protocol(protocol).for_contacts(problem.hand.patches)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
     for group in problem.groups:
@@ -255,6 +255,7 @@ def margins(
     """
     check_kind("factors", factors, Factors | None)
     problem, chosen = _problem(hand, object, grasps, None, None, None), _protocol(protocol)
+    chosen = chosen.for_contacts(problem.hand.patches)
     return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 

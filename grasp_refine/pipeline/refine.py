@@ -152,7 +152,7 @@ def _simulate(
     from grasp_refine.validation.validate import model_of
     from grasp_refine.validation.world import World, build_world
 
-    hand = problem.hand
+    hand, protocol = problem.hand, protocol.for_contacts(problem.hand.patches)
     model = cache.get("model", hand, partial(model_of, hand))
     for note in model.notes:
         listener.note(note)

@@ -112,4 +112,5 @@ def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion
             stage = grasps.at(getattr(grasps, name)) if name in OTHER_STAGES else grasps
             T.append(transform_from_pose(stage.hand_pose))
             q.append(match_joints(stage, hand)[0])
-    return Motion(np.stack(T, axis=1), np.stack(q, axis=1))
+    closed = own.closed_m if own is not None and "squeeze" in missing else None
+    return Motion(np.stack(T, axis=1), np.stack(q, axis=1), closed)

@@ -101,6 +101,8 @@ class Validate:
             self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
             if protocol is not None and any(draft.environment is not None for draft in drafts):
                 protocol = self.simulation.chosen_protocol(in_scene=True)
+            if protocol is not None and len(kinds := {draft.hand.patches for draft in drafts}) == 1:
+                protocol = protocol.for_contacts(kinds.pop())
             problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.note(note)
