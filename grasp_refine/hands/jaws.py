@@ -32,6 +32,8 @@ class Jaws:
     """Unit vector (3,) at a right angle to it, from the palm to the fingers."""
     opened: Float[np.ndarray, " n"]
     """Joint values (n,) at which they are as far apart as they go, rad or m; other joints rest."""
+    closed: Float[np.ndarray, " n"]
+    """Joint values (n,) at which they are as near as they go."""
 
     @property
     def T_jaws_base(self) -> Float[np.ndarray, "4 4"]:
@@ -66,7 +68,7 @@ def jaws_of(hand: Hand) -> Jaws | None:
     ahead = _snapped(ahead - (ahead @ axis) * axis)
     approach = ahead - (ahead @ axis) * axis
     length = np.linalg.norm(approach)
-    return Jaws(axis, approach / length, opened) if length > 0.5 else None
+    return Jaws(axis, approach / length, opened, closed) if length > 0.5 else None
 
 
 def _fingers(hand: Hand, q: Float[np.ndarray, "B n"]) -> Float[np.ndarray, "B 2 3"]:

@@ -22,6 +22,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
+from grasp_refine.pipeline.frame_check import frame_notes
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -116,7 +117,8 @@ def problem_of(
     name, scale = (names[0], float(grasps.scale[0])) if names else (obj.name, 1.0)
     group = Group(name, scale, made, grasps, rows, rows, rows)
     doubts = convention_notes([made])
-    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts))
+    frames = () if doubts else frame_notes([made])
+    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *doubts, *frames))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
 

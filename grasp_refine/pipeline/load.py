@@ -25,6 +25,7 @@ from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_o
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
 from grasp_refine.pipeline.example import example_grasps
+from grasp_refine.pipeline.frame_check import frame_notes
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
 from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim
@@ -171,7 +172,8 @@ class Loader:
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
-            all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            frames = () if doubts else frame_notes([group.scene for group in found])
+            all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts, *frames))
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)
 
