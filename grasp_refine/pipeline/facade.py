@@ -23,6 +23,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.pipeline.arms import arm_clearance
+from grasp_refine.pipeline.frame_check import frame_notes
 from grasp_refine.pipeline.margins import GraspMargins, problem_margins
 from grasp_refine.pipeline.problem import Group, Problem, aim, recorded_gaps
 from grasp_refine.pipeline.refine import Listener, refine_problem, simulate_refined
@@ -131,7 +132,8 @@ def problem_of(
     for note in doubts:
         warnings.warn(note, stacklevel=2)
     around = surroundings_notes([made])
-    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *around, *doubts))
+    frames = () if doubts else frame_notes([made])
+    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *around, *doubts, *frames))
     return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
 
 
@@ -229,7 +231,7 @@ def evaluate(
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     problem = _problem(hand, object, grasps, table, scene, base, touch, avoid, as_is=as_is)
-    chosen = None if protocol is None else _protocol(protocol)
+    chosen = None if protocol is None else _protocol(protocol).for_contacts(problem.hand.patches)
     model = None if chosen is None else model_of(problem.hand)
     parts = []
     for group in problem.groups:
@@ -275,7 +277,8 @@ def margins(
         GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
     """
     check_kind("factors", factors, Factors | None)
-    problem, chosen = _problem(hand, object, grasps, None, None, None, as_is=as_is), _protocol(protocol)
+    problem = _problem(hand, object, grasps, None, None, None, as_is=as_is)
+    chosen = _protocol(protocol).for_contacts(problem.hand.patches)
     return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 

@@ -27,6 +27,7 @@ from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_o
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
 from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
 from grasp_refine.pipeline.example import example_grasps
+from grasp_refine.pipeline.frame_check import frame_notes
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.named_inputs import in_scene, on_disk, other_urdf, with_actuators
 from grasp_refine.pipeline.problem import Draft, Group, Problem, UncutGroup, aim, recorded_gaps
@@ -182,9 +183,9 @@ class Loader:
             doubts = convention_notes(scenes)
             if not spec.as_is:
                 refuse_conventions(doubts, str(path))
-            all_notes = dict.fromkeys(
-                (*notes, *check_objects(read.files, cut, other=True), *surroundings_notes(scenes), *doubts)
-            )
+            frames = () if doubts else frame_notes(scenes)
+            checked = (*check_objects(read.files, cut, other=True), *surroundings_notes(scenes))
+            all_notes = dict.fromkeys((*notes, *checked, *doubts, *frames))
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)
 

@@ -44,13 +44,13 @@ class Group:
         """Return the motion that closes the hand to the grasps.
 
         Args:
-            source: "file": pregrasps and squeezes of the file; "own": our own; "auto": stage by stage, those of the
-                file where it has them.
+            source: "file": pregrasps and squeezes of the file; "own": our own, which close open hands first; "auto":
+                stage by stage, those of the file where it has them.
 
         Raises:
             GraspFileError: the source is "file", and the file lacks some.
         """
-        if source == "own":
+        if source == "own" or (source == "auto" and not self.grasps.other_stages):
             return closing_motion(self.scene)
         complete = source == "file" or (self.grasps.pregrasp is not None and self.grasps.squeeze is not None)
         return motion_of(self.grasps, self.scene.hand, None if complete else closing_motion(self.scene))

@@ -12,6 +12,7 @@ from grasp_refine.pipeline.input_cache import InputCache, NoCache
 from grasp_refine.pipeline.problem import Group, Problem
 from grasp_refine.pipeline.refined import RefinedGrasps
 from grasp_refine.refinement.clearance import clearances
+from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationCallback
 from grasp_refine.refinement.refine import refine
@@ -36,7 +37,7 @@ class Listener:
         return None
 
     def note(self, line: str) -> None:
-        """Receive a note for the user on the refined grasps, or on the simulated hand."""
+        """Receive a note for the user on the refined grasps, or on the hand that is refined or simulated."""
 
     def simulating(self, group: Group) -> Callable[[str, float], None]:
         """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
@@ -76,7 +77,7 @@ def refine_problem(
 
     worlds = None if protocol is None else _worlds(problem, protocol, listener, cache)
     parts = [
-        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group))
+        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
         for group in problem.groups
     ]
     outcome = Outcome.join(parts).select(problem.order)
@@ -97,6 +98,7 @@ def refine_group(
     progress: Progress | None = None,
     on_iteration: IterationCallback | None = None,
     on_opening: Progress | None = None,
+    on_note: Callable[[str], None] = lambda line: None,
 ) -> Outcome:
     """Refine the grasps of one object, give them pregrasps and squeezes, and measure them before and after.
 
@@ -107,12 +109,15 @@ def refine_group(
         progress: As for `refine`.
         on_iteration: As the `on_iteration` of `refine`.
         on_opening: As the `progress` of `closing_motion`.
+        on_note: Called with notes for the user on open jaws.
 
     Raises:
         GraspRefineError: a link that should touch does not exist.
     """
     scene, prepared = group.scene, prepared or HandObject.of(group.scene)
     refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
+    for note in () if refinement.closed_m is None else closing_notes(refinement.closed_m, jaws=True):
+        on_note(note)
     after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
     outcome = compare(
         scene,
@@ -179,6 +184,7 @@ def _simulate(
     from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.set_points import clipping_note
 
+    protocol = protocol.for_contacts(problem.hand.patches)
     before: list[Trials] = []
     after: list[Trials] = []
     motions: list[Motion] = []

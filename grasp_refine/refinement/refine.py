@@ -12,6 +12,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import labels, spread, tallied
+from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import search
 from grasp_refine.refinement.gap_closing import close_gaps
@@ -56,6 +57,9 @@ class Refinement:
     """Share of the CPU time of each grasp (N,), seconds."""
     starts: np.ndarray
     """Number of starts from which each grasp was tried (N,)."""
+    closed_m: np.ndarray | None = None
+    """Distance (N,) by which open jaws were closed first, as `ClosedHands.moved_m`; None: the hand has no jaws, or its
+    links have targets."""
 
     def __repr__(self) -> str:
         ended = tallied(self.labels)
@@ -112,7 +116,11 @@ def refine(
     status[scene.out_of_reach] = Status.OUT_OF_REACH
     starts = sound.astype(np.int64)
     # Contact links are chosen anew: those recorded are of the input grasps.
-    scene = replace(scene.masked(sound), contact_gap=None)
+    scene, closed = replace(scene.masked(sound), contact_gap=None), None
+    if scene.hand.has_two_fingers and scene.target_link is None:
+        # A jaw is brought to the object by closing it; by moving the hand, what is left.
+        closed = close_hands(scene, prepared)
+        scene = replace(scene, q=closed.q)
     if config.holds and scene.target_link is None and not config.nearest:
         held = search(scene, prepared, config, status, progress, on_iteration)
         goal, found, starts = held.goal, held.minimum, held.starts
@@ -141,6 +149,7 @@ def refine(
         wall_s=found.wall_s + wall / count,
         cpu_s=found.cpu_s + cpu / count,
         starts=starts,
+        closed_m=None if closed is None else closed.moved_m,
     )
 
 

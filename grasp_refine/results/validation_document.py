@@ -129,6 +129,7 @@ def _simulation(
         return None
     return {
         **simulation_entry(validated.trials, i, protocol),
+        "closed_first_m": None if validated.closed_m is None else validated.closed_m[i],
         "mass_kg": None if validated.mass is None else validated.mass[i],
         "drake": None if validated.drake is None else simulation_entry(validated.drake, i, protocol),
         "flags": {"barely": validated.barely(protocol)[i], "by_squeeze": validated.by_squeeze[i]},

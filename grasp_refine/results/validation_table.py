@@ -93,7 +93,7 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
 def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
     title, shown = f"{what}: {count_text(len(validated), 'grasp')}", np.arange(len(validated))
     if protocol is not None:
-        title += f", {protocol.name}, friction {protocol.friction:g}"
+        title += ", ".join(["", protocol.name, f"friction {protocol.friction:g}", *protocol.contact_points])
         if protocol.density is not None and validated.mass is not None:
             title += f", {validated.mass[0] * 1e3:.0f} g"
         if protocol.seconds != Protocol().seconds:

@@ -26,8 +26,6 @@ from grasp_refine.validation.geometry import Geometry, Movement
 if TYPE_CHECKING:
     from grasp_refine.refinement.refine import Refinement
 
-MAX_FINGER_DISTANCE_M = 0.01
-"""Largest distance in metres of a finger from the object that counts; farther ones count as this."""
 COSTLY_M = (0.0005, 0.0025)
 """Depth in metres of a link in a body of the scene, or distance of a contact from where it may be, up to which it costs
 no quality, and from which on it costs all."""
@@ -145,7 +143,7 @@ def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the mean distance (N,) of the fingers in metres, NaN for a hand without fingers.
 
-    The distance of a finger is that of its nearest contact link, at least 0, at most `MAX_FINGER_DISTANCE_M`.
+    The distance of a finger is that of its nearest contact link, at least 0.
     """
     distance, fingers = grasps.geometry.distance, dict[str, set[int]]()
     for contact in grasps.hand.contacts:
@@ -153,7 +151,7 @@ def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     if not fingers:
         return np.full(len(distance), np.nan)
     nearest = np.stack([distance[:, sorted(columns)].min(axis=1) for columns in fingers.values()])
-    return np.clip(nearest, 0.0, MAX_FINGER_DISTANCE_M).mean(axis=0)
+    return np.maximum(nearest, 0.0).mean(axis=0)
 
 
 def contact_number(grasps: MeasuredGrasps) -> Int[np.ndarray, " N"]:

@@ -50,6 +50,8 @@ class HandModel:
     """
     curves: Curves | None = None
     """Parts of the joint values that are not linear; None: none is."""
+    patches: bool = False
+    """Whether flat faces of the hand touch in patches, as `Hand.patches`."""
     on_arm: Hand | None = None
     """The hand, where its root is the base of an arm, which stands still; None: the root moves freely."""
 

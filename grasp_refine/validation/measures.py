@@ -14,7 +14,6 @@ import numpy as np
 
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.validation.formulas import (
-    MAX_FINGER_DISTANCE_M,
     arm_dexterity,
     contact_distance,
     contact_number,
@@ -194,7 +193,7 @@ MEASURES = (
     Measure(
         key="contact_distance",
         title="contact distance",
-        hint=f"mean over the fingers, each of its nearest contact link, at most {1e3 * MAX_FINGER_DISTANCE_M:g} mm",
+        hint="mean over the fingers, each of its nearest contact link",
         unit=METRE,
         formula=contact_distance,
         recorded=False,

@@ -78,6 +78,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
         notes=tuple(notes),
         actuator=servo_settings(hand.joint_names, hand.coupled, placed, matched, matrix, offset),
         curves=hand.curves.take(rows, fit.sign),
+        patches=hand.patches,
     )
 
 

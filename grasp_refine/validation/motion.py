@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,6 +16,7 @@ from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N, squeeze
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, match_joints
 from grasp_refine.hands.hand import Hand
+from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.scene.hand_object import HandObject
@@ -35,6 +36,8 @@ class Motion:
     """Joint values (N, 3, n) in `Hand.joint_names` order, radians or metres; a squeeze may lie beyond the limits."""
     forces: SqueezeForces | None = None
     """Forces that the squeezes are planned for; None: they are not ours."""
+    closed_m: Float[np.ndarray, " N"] | None = None
+    """Distance (N,) by which open fingers were closed to the grasp, as `ClosedHands.moved_m`; None: stages as given."""
 
     __repr__ = brief
 
@@ -61,6 +64,8 @@ def closing_motion(
 ) -> Motion:
     """Return our motion to the grasps of a scene: open before, pressing after; NaN for invalid poses.
 
+    Hands that are open (`closing.is_open`) are closed first, and begin as open as they are.
+
     Args:
         scene: Hand, object and grasps.
         prepared: Geometry of this hand and object; None: built here.
@@ -77,9 +82,12 @@ def closing_motion(
     posed = scene.posed | scene.out_of_reach
     T = np.where(posed[:, None, None], scene.T_world_root, np.nan)
     T_open, q_open = open_hand(scene, prepared, progress)
+    closed = close_hands(scene, prepared)
+    scene = replace(scene, q=closed.q)
     q = np.where(posed[:, None], scene.q, np.nan)
     pressing = squeeze(scene, prepared, total=pressure)
-    return Motion(np.stack([T_open, T, T], axis=1), np.stack([q_open, q, pressing.q], axis=1), pressing.forces)
+    q = np.stack([q_open, q, pressing.q], axis=1)
+    return Motion(np.stack([T_open, T, T], axis=1), q, pressing.forces, closed.moved_m)
 
 
 def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion:
@@ -105,4 +113,5 @@ def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion
             stage = grasps.at(getattr(grasps, name)) if name in OTHER_STAGES else grasps
             T.append(transform_from_pose(stage.hand_pose))
             q.append(match_joints(stage, hand)[0])
-    return Motion(np.stack(T, axis=1), np.stack(q, axis=1))
+    closed = own.closed_m if own is not None and "squeeze" in missing else None
+    return Motion(np.stack(T, axis=1), np.stack(q, axis=1), closed_m=closed)

@@ -56,6 +56,7 @@ def mounted_model(hand: Hand) -> HandModel:
         notes=(*below.notes, *above.notes),
         actuator=both(below.actuator, above.actuator),
         curves=_curves(below.curves, above.curves, n),
+        patches=hand.patches,
         on_arm=hand,
     )
 

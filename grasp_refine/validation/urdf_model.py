@@ -112,6 +112,7 @@ def urdf_model(hand: Hand) -> HandModel:
         notes=tuple(notes),
         actuator=hand.actuator,
         curves=parts.curves,
+        patches=hand.patches,
         on_arm=None if hand.arm is None else hand,
     )
 

@@ -87,6 +87,8 @@ class Validated:
     """True (N,) where the grasp held without the squeeze."""
     drake: Trials | None = None
     """Trials in Drake, where the others are in MuJoCo."""
+    closed_m: Float[np.ndarray, " N"] | None = None
+    """Distance (N,) by which open fingers were closed first in these trials, metres, as `Motion.closed_m`."""
 
     __repr__ = brief
 
@@ -112,11 +114,12 @@ class Validated:
         """True where a grasp (N,) held only because of the squeeze.
 
         Simulated, where that was requested; otherwise grasps with fewer than two links near the object, so that only
-        the squeeze brings them into contact.
+        the squeeze brings them into contact, and which were not closed first.
         """
         if self.unsqueezed is not None:
             return self.success & ~self.unsqueezed
-        return self.success & (self.metrics.contact_number < MIN_CONTACT_LINKS)
+        few = self.success & (self.metrics.contact_number < MIN_CONTACT_LINKS)
+        return few if self.closed_m is None else few & ~(self.closed_m > 0.0)
 
     def select(self, rows: np.ndarray) -> Validated:
         """Return the grasps `rows`, in that order."""
@@ -205,6 +208,7 @@ def validate(
         trials=trials,
         mass=np.full(count, world.mass),
         drake=drake,
+        closed_m=motion.closed_m,
         **_further(world, scene, motion, rows, checks, first, progress),
     )
 
@@ -262,8 +266,8 @@ def _normal(scene: Scene) -> np.ndarray:
 
 
 def _joined(values: list) -> Any:
-    """Return arrays, measures or trials as one; None where there are none."""
+    """Return arrays, measures or trials as one; None where a part has none."""
     first = values[0]
-    if first is None:
+    if any(value is None for value in values):
         return None
     return np.concatenate(values) if isinstance(first, np.ndarray) else type(first).join(values)

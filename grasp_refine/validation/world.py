@@ -103,7 +103,7 @@ def build_world(
     Args:
         hand: The hand; it is copied.
         obj: The object, with all its convex pieces.
-        protocol: Protocol of the simulation.
+        protocol: Protocol of the simulation; the world's has its `multiccd` decided.
         table: Support of the object, where it is lifted; by default a plane under its lowest point.
         environment: Bodies around the object, where it is lifted, in place of a table; movable ones can be pushed.
 
@@ -116,6 +116,7 @@ def build_world(
     check_kind("protocol", protocol, Protocol)
     check_kind("table", table, Plane | None)
     check_kind("environment", environment, Environment | None)
+    protocol = protocol.for_contacts(hand.patches)
     # Pushes are those of an object in empty space.
     around = environment if protocol.tabletop else None
     spec = mujoco.MjSpec()

@@ -52,11 +52,19 @@ def test_what_is_only_seen_touches_nothing() -> None:
     assert not simulate(world, around(4.0)).success.any()
 
 
-@pytest.mark.parametrize("multiccd", [False, True])
-def test_the_protocol_says_in_how_many_points_pieces_touch(multiccd: bool) -> None:
+@pytest.mark.parametrize(
+    ("multiccd", "patches", "several"),
+    [(False, True, False), (True, False, True), (None, True, True), (None, False, False)],
+)
+def test_protocol_or_else_hand_says_in_how_many_points_pieces_touch(
+    multiccd: bool | None, patches: bool, several: bool
+) -> None:
     """Flat plates on a flat box: one point each, or the corners of the face."""
     box = load_object("box:0.06,0.04,0.05", unit="m", candidates=16)
-    world = build_world(gripper(), box, replace(DEXGRASPBENCH, multiccd=multiccd))
+    hand = replace(gripper(), patches=patches)
+    world = build_world(hand, box, replace(DEXGRASPBENCH, multiccd=multiccd))
+    assert world.protocol.multiccd is several
+    assert ("faces touch in several points" in world.protocol.label) is several
     points: list[int] = []
 
     def count(batch: Batch) -> None:
@@ -66,7 +74,7 @@ def test_the_protocol_says_in_how_many_points_pieces_touch(multiccd: bool) -> No
         points.append(data.ncon)
 
     close(world, around(4.0), Conditions.nominal(world, 1), on_step=count)
-    assert points[-1] == (8 if multiccd else 2)
+    assert points[-1] == (8 if several else 2)
 
 
 def test_a_table_is_as_steep_as_it_is_said() -> None:

@@ -94,7 +94,9 @@ class ShardWork:
     def _save(self, shard: Shard, refined: RefinedGrasps) -> None:
         task = shard.task
         provenance = {
-            "config": self.described | {"inputs": settings(task.inputs)},
+            "config": self.described
+            | {"inputs": settings(task.inputs)}
+            | ({} if refined.simulated is None else {"protocol": settings(refined.simulated.protocol)}),
             "source": task.source,
             "batch": {"stamp": shard.stamp, "job": task.job, "look": _view_options(task.inputs)},
             "advice": advice(refined.outcome, self.config),

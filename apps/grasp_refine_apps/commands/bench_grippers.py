@@ -25,8 +25,8 @@ class BenchGrippers(BenchCommand):
 
     Each gripper samples grasps on each object; each of them is tried as it is, and moved by 5 mm in a random direction
     and turned by 10 degrees about a random axis through the middle of its pads. All are simulated as `dexgraspbench`
-    does, before and after refinement, under frictions of 0.6 and 0.3, with one and with several points (multiccd) for
-    two convex pieces that touch.
+    does, before and after refinement, under frictions of 0.6 and 0.3, with several points for two convex pieces that
+    touch, as validation of grippers has them, and with one.
     """
 
     command = "bench grippers"

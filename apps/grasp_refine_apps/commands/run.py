@@ -109,6 +109,9 @@ class Run:
             check_writable(self.output.json, self.output.way, overwrite=self.output.overwrite, inside=self.output.out)
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             draft = loader.draft()
+            if protocol is not None:
+                protocol = protocol.for_contacts(draft.hand.patches)
+                described["protocol"] = settings(protocol)
             self._check_applicable(draft, config)
             stamps = self._stamps(draft, described["refine"])
             paths = self._paths(draft, stamps, protocol)

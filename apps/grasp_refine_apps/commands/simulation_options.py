@@ -48,7 +48,7 @@ class Simulation:
     third of the time."""
     multiccd: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Let two convex pieces touch in several points, so that flat faces hold each other by a patch, instead of turning
-    about one point; for mujoco."""
+    about one point; for mujoco. A protocol that says nothing does so for hands that touch in patches, as grippers."""
     closing: StageSource = "auto"
     """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
     engine: EngineChoice = "mujoco"

@@ -18,6 +18,7 @@ from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.pipeline.load import Loader
 from grasp_refine.pipeline.problem import Draft, Group, Problem
+from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
@@ -101,6 +102,8 @@ class Validate:
             self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
             if protocol is not None and any(draft.environment is not None for draft in drafts):
                 protocol = self.simulation.chosen_protocol(in_scene=True)
+            if protocol is not None and len(kinds := {draft.hand.patches for draft in drafts}) == 1:
+                protocol = protocol.for_contacts(kinds.pop())
             problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.note(note)
@@ -243,6 +246,9 @@ class Validate:
         if ignored := ignored_overlaps(problem.hand, np.concatenate([group.scene.q for group in problem.groups])):
             reporter.note(ignored)
         validated = Validated.join(parts).select(problem.order)
+        if validated.closed_m is not None:
+            for note in closing_notes(validated.closed_m, problem.hand.has_two_fingers):
+                reporter.note(note)
         joined = Margins.join(tried).select(problem.order) if tried else None
         return _Examined(problem, validated, tuple(trials), compiling, joined)
 

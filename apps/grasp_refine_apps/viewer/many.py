@@ -79,7 +79,13 @@ class ManyGrasps(Cutter):
             protocol = self._checked(lambda: protocol_of(*self._state.protocol))
             if protocol is None:
                 return
-            wanted = self._without(numbers, lambda _, work: work.trial is not None and work.trial.protocol == protocol)
+
+            def is_tested(_: int, work: Work) -> bool:
+                # That of a trial says how many points touch.
+                tried = None if work.trial is None else work.trial.protocol
+                return tried is not None and tried == protocol.for_contacts(bool(tried.multiccd))
+
+            wanted = self._without(numbers, is_tested)
             if not wanted:
                 self.notify("all of them are tested by this protocol")
                 return

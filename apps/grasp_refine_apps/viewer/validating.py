@@ -131,6 +131,7 @@ def run_trial(make_world: MakeWorld, grasp: PosedGrasp, protocol: Protocol, cont
     control.report(0.0, PREPARING)
     control.check()
     world = make_world(grasp.scene, protocol)
+    protocol = world.protocol
     control.check()
     motion, owners = grasp.motion(control.check)
     pushing = "lifting the object" if protocol.tabletop else f"pushing in {len(protocol.directions)} directions"

@@ -22,7 +22,14 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder
 from grasp_refine.grasps.formats.format import SUCCESS, Load, Part, omission_notes, rows_by_object
-from grasp_refine.grasps.formats.grippers import FRANKA, FRANKA_JOINTS, FRANKA_LINK, hand_named, without_follower
+from grasp_refine.grasps.formats.grippers import (
+    FRANKA,
+    FRANKA_JOINTS,
+    FRANKA_LINK,
+    hand_named,
+    open_joints,
+    without_follower,
+)
 from grasp_refine.grasps.formats.layout import Layout
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.formats.stages import fit_layout, root_poses
@@ -69,8 +76,7 @@ class Acronym:
         said = gripper.get("type", gripper.get("name"))
         named = None if said is None else hand_named(source.text(said, "gripper/type"))
         notes = []
-        q = np.zeros((count, 0))
-        joints: tuple[str, ...] = ()
+        joints, q, opened = open_joints(hand, count)
         if named == FRANKA:
             layout = PANDA
             if gripper.get("configuration") is not None:
@@ -82,12 +88,12 @@ class Acronym:
                 joints, q = layout.joints, np.full((count, 1), opening[0])
                 notes.append("the fingers are as open as before they close: the file has no other joint values")
             else:
-                notes.append("the file has no joint values, only poses of the gripper")
+                notes.append(opened)
             if hand is not None and FRANKA_LINK not in hand.links_by_name:
                 raise source.error(f"is for the Panda gripper, from link {FRANKA_LINK} on, which '{hand.name}' lacks")
         else:
             layout = Layout(named or UNNAMED, hand.base_link if hand else UNNAMED, ())
-            notes.append("the file has no joint values, only poses of the gripper")
+            notes.append(opened)
             taken = f"taken as those of link {layout.base_link}" if hand else "give it with --hand"
             notes.append(f"poses are those of the base of the gripper {named or 'that it does not name'}: {taken}")
         grasps = GraspSet(

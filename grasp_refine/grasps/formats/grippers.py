@@ -7,9 +7,12 @@ from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.grasps.formats.folders import UNUSUAL
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.jaws import jaws_of
 
 FRANKA = "franka_hand"
 """Our name of the Franka hand, which begins at its link panda_hand."""
@@ -41,3 +44,22 @@ def without_follower(grasps: GraspSet) -> GraspSet:
         name: Stage(stage.pose, stage.q[:, [first]]) for name, stage in grasps.other_stages.items()
     }
     return replace(grasps, joint_names=FRANKA_JOINTS[:1], q=grasps.q[:, [first]], **others)
+
+
+def open_joints(hand: Hand | None, count: int) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"], str]:
+    """Return joints and values (N, n) of grasps of a file without any, and a note: jaws are open, other hands at rest.
+
+    Args:
+        hand: The hand that the user gave.
+        count: Number of grasps.
+    """
+    jaws = None if hand is None else jaws_of(hand)
+    if hand is None or jaws is None:
+        return (), np.zeros((count, 0)), "the file has no joint values, only poses of the gripper"
+    opened = jaws.opened != hand.rest
+    names = tuple(name for name, opens in zip(hand.joint_names, opened, strict=True) if opens)
+    return (
+        names,
+        np.tile(jaws.opened[opened], (count, 1)),
+        f"the file has no joint values: the jaws are taken to be open ({', '.join(names)})",
+    )

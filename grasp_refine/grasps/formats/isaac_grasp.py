@@ -2,12 +2,13 @@
 
 Each grasp has a position (metres) and an orientation {w, xyz} of the gripper's frame in the object's, named joints of
 the gripper, and of the gripper before it closes. `object_frame` and `gripper_frame` (in 2024 with _link behind) are
-told to people only. GraspGen leaves both and all joints out: its frame is that of the gripper's base, z towards the
-object, x along the motion of the fingers. GraspDataGen adds the files of object and gripper, and a scale.
+told to people only. GraspGen and GraspGenX leave both and all joints out: their frame has the origin of the gripper's
+base, z towards the object and x along the motion of the fingers, which are open. GraspDataGen adds the files of object
+and gripper, and a scale.
 
 Source: docs.isaacsim.omniverse.nvidia.com, robot_simulation/grasp_editor; nvidia-isaac-ros.github.io,
-concepts/manipulation/isaac_grasp; github.com/NVlabs/GraspGen, grasp_gen/dataset/eval_utils.py; github.com/NVlabs/
-GraspDataGen, scripts/graspgen/grasp_guess.py.
+concepts/manipulation/isaac_grasp; github.com/NVlabs/GraspGen, grasp_gen/dataset/eval_utils.py and
+docs/GRIPPER_DESCRIPTION.md; github.com/NVlabs/GraspDataGen, scripts/graspgen/grasp_guess.py.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.grasps.formats.folders import disambiguate, object_folder, scale_folder
 from grasp_refine.grasps.formats.format import CONFIDENCE, SUCCESS, Load, Part, omission_notes, rows_by_object
-from grasp_refine.grasps.formats.grippers import hand_named
+from grasp_refine.grasps.formats.grippers import hand_named, open_joints
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.jaws import jaws_of
 
 NAME, VERSION = "isaac_grasp", 1.0
 JOINTS, OPEN_JOINTS = "cspace_position", "pregrasp_cspace_position"
@@ -60,22 +63,30 @@ class IsaacGrasp:
         poses = np.array([_pose(source, str(name), grasp) for name, grasp in listed.items()])
         poses = source.poses(poses, "position and orientation of grasps")
         joints, q = _joints(source, JOINTS)
-        open_joints, open_q = _joints(source, OPEN_JOINTS)
+        opening, open_q = _joints(source, OPEN_JOINTS)
         notes = []
-        if not joints and open_joints:
-            joints, q = open_joints, open_q
+        posed = joints or opening
+        if not joints and opening:
+            joints, q = opening, open_q
             notes.append(f"there is no {JOINTS}: the joints of {OPEN_JOINTS} are taken for the grasp")
         elif not joints:
-            notes.append("the file has no joint values, only poses of the gripper")
+            joints, q, note = open_joints(hand, len(poses))
+            notes.append(note)
         pregrasp = None
-        if open_joints and open_joints is not joints:
-            if set(open_joints) != set(joints):
+        if opening and opening is not joints:
+            if set(opening) != set(joints):
                 raise source.error(
-                    f"{OPEN_JOINTS} must have the joints of {JOINTS}, {', '.join(joints)}; it has "
-                    f"{', '.join(open_joints)}"
+                    f"{OPEN_JOINTS} must have the joints of {JOINTS}, {', '.join(joints)}; it has {', '.join(opening)}"
                 )
-            pregrasp = Stage(poses, open_q[:, [open_joints.index(name) for name in joints]])
+            pregrasp = Stage(poses, open_q[:, [opening.index(name) for name in joints]])
         hand_name, base_link, more = _gripper(source, hand)
+        jaws = None if hand is None or posed or _frame(held) is not None else jaws_of(hand)
+        if jaws is not None:
+            poses = pose_from_transform(transform_from_pose(poses) @ jaws.T_jaws_base)
+            more = [
+                "it names neither gripper_frame nor joints, as files of GraspGen: its jaws move along x and point "
+                f"along z, from the origin of link {base_link}"
+            ]
         thing = held.get("object_file") or held.get("object_frame") or held.get("object_frame_link")
         name = source.path.stem if thing is None else source.object_name(thing, "object_file or object_frame")
         grasps = GraspSet(
@@ -188,10 +199,14 @@ def _joints(source: Source, key: str) -> tuple[tuple[str, ...], Float[np.ndarray
     return first, source.numbers(rows, key, (len(listed), len(first)))
 
 
+def _frame(held: Mapping[str, Any]) -> Any:
+    """Frame of the gripper that a file names; None: it names none."""
+    return held.get("gripper_frame") or held.get("gripper_frame_link")
+
+
 def _gripper(source: Source, hand: Hand | None) -> tuple[str, str, list[str]]:
     """Hand and base link of the grasps, and notes."""
-    held = source.content
-    frame = held.get("gripper_frame") or held.get("gripper_frame_link")
+    held, frame = source.content, _frame(source.content)
     link = "" if frame is None else PurePosixPath(source.text(frame, "gripper_frame")).name
     if hand is not None:
         if link in hand.links_by_name:

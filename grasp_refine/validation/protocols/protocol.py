@@ -66,8 +66,9 @@ class Protocol:
     """Height of the lift in metres; only without pushes."""
     contact: ContactModel = DEXGRASPBENCH_CONTACT
     """Friction of contacts in MuJoCo."""
-    multiccd: bool = False
-    """Whether two convex pieces may touch in several points; by default in one, so that flat faces turn about it."""
+    multiccd: bool | None = None
+    """Whether two convex pieces may touch in several points, or in one, about which flat faces turn, in MuJoCo; None:
+    in several where the hand touches in patches (`Hand.patches`)."""
     timestep: float = 0.004
     """Simulation step in seconds."""
     moves: int = 10
@@ -126,7 +127,7 @@ class Protocol:
     @property
     def label(self) -> str:
         """Name, with the rule unless all directions must hold, and with contacts unless they are single points."""
-        return ", ".join([self.name, *self._concessions, *self._contacts])
+        return ", ".join([self.name, *self._concessions, *self.contact_points])
 
     @property
     def _concessions(self) -> list[str]:
@@ -136,8 +137,8 @@ class Protocol:
         return [*share, *([f"{self._label_rule} elsewhere"] if self.noise.count else [])]
 
     @property
-    def _contacts(self) -> list[str]:
-        """Number of points in which two pieces touch, for people, unless it is one."""
+    def contact_points(self) -> list[str]:
+        """Number of points in which two pieces touch, for people, unless it is one, or the hand decides."""
         return ["faces touch in several points"] if self.multiccd else []
 
     def bounds(self, share: float = 1.0) -> tuple[str, ...]:
@@ -164,7 +165,7 @@ class Protocol:
         else:
             motion = f"pushed with {force} in {len(self.directions)} directions for {self.seconds:g} s each"
         rule = [f"held {' and '.join(self._concessions)}"] if self._concessions else []
-        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *self._contacts, *rule])
+        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *self.contact_points, *rule])
 
     @property
     def tabletop(self) -> bool:
@@ -192,6 +193,10 @@ class Protocol:
     def with_multiccd(self, multiccd: bool | None) -> Protocol:
         """Return a copy in which two pieces may touch in several points, or in one; None: this protocol."""
         return self if multiccd is None else replace(self, multiccd=multiccd)
+
+    def for_contacts(self, patches: bool) -> Protocol:
+        """Return the protocol for a hand that touches in patches, or in points, where it leaves `multiccd` to that."""
+        return self if self.multiccd is not None else self.with_multiccd(patches)
 
     def with_friction(self, friction: float | None) -> Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""

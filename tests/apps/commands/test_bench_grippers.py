@@ -27,8 +27,8 @@ def test_grasps_of_a_gripper_are_sampled_perturbed_refined_and_simulated(capfd: 
     assert [(row["kind"], row["object"]) for row in rows] == [
         (kind, name) for name in ("all", "box:0.04,0.04,0.06") for kind in ("sampled", "perturbed")
     ]
-    # A box between flat pads holds, at least where simulators let them touch in several points.
-    assert all(row["grasps"] == 1 and row["held"][1] == [1, 1, 0] for row in rows)
+    # A box between flat pads holds, at least where they touch in several points.
+    assert all(row["grasps"] == 1 and row["held"][0] == [1, 1, 0] for row in rows)
     assert Path("found.html").read_text(encoding="utf-8").count("franka_hand sampled") == 1
 
 

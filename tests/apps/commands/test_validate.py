@@ -66,6 +66,27 @@ def test_a_grasp_that_is_nowhere_has_no_measures(workplace: Path, capfd: pytest.
     )
 
 
+def test_open_jaws_of_graspgen_are_closed_first_and_touch_in_patches(
+    workplace: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Jaws 8 cm apart around a block of 3 cm once never arrived, and turned about a point; their gap said 10 mm."""
+    grasp = {"position": [0.0, 0.0, -0.105], "orientation": {"w": 1.0, "xyz": [0.0, 0.0, 0.0]}}
+    aside = {**grasp, "position": [0.2, 0.0, -0.105]}
+    content = {"format": "isaac_grasp", "format_version": 1.0, "grasps": {"held": grasp, "lost": aside}}
+    Path("jaws.yml").write_text(json.dumps(content))
+    inputs = "jaws.yml", "--hand", "franka_hand", "--object", "box:0.03,0.03,0.05"
+    document = validate(*inputs, "--seconds", "0.4")
+    out, err = (" ".join(text.split()) for text in capfd.readouterr())
+    held, lost = (each["simulation"]["after"] for each in document["grasps"])
+    assert held["success"] and not lost["success"]
+    assert held["closed_first_m"] == pytest.approx(0.025, abs=5e-5) and lost["closed_first_m"] is None
+    assert document["grasps"][0]["contact_distance_m"]["after"] == pytest.approx(0.025, abs=1e-4)
+    assert document["config"]["protocol"]["multiccd"] is True and "faces touch in several points" in out
+    assert_names(err, "GraspGen", "1 of 2", "25.0 mm", "does not reach")
+    one = validate(*inputs, "--seconds", "0.4", "--no-multiccd")
+    assert one["config"]["protocol"]["multiccd"] is False
+
+
 def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = validate(EXAMPLE, "--index", "1", "3", "--rows", "rows.csv")
     out = capfd.readouterr().out

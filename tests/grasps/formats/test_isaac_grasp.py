@@ -12,12 +12,13 @@ import pytest
 import yaml
 
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
 from grasp_refine.grasps.formats.listing import format_named
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
-from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.hand import Hand, load_hand
 from refusals import assert_names, refused
 
 Load = Callable[..., Hand]
@@ -115,6 +116,42 @@ def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
     given = reading(tmp_path / "box.yaml", hand=load("allegro", "base_link"))
     assert (given.grasps.hand, given.grasps.base_link) == ("allegro", "base_link")
     assert_names(given.notes[1], "gripper_frame", "base_link")
+
+
+JAWS = """<robot name="jaws">
+  <link name="base"><collision><origin xyz="-0.04 0 0.02"/><geometry><box size="0.05 0.05 0.04"/></geometry></collision>
+  </link>
+  <link name="first"><collision><geometry><box size="0.04 0.02 0.01"/></geometry></collision></link>
+  <link name="second"><collision><geometry><box size="0.04 0.02 0.01"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="base"/><child link="first"/><origin xyz="0.03 0 0.005"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="0.04" effort="50" velocity="1"/></joint>
+  <joint name="other" type="prismatic"><parent link="base"/><child link="second"/><origin xyz="0.03 0 -0.005"/>
+    <axis xyz="0 0 -1"/><limit lower="0" upper="0.04" effort="50" velocity="1"/><mimic joint="slide"/></joint>
+</robot>"""
+"""Jaws that move along z and point along x: their palm lies behind the origin of the base link."""
+
+
+def test_graspgens_frame_is_that_of_the_jaws(tmp_path: Path, load: Load):
+    """Along x of the file the fingers move, along z they point; a frame with a name, or joints, are taken as given."""
+    files = {name: GRASP_GEN | more for name, more in (("bare", {}), ("named", {"gripper_frame": "/World/base"}))}
+    (tmp_path / "jaws.urdf").write_text(JAWS)
+    for hand, axis, approach, joint in (
+        (load("franka_hand", "panda_hand"), [0, 1, 0], [0, 0, 1], "panda_finger_joint1"),
+        (load_hand(tmp_path / "jaws.urdf"), [0, 0, 1], [1, 0, 0], "slide"),
+    ):
+        bare, named = (reading(save(tmp_path / f"{name}.yaml", file), hand=hand) for name, file in files.items())
+        R = transform_from_pose(bare.grasps.hand_pose)[:, :3, :3]
+        # The orientations of the file are those of the world.
+        np.testing.assert_allclose(np.abs(R @ axis), np.tile([1.0, 0.0, 0.0], (3, 1)), atol=1e-12)
+        np.testing.assert_allclose(R @ approach, np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-12)
+        np.testing.assert_allclose(
+            transform_from_pose(named.grasps.hand_pose)[:, :3, :3], np.tile(np.eye(3), (3, 1, 1))
+        )
+        for read in (bare, named):
+            np.testing.assert_array_equal(read.grasps.hand_pose[:, :3], [[0.0, 0.0, -0.1 - i] for i in range(3)])
+            assert read.grasps.joint_names == (joint,)
+            np.testing.assert_array_equal(read.grasps.q, np.full((3, 1), 0.04))
+        assert_names(bare.notes[1], "GraspGen", hand.base_link)
 
 
 def test_files_of_graspdatagen(tmp_path: Path):

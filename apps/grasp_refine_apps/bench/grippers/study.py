@@ -46,13 +46,13 @@ SHRINKING, MIN_SCALE = 0.8, 0.4
 KINDS = ("sampled", "perturbed")
 """Kinds of grasps of a job, as many of each."""
 
-_SEVERAL = replace(DEXGRASPBENCH, multiccd=True)
+_ONE, _SEVERAL = (DEXGRASPBENCH.with_multiccd(several) for several in (False, True))
 
 PROTOCOLS = {
-    "friction 0.6": DEXGRASPBENCH,
-    "friction 0.6, multiccd": _SEVERAL,
-    "friction 0.3": DEXGRASPBENCH.with_friction(0.3),
-    "friction 0.3, multiccd": _SEVERAL.with_friction(0.3),
+    "friction 0.6": _SEVERAL,
+    "friction 0.6, one point": _ONE,
+    "friction 0.3": _SEVERAL.with_friction(0.3),
+    "friction 0.3, one point": _ONE.with_friction(0.3),
 }
 """Ways to simulate."""
 
