@@ -39,8 +39,8 @@ NEAR_RIGID_THRESHOLD = 0.1
 """Share of a time step below which the period of a stiff constraint is not resolved but damped (SAP's beta): of the
 default, 1, couplings and servos of light fingers would be softer than their gains."""
 
-ROOT_STIFFNESS = (1e5, 1e4)
-"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, as MuJoCo's weld."""
+ROOT_STIFFNESS = (1e6, 1e5)
+"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
 
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
