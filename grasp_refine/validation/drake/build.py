@@ -25,6 +25,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3, transform
+from grasp_refine.hands.servos import actuator_name
 from grasp_refine.validation.drake.actuation import Actuation
 from grasp_refine.validation.drake.contacts import let_collide, material, shape_of, touching_pairs
 from grasp_refine.validation.drake.plant import Parameters, Plant, rigid
@@ -197,7 +198,7 @@ class _Builder:
                 own_limit = _largest(model.jnt_actfrclimited[target], model.jnt_actfrcrange[target])
             else:
                 raise GraspRefineError(
-                    f"engine drake drives joints and tendons, not '{model.actuator(number).name}' of the MJCF"
+                    f"engine drake drives joints and tendons, not '{actuator_name(model, number)}' of the MJCF"
                 )
             limit = _largest(model.actuator_forcelimited[number], model.actuator_forcerange[number]) * abs(gear)
             gain = self.parameters.gain * gear**2
