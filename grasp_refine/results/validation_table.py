@@ -174,6 +174,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
     if reason == Reason.OFF_CENTRE:
         assert trials.label is not None
         return Text(f" off centre, {trials.label[i]:.0%} held elsewhere", "red")
+    if reason == Reason.HAND_UNSTABLE and trials.runaway is not None:
+        return Text(f" {reason.label}: {trials.runaway[i]}", "red")
     if reason in (Reason.IN_TABLE, Reason.NOT_FINITE, Reason.OUT_OF_REACH) or np.isnan(trials.time_s[i, worst]):
         return Text(f" {reason.label}", "red")
     where = " ".join(trials.directions[d] for d in failed)

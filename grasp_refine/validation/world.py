@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -91,6 +92,12 @@ class World:
     """Names of the V bodies around the object that can be pushed."""
     neighbours_at: Int[np.ndarray, " V"] = field(default_factory=lambda: np.zeros(0, dtype=int))
     """Indices (V,) in qpos of their poses (7,)."""
+
+    @cached_property
+    def hand_dofs(self) -> Int[np.ndarray, " d"]:
+        """Indices (d,) in qvel of all joints of the hand, without the free one of its root."""
+        of = [self.model.joint(joint).name for joint in self.model.dof_jntid]
+        return np.array([dof for dof, name in enumerate(of) if name.startswith(f"{HAND}/")], dtype=int)
 
     def __repr__(self) -> str:
         return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
