@@ -60,7 +60,7 @@ def test_names_are_those_of_the_registry() -> None:
 
 def test_a_file_changes_what_it_says_and_keeps_the_rest(tmp_path: Path) -> None:
     assert load_protocol(written(tmp_path, TEXT)) == WANTED
-    assert load_protocol(written(tmp_path, "", "Other.TOML")) == replace(DEXGRASPBENCH, name="Other")
+    assert load_protocol(written(tmp_path, "", "Other.TOML")) == replace(DEXGRASPBENCH, name="Other", palm="rigid")
     assert load_protocol(written(tmp_path, 'name = "ours"')).name == "ours"
 
 
