@@ -51,6 +51,16 @@ def gripper(kp: float = KP) -> HandModel:
     )
 
 
+def weighing(kilograms: float) -> HandModel:
+    """The gripper with another mass, 80 % of it in the palm; rotors of 0.1 kg keep the plates as fast."""
+    made = gripper()
+    palm = made.spec.body("palm")
+    palm.mass, palm.inertia = 0.8 * kilograms, 0.008 * kilograms * np.ones(3)
+    for geom, joint in zip(made.spec.geoms, made.spec.joints, strict=True):
+        geom.mass, joint.armature = 0.1 * kilograms, 0.1
+    return made
+
+
 def ball(radius: float = RADIUS) -> Object:
     return load_object(f"sphere:{radius}", unit="m", candidates=16)
 
@@ -61,6 +71,13 @@ def two_balls() -> Object:
     none = np.zeros((0, 3), dtype=int)
     pieces = [Piece(np.array([[0.0, y, 0.0]]), none, 0.02) for y in (-0.02, 0.02)]
     return Object("two balls", mesh, build_body("two balls", pieces, candidates=16), convex=False, notes=())
+
+
+def lifted(motion: Motion, height: float = 0.015, y: float = 0.0) -> Motion:
+    """The hand higher, so that the plates, which reach 4 cm down, stay above the table of a ball of 3 cm; and aside."""
+    T = motion.T_world_root.copy()
+    T[..., 1:3, 3] += y, height
+    return Motion(T, motion.q)
 
 
 def around(force: float, *, count: int = 1, opening: float = 2 * RADIUS + 0.01, grasp: float = 2 * RADIUS) -> Motion:

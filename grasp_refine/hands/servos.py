@@ -28,10 +28,46 @@ def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuat
     rescale_servos(spec)
     model = compile_mjcf(spec, mechanism.path)
     matrix, offset, names = mimic_map(mechanism.joints, mechanism.independent)
-    found = servo_settings(mechanism.independent, coupled, model, {name: name for name in names}, matrix, offset)
+    matched = {name: name for name in names}
     if not spec.actuators or other_actuators(spec):
-        return replace(given, damping=found.damping, armature=found.armature, frictionloss=found.frictionloss)
-    return found
+        return servos_instead(given, mechanism.independent, coupled, model, matched, matrix)
+    return servo_settings(mechanism.independent, coupled, model, matched, matrix, offset)
+
+
+def servos_instead(
+    given: Actuator,
+    independent: Sequence[str],
+    coupled: Sequence[Coupled],
+    model: mujoco.MjModel,
+    matched: Mapping[str, str],
+    matrix: Float[np.ndarray, "m n"],
+) -> Actuator:
+    """Return position servos in place of a model's actuators, with the given stiffness and limits.
+
+    Files with motors often give their joints no damping and no armature, with which servos never come to rest, and
+    contacts of light links are soft. So armature is the larger of the joint's own and the given one, and damping the
+    largest of these and the critical one, 2 sqrt(kp I), at the inertia I in the reference configuration, with armature
+    and followers. Dry friction is the joint's own.
+
+    Args:
+        given: The given servos.
+        independent: The n independent joints.
+        coupled: Groups of them that share an actuator.
+        model: Model of the hand.
+        matched: Joint of the hand -> its name in the model, for m joints.
+        matrix: As `HandModel.matrix` (m, n), for these joints.
+    """
+    dof = [model.joint(name).dofadr[0] for name in matched.values()]
+    own = model.jnt_dofadr[[model.joint(matched[name]).id for name in independent]]
+    armature = np.maximum(model.dof_armature[own], given.armature)
+    inertia = (matrix**2 * model.dof_M0[dof, None]).sum(axis=0) + armature - model.dof_armature[own]
+    critical = 2.0 * np.sqrt(given.kp * _ratios(independent, coupled) ** 2 * inertia)
+    return replace(
+        given,
+        damping=np.maximum(np.maximum(model.dof_damping[own], given.damping), critical),
+        armature=armature,
+        frictionloss=model.dof_frictionloss[own],
+    )
 
 
 def rescale_servos(spec: mujoco.MjSpec) -> None:
@@ -49,7 +85,7 @@ def rescale_servos(spec: mujoco.MjSpec) -> None:
 
 
 def other_actuators(spec: mujoco.MjSpec) -> list[str]:
-    """Return the names of actuators that are no position servos.
+    """Return names of actuators that are no position servos: their own, or those of what they move.
 
     The force of a servo is the gain times the distance to its set point; a damping of its own is allowed.
     """
@@ -57,7 +93,22 @@ def other_actuators(spec: mujoco.MjSpec) -> list[str]:
     def is_servo(actuator: mujoco.MjsActuator) -> bool:
         return _is_direct(actuator) and bool(actuator.biasprm[1] == -actuator.gainprm[0])
 
-    return [actuator.name for actuator in spec.actuators if not is_servo(actuator)]
+    return [
+        actuator.name or actuator.target or f"actuator {number}"
+        for number, actuator in enumerate(spec.actuators)
+        if not is_servo(actuator)
+    ]
+
+
+def actuator_name(model: mujoco.MjModel, number: int) -> str:
+    """Return the name of an actuator, or of the joint or tendon that it moves, or its number."""
+    target, transmission = int(model.actuator_trnid[number, 0]), mujoco.mjtTrn(model.actuator_trntype[number])
+    moved = ""
+    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
+        moved = model.tendon(target).name
+    elif transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        moved = model.joint(target).name
+    return str(model.actuator(number).name or moved or f"actuator {number}")
 
 
 def _is_direct(actuator: mujoco.MjsActuator) -> bool:
@@ -120,9 +171,7 @@ def servo_settings(
     dof = [model.joint(name).dofadr[0] for name in matched.values()]
     arms = moments(model)[:, dof]
     groups = [[names.index(name) for name in group.joints] for group in coupled]
-    ratio = np.ones(len(names))
-    for group, rows in zip(coupled, groups, strict=True):
-        ratio[rows] = group.ratio
+    ratio = _ratios(names, coupled)
     signed = arms @ matrix / ratio
     M, ratio = np.abs(signed), np.abs(ratio)
     # An actuator that does not act on a joint adds nothing to its limit, even if its own limit is infinite.
@@ -143,6 +192,14 @@ def servo_settings(
         frictionloss=model.dof_frictionloss[own_dof],
         set_points=_set_points(model, signed, arms @ offset, groups),
     )
+
+
+def _ratios(names: Sequence[str], coupled: Sequence[Coupled]) -> Float[np.ndarray, " n"]:
+    """Return the ratio (n,) of each joint in its coupled group; 1 outside of groups."""
+    ratio = {name: 1.0 for name in names}
+    for group in coupled:
+        ratio.update(zip(group.joints, group.ratio, strict=True))
+    return np.array(list(ratio.values()))
 
 
 def _set_points(

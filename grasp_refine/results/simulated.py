@@ -57,9 +57,10 @@ class SimulatedGrasps:
 def reason_lines(trials: Trials, protocol: Protocol) -> list[Text]:
     """Return lines on the number of grasps that failed, by reason."""
     outcome = trials.outcome
+    joints = {Reason.HAND_UNSTABLE: f" ({', '.join(trials.runaways)})"}
     return [
-        Text.assemble((f"{(outcome == reason).sum()} {reason.label}", "red"), f": {reason.meaning(protocol)}")
-        for reason in list(Reason)[1:]
+        Text.assemble((f"{(outcome == reason).sum()} {reason.label}", "red"), f"{joints.get(reason, '')}: {meaning}")
+        for reason, meaning in ((reason, reason.meaning(protocol)) for reason in list(Reason)[1:])
         if (outcome == reason).any()
     ]
 
@@ -106,6 +107,7 @@ def simulation_entry(trials: Trials, i: int, protocol: Protocol) -> dict[str, An
         "label": None if trials.label is None else trials.label[i],
         **directions[worst],
         "reason": Reason(trials.outcome[i]).label,
+        "runaway_joint": None if trials.runaway is None else trials.runaway[i] or None,
         "directions": directions,
         "closing": {
             "displacement_m": trials.closing_m[i],

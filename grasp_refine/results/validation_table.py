@@ -175,6 +175,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
     if reason == Reason.OFF_CENTRE:
         assert trials.label is not None
         return Text(f" off centre, {trials.label[i]:.0%} held elsewhere", "red")
+    if reason == Reason.HAND_UNSTABLE and trials.runaway is not None:
+        return Text(f" {reason.label}: {trials.runaway[i]}", "red")
     if reason in (Reason.IN_TABLE, Reason.NOT_FINITE, Reason.OUT_OF_REACH) or np.isnan(trials.time_s[i, worst]):
         return Text(f" {reason.label}", "red")
     where = " ".join(trials.directions[d] for d in failed)
@@ -203,6 +205,8 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
     color = "green" if success.all() else "yellow"
     held = f"{success.sum()} of {count_text(len(success), 'grasp')} held"
     lines = [Text.assemble((held, color), f" ({_percent(success)}) {protocol.rule}")]
+    if protocol.palm == "soft weld":
+        lines.append(Text("palm on a soft weld, as in DexGraspBench: it gives way under load; other protocols hold it"))
     if trials.label is not None:
         lines.append(Text(f"mean label {trials.label.mean():.3f}: share of the trials elsewhere that held"))
     lines += reason_lines(trials, protocol)

@@ -12,7 +12,7 @@ from grasp_refine.hands.alignment import Mechanism, align, body_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.linkages import linkages
 from grasp_refine.hands.mjcf import compile_mjcf, delete, joints_of, matched_joints, read_mjcf
-from grasp_refine.hands.servos import moved_joints, other_actuators, rescale_servos, servo_settings
+from grasp_refine.hands.servos import moved_joints, other_actuators, rescale_servos, servo_settings, servos_instead
 from grasp_refine.hands.tendon_ties import tendon_ties
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.urdf_model import add_actuators
@@ -51,6 +51,10 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
     if others or not spec.actuators:
         delete(spec, list(spec.actuators))
         add_actuators(spec, hand, driven, dict(zip(matched, fit.sign, strict=True)))
+        servos = servos_instead(hand.actuator, hand.joint_names, hand.coupled, model, matched, matrix[rows])
+        for name, damping, armature in zip(driven.values(), servos.damping, servos.armature, strict=True):
+            joint = spec.joint(name)
+            joint.damping, joint.armature = [damping, *np.ravel(joint.damping)[1:]], armature
         why = f"actuators that are no position servos ({', '.join(others)})" if others else "no actuators"
         notes.append(f"{path.name} has {why}: position actuators are used, as for a URDF")
     T_base_root = fit.T_base_world @ body_pose(model, root)

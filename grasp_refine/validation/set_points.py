@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.hands.servos import actuator_name
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.world import World
 
@@ -45,7 +45,7 @@ def clipping_note(worlds: Sequence[World], motions: Sequence[Motion]) -> str:
         return ""
     order = np.argsort(-clipped.sum(axis=0), kind="stable")
     order = order[clipped[:, order].any(axis=0)]
-    names = [_name(worlds[0].model, int(number)) for number in order[:MAX_NAMES]]
+    names = [actuator_name(worlds[0].model, int(number)) for number in order[:MAX_NAMES]]
     if len(order) > MAX_NAMES:
         names.append(f"{len(order) - MAX_NAMES} more")
     count, most = int(clipped.any(axis=1).sum()), np.nanmax(excess)
@@ -53,12 +53,3 @@ def clipping_note(worlds: Sequence[World], motions: Sequence[Motion]) -> str:
         f"{count} of {count_text(len(excess), 'squeeze')}: set points beyond the ctrlrange of "
         f"{', '.join(names)}, by up to {most:.2g}; they are clipped, and press less than planned"
     )
-
-
-def _name(model: mujoco.MjModel, number: int) -> str:
-    """Return the name of an actuator, or of what it moves."""
-    if name := model.actuator(number).name:
-        return str(name)
-    target = model.actuator_trnid[number, 0]
-    at_tendon = model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_TENDON
-    return str((model.tendon(target) if at_tendon else model.joint(target)).name)

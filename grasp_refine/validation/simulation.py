@@ -49,6 +49,8 @@ class Closed:
     """Rotation of the object (N,), radians."""
     penetration_m: Float[np.ndarray, " N"]
     """Penetration of hand and object at the pregrasp (N,), metres."""
+    runaway: np.ndarray
+    """Name (N,) of the hand's joint that made the simulation diverge; empty where none did."""
 
     __repr__ = brief
 
@@ -157,12 +159,13 @@ def close(
         conditions=conditions,
         state=rows.state(),
         reason=np.select(
-            [beyond, ~finite, deep, in_table, rows.unstable, thrown],
+            [beyond, ~finite, deep, in_table, rows.runaway != "", rows.unstable, thrown],
             [
                 Reason.OUT_OF_REACH,
                 Reason.NOT_FINITE,
                 Reason.PENETRATES,
                 Reason.IN_TABLE,
+                Reason.HAND_UNSTABLE,
                 Reason.UNSTABLE,
                 Reason.THROWN,
             ],
@@ -173,6 +176,7 @@ def close(
         closing_m=np.where(ran, moved, np.nan),
         closing_rad=np.where(ran, turned, np.nan),
         penetration_m=np.where(finite, start_touch.depth, np.nan),
+        runaway=rows.runaway,
     )
 
 
@@ -227,8 +231,8 @@ def push(
             rows.step(protocol.steps_per_check)
         moved, turned = distances(wanted, rows.object_poses())
         found = np.select(
-            [rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
-            [Reason.UNSTABLE, Reason.MOVED, Reason.TURNED],
+            [rows.runaway != "", rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
+            [Reason.HAND_UNSTABLE, Reason.UNSTABLE, Reason.MOVED, Reason.TURNED],
             Reason.HELD,
         )
         failed = undecided & (found != Reason.HELD)
@@ -267,8 +271,15 @@ def push(
         success=(reason.reshape(shape) == Reason.HELD).sum(axis=1) >= required,
         limits=(protocol.farthest, protocol.steepest),
         neighbours=world.neighbours,
+        runaway=_first_name(closed.runaway, rows.runaway.reshape(shape)),
         pushed_m=pushed.reshape(*shape, -1).max(axis=1) if world.neighbours else None,
     )
+
+
+def _first_name(closing: np.ndarray, pushes: np.ndarray) -> np.ndarray:
+    """Return the first name (N,) that is not empty, of those of closing (N,) and of pushes (N, D)."""
+    rows = np.concatenate([closing[:, None], pushes], axis=1)
+    return rows[np.arange(len(rows)), (rows != "").argmax(axis=1)]
 
 
 def _directions(world: World, conditions: Conditions) -> tuple[str, ...]:

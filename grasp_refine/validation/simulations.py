@@ -33,6 +33,8 @@ class Simulations(ABC):
     """True (N,) where `step` advances the simulation."""
     unstable: Bool[np.ndarray, " N"]
     """True (N,) where the simulation diverged."""
+    runaway: np.ndarray
+    """Name (N,) of the hand's joint that made it diverge; empty where none did, or the object may have."""
 
     @abstractmethod
     def place(

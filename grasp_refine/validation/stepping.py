@@ -18,7 +18,7 @@ from grasp_refine.hands.mujoco_messages import unlogged
 from grasp_refine.validation.arm_lift import ArmLift
 from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.simulations import Simulations, Touch
-from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, World
+from grasp_refine.validation.world import HAND, OBJECT, OBJECT_GEOM, OTHER_GEOM, World
 
 DIVERGED = [
     warning.value
@@ -34,6 +34,12 @@ DIVERGED = [
     )
 ]
 """Warnings of MuJoCo after which a simulation is not valid."""
+
+RUNAWAY_SPEED = 500.0
+"""Speed in rad/s or m/s that no joint of a hand reaches, unless its servo or its linkage is unstable."""
+
+SLOW_OBJECT_M_S = 10.0
+"""Speed below which an object that is pushed has not yet made the simulation diverge by itself."""
 
 StepCallback = Callable[[Batch], None]
 """Called after every simulation step, and once before the first."""
@@ -101,6 +107,7 @@ class Rows(Simulations):
         self.batch = Batch(world.model, len(running), threads)
         self.running = running.copy()
         self.unstable = np.zeros(len(running), dtype=bool)
+        self.runaway = np.full(len(running), "", dtype=object)
         self._on_step = on_step
         self._data = mujoco.MjData(world.model)
         if running.any():
@@ -205,9 +212,23 @@ class Rows(Simulations):
                 self.unstable[error.ids] = True
             self.unstable[ids] |= (self.batch.warning[ids][:, DIVERGED, 1] > 0).any(axis=1)
             self.unstable[ids] |= ~np.isfinite(self.batch.qpos[ids]).all(axis=1)
+            self._stop_runaways(ids)
             self.running &= ~self.unstable
             if self._on_step is not None:
                 self._on_step(self.batch)
+
+    def _stop_runaways(self, ids: np.ndarray) -> None:
+        """Note the simulations `ids` whose hand diverges, which is no fault of the grasp."""
+        world, speed = self.world, np.abs(np.nan_to_num(self.batch.qvel[ids], nan=np.inf))
+        at = int(world.model.joint(OBJECT).dofadr[0])
+        slow = np.linalg.norm(speed[:, at : at + 3], axis=1) < SLOW_OBJECT_M_S
+        joints = world.hand_dofs
+        fast = speed[:, joints] > RUNAWAY_SPEED
+        pushed = self.batch.xfrc_applied[ids, world.object_body].any(axis=1)
+        for row in np.flatnonzero((slow | ~pushed) & fast.any(axis=1)):
+            joint = world.model.dof_jntid[joints[speed[row, joints].argmax()]]
+            self.runaway[ids[row]] = world.model.joint(joint).name.removeprefix(f"{HAND}/")
+            self.unstable[ids[row]] = True
 
     def touching(self, rows: np.ndarray) -> Touch:
         """Return the contacts in the simulations `rows`; none in the others."""

@@ -30,6 +30,7 @@ class Reason(IntEnum):
     NOT_FINITE = 7
     OFF_CENTRE = 8
     OUT_OF_REACH = 9
+    HAND_UNSTABLE = 10
 
     @property
     def label(self) -> str:
@@ -49,6 +50,8 @@ class Reason(IntEnum):
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
             "pregrasp, which would throw the object",
             Reason.UNSTABLE: "the simulation diverged",
+            Reason.HAND_UNSTABLE: "joints of the hand diverged, which is a fault of its model, not of the grasp: give "
+            "them damping or armature, or their servos less stiffness",
             Reason.NOT_FINITE: "the grasp holds NaN or infinite numbers, or its pose is invalid: no rigid "
             "motion, or beyond 1e6 m or rad",
             Reason.OUT_OF_REACH: "the arm does not reach the grasp: move its base, or the object",
@@ -107,9 +110,17 @@ class Trials:
     """Displacement (N, V) of these at the failure or at the end, metres; NaN where nothing was simulated. None: there
     are none."""
 
+    runaway: np.ndarray | None = None
+    """Name (N,) of the hand's joint that made a simulation diverge; empty where none did. None: that is not known."""
+
     def __repr__(self) -> str:
         held = f"{self.success.sum()} of {count_text(len(self), 'grasp')} held"
         return f"Trials({held}; pushed {', '.join(self.directions)}: {tallied(self.labels.reshape(-1))})"
+
+    @property
+    def runaways(self) -> tuple[str, ...]:
+        """Names of the hand's joints that made simulations diverge."""
+        return () if self.runaway is None else tuple(sorted({*self.runaway.tolist()} - {""}))
 
     @property
     def labels(self) -> np.ndarray:

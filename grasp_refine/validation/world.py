@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -43,8 +44,14 @@ ROLLING_FRICTION = 1e-4
 """Rolling friction, which contacts of dimension 4 do not use; MuJoCo requires a value."""
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 1e-4, 0.5, 2.0)
 """Solver parameters of contacts of the hand."""
-WELD_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
-"""Solver parameters of the weld of the hand's root to its holder."""
+SOFT_WELD_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""Solver parameters of DexGraspBench's weld of the hand's root to its holder: it yields by 36 um kg/N over the mass."""
+RIGID_WELD_SOLIMP = (0.999, 0.9999, 0.001, 0.5, 2.0)
+"""Solver parameters of a weld that hardly yields, to a root of `ROOT_ARMATURE`."""
+ROOT_ARMATURE = 1.0
+"""Inertia in kg and kg m^2 that is added to the root of a rigid palm. A weld is as stiff as what it holds is heavy:
+with this, 20 N and 1 N m move no palm by more than 0.02 mm and 0.001 degrees, and all follow their set points alike.
+A root in the holder itself would not yield at all, but has no velocity in MuJoCo, so that friction does not lift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +93,12 @@ class World:
     neighbours_at: Int[np.ndarray, " V"] = field(default_factory=lambda: np.zeros(0, dtype=int))
     """Indices (V,) in qpos of their poses (7,)."""
 
+    @cached_property
+    def hand_dofs(self) -> Int[np.ndarray, " d"]:
+        """Indices (d,) in qvel of all joints of the hand, without the free one of its root."""
+        of = [self.model.joint(joint).name for joint in self.model.dof_jntid]
+        return np.array([dof for dof, name in enumerate(of) if name.startswith(f"{HAND}/")], dtype=int)
+
     def __repr__(self) -> str:
         return f"World({self.object} in a hand of {len(self.links)} links, protocol {self.protocol.name})"
 
@@ -126,7 +139,7 @@ def build_world(
     up = UP if around is None else around.up
     _set_options(spec, protocol, up)
     mass = _add_object(spec, obj, protocol)
-    _add_hand(spec, hand, gravity=protocol.tabletop)
+    _add_hand(spec, hand, protocol)
     if around is not None:
         _add_environment(spec, around, protocol)
     elif protocol.tabletop:
@@ -187,7 +200,7 @@ def _size(obj: Object) -> float:
     return float(np.linalg.norm(bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0))) / 2
 
 
-def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
+def _add_hand(spec: mujoco.MjSpec, hand: HandModel, protocol: Protocol) -> None:
     prefix = f"{HAND}/"
     holder = spec.worldbody.add_body(name=HOLDER, mocap=True)
     stands = hand.on_arm is not None
@@ -196,11 +209,11 @@ def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
     root = spec.body(prefix + hand.root)
     root.pos, root.quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
     if not stands:
-        root.add_freejoint(name=HAND)
+        free = root.add_freejoint(name=HAND)
     for body in spec.bodies:
         if body.name.startswith(prefix):
             # A hand that is held by an arm carries itself.
-            body.gravcomp = 1.0 if gravity else 0.0
+            body.gravcomp = 1.0 if protocol.tabletop else 0.0
             for geom in body.geoms:
                 geom.solref, geom.solimp = HAND_SOLREF, HAND_SOLIMP
     if stands:
@@ -214,7 +227,9 @@ def _add_hand(spec: mujoco.MjSpec, hand: HandModel, *, gravity: bool) -> None:
     )
     # Anchor (3), relative position (3) and rotation (4), and how much a torque counts against a force.
     weld.data[:11] = [0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1]
-    weld.solimp = WELD_SOLIMP
+    weld.solimp = SOFT_WELD_SOLIMP
+    if protocol.palm == "rigid":
+        free.armature, weld.solimp = ROOT_ARMATURE, RIGID_WELD_SOLIMP
 
 
 def _add_table(spec: mujoco.MjSpec, plane: Plane) -> None:

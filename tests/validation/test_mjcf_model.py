@@ -397,6 +397,28 @@ def test_what_is_no_position_servo_is_replaced_by_those_of_the_hand(tmp_path: Pa
     np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
 
 
+@pytest.mark.parametrize(
+    "actuator", ["motor", "velocity kv='0.01'", "general", "cylinder", "intvelocity kp='3' actrange='-1 1'", ""]
+)
+def test_servos_in_place_of_other_actuators_come_to_rest(tmp_path: Path, actuator: str) -> None:
+    """Joints with motors often have no damping: with servos they swung for ever, and threw objects by metres."""
+    hand, names = ours(tmp_path), ("a1", "a2", "b1")
+    actuators = "".join(f"<{actuator} joint='rh_{name}_j'/>" for name in names) if actuator else ""
+    made = mjcf_model(hand, written(tmp_path, rest=f"<actuator>{actuators}</actuator>"))
+    assert_names(" ".join(made.notes), *([f"rh_{name}_j" for name in names] if actuator else ["no actuators"]))
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    model.opt.gravity[:] = 0.0
+    model.opt.timestep, model.opt.integrator = 0.004, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    dof = [model.joint(f"rh_{name}_j").dofadr[0] for name in names]
+    assert (model.dof_damping[dof] >= hand.actuator.damping).all()
+    assert (model.dof_armature[dof] >= hand.actuator.armature).all()
+    np.testing.assert_allclose(made.actuator.damping, model.dof_damping[dof])
+    data.qvel[dof] = 5.0
+    mujoco.mj_step(model, data, nstep=1000)
+    assert np.abs(data.qvel[dof]).max() < 1e-3
+
+
 def test_a_servo_whose_control_has_other_units_is_one_with_set_points(tmp_path: Path) -> None:
     """Menagerie's grippers have a control from 0 to 255: its force is gain x control - stiffness x length."""
     servo = '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="0.06" biasprm="0 -3 0" ctrlrange="0 255"/>'

@@ -4,12 +4,13 @@ All numbers are written out once more, as their sources have them.
 """
 
 from dataclasses import replace
-from math import atan, sin, sqrt
+from math import atan, radians, sin, sqrt
 
 import numpy as np
 import pytest
+from mujoco.batch import Batch
 
-from grasp_refine.core.se3 import exp_so3
+from grasp_refine.core.se3 import distances, exp_so3, transform_from_pose
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
@@ -20,10 +21,11 @@ from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.robustness import judge
-from grasp_refine.validation.simulation import simulate
+from grasp_refine.validation.simulation import close, push, simulate
+from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.world import World, build_world
-from gripper import RADIUS, around, ball, gripper
+from gripper import RADIUS, around, ball, gripper, lifted, weighing
 from validation.test_protocol import critical_force, lever
 from validation.test_rules import gripper_with_palm
 
@@ -40,13 +42,6 @@ LIFTED = {
 
 ACROSS = ("+y", "-y", "+z", "-z")
 """Directions along the plates."""
-
-
-def raised(motion: Motion, height: float = 0.015, y: float = 0.0) -> Motion:
-    """The hand higher, so that the plates, which reach 4 cm down, stay above the table of a ball of 3 cm; and aside."""
-    T = motion.T_world_root.copy()
-    T[..., 1:3, 3] += y, height
-    return Motion(T, motion.q)
 
 
 def centred(protocol: Protocol) -> Protocol:
@@ -96,7 +91,7 @@ def test_the_heaviest_object_that_friction_lifts(name: str) -> None:
     limit = 2 * friction * 4.0 / gravity
     for factor, held in ((0.8, True), (1.15, False)):
         protocol = centred(PROTOCOLS[name]).with_mass(factor * limit)
-        trials = simulate(build_world(gripper(), ball(), protocol), raised(around(4.0)))
+        trials = simulate(build_world(gripper(), ball(), protocol), lifted(around(4.0)))
         assert trials.success.tolist() == [held], factor
     assert PROTOCOLS[name].lift == lift
 
@@ -107,8 +102,8 @@ def test_torsional_friction_carries_the_torque_of_a_lever(name: str, friction: f
     thing, arm = lever()
     limit = critical_force(friction, 0.02, 0.1 * gravity, arm)
     world = build_world(gripper(), thing, PROTOCOLS[name].with_mass(0.1))
-    assert simulate(world, raised(around(1.3 * limit))).success.all()
-    assert (simulate(world, raised(around(0.8 * limit))).reason == Reason.TURNED).all()
+    assert simulate(world, lifted(around(1.3 * limit))).success.all()
+    assert (simulate(world, lifted(around(0.8 * limit))).reason == Reason.TURNED).all()
 
 
 def weighed(protocol: Protocol, obj: Object) -> float:
@@ -190,7 +185,7 @@ def slippery() -> World:
 def test_get_a_grip_labels_a_grasp_that_holds_only_when_centred_below_one(slippery: World) -> None:
     """Balls 0.5 to 2.5 mm off the edge may go either way, farther ones are lost; a firm grasp has label 1."""
     numbers = np.arange(8)
-    at_the_edge = raised(around(60.0, count=8, opening=2 * RADIUS + 0.03), y=EDGE - HALF_PLATE)
+    at_the_edge = lifted(around(60.0, count=8, opening=2 * RADIUS + 0.03), y=EDGE - HALF_PLATE)
     trials = judge(slippery, at_the_edge, numbers=numbers)
     assert (trials.reason == Reason.HELD).all(), "centred, all hold"
     assert trials.label is not None and set(np.round(5 * trials.label, 9)) <= set(range(6)), "of five trials"
@@ -201,5 +196,49 @@ def test_get_a_grip_labels_a_grasp_that_holds_only_when_centred_below_one(slippe
     assert (trials.label >= (y < lost - 0.0015).mean(axis=1)).all()
     np.testing.assert_array_equal(trials.success, trials.label >= 0.5)
     assert (trials.label < 1).any()
-    firm = judge(slippery, raised(around(60.0, opening=2 * RADIUS + 0.03)))
+    firm = judge(slippery, lifted(around(60.0, opening=2 * RADIUS + 0.03)))
     assert firm.label.tolist() == [1.0] and firm.success.all()
+
+
+# --- the palm under load
+
+
+def palm_under_load(protocol: Protocol, hand_kg: float) -> tuple[float, float]:
+    """Largest shift in metres and turn in radians of the palm from its course while 1 kg is pushed or lifted.
+
+    Shifts while it is lifted are those across the lift, on which it follows its set points a little later.
+    """
+    world = build_world(weighing(hand_kg), ball(), centred(protocol))
+    motion = around(25.0)
+    motion = lifted(motion, y=0.01) if protocol.tabletop else motion
+    off: list[tuple[float, float]] = []
+
+    def watch(batch: Batch) -> None:
+        course = transform_from_pose(np.concatenate([batch.mocap_pos[:, 0], batch.mocap_quat[:, 0]], axis=1))
+        palm = transform_from_pose(batch.qpos[:, world.root_at : world.root_at + 7])
+        axes = slice(2 if protocol.tabletop else 3)
+        shift = np.linalg.norm((palm - course)[:, axes, 3], axis=1)
+        off.append((float(shift.max()), float(distances(palm, course)[1].max())))
+
+    closed = close(world, motion, Conditions.nominal(world, 1))
+    assert push(world, closed, on_step=watch).success.all()
+    shift, turn = np.max(off, axis=0)
+    return float(shift), float(turn)
+
+
+@pytest.mark.parametrize("name", sorted({*PUSHED, *LIFTED} - {"dexgraspbench"}))
+@pytest.mark.parametrize("hand_kg", [0.05, 5.0])
+def test_the_palm_gives_way_to_no_load_whatever_it_weighs(name: str, hand_kg: float) -> None:
+    """A weld as stiff as the hand is heavy once turned the palm of a light one by 14 degrees, the object with it."""
+    shift, turn = palm_under_load(PROTOCOLS[name].with_mass(1.0), hand_kg)
+    assert shift < 1e-4 and turn < radians(0.1)
+
+
+def test_another_load_than_that_of_the_published_outcomes_is_held_rigidly() -> None:
+    published = PROTOCOLS["dexgraspbench"]
+    assert published.with_mass(published.mass).with_friction(published.friction) == published
+    for changed in (published.with_mass(1.0), published.with_friction(0.8).with_mass(1.0)):
+        shift, turn = palm_under_load(changed, 0.05)
+        assert shift < 1e-4 and turn < radians(0.1)
+    # Its own weld gives way, as in the program whose outcomes it reproduces.
+    assert palm_under_load(replace(published, mass=1.0), 0.05)[1] > radians(5)

@@ -60,7 +60,7 @@ def test_names_are_those_of_the_registry() -> None:
 
 def test_a_file_changes_what_it_says_and_keeps_the_rest(tmp_path: Path) -> None:
     assert load_protocol(written(tmp_path, TEXT)) == WANTED
-    assert load_protocol(written(tmp_path, "", "Other.TOML")) == replace(DEXGRASPBENCH, name="Other")
+    assert load_protocol(written(tmp_path, "", "Other.TOML")) == replace(DEXGRASPBENCH, name="Other", palm="rigid")
     assert load_protocol(written(tmp_path, 'name = "ours"')).name == "ours"
 
 
@@ -79,6 +79,16 @@ def test_options_override_a_file(tmp_path: Path) -> None:
     with refused(GraspRefineError, "--seconds", "0.1", "0.25"):
         Simulation(protocol=path, seconds=0.25).chosen_protocol()
     assert ValidationOptions(validate=True, protocol=path).chosen_protocol() == plain
+
+
+def test_the_soft_weld_is_of_files_that_ask_for_it(tmp_path: Path) -> None:
+    assert load_protocol("dexgraspbench").palm == "soft weld"
+    assert load_protocol(written(tmp_path, "mass = 0.5")).palm == "rigid"
+    soft = load_protocol(written(tmp_path, 'palm = "soft weld"'))
+    assert soft.palm == "soft weld" and soft.with_mass(0.5).palm == "rigid"
+    for text in (soft.summary, soft.label):
+        assert_names(text, "palm")
+    assert "palm" not in soft.with_mass(0.5).summary
 
 
 def test_a_file_is_simulated_as_it_says(tmp_path: Path) -> None:
@@ -111,6 +121,7 @@ def test_a_file_is_simulated_as_it_says(tmp_path: Path) -> None:
         ('[contact]\ncone = "round"', ("contact.cone", "elliptic", "pyramidal", "round")),
         ("[contact]\nimpratio = 0", ("contact.impratio", "0")),
         ("[noise]\ncount = -1", ("noise.count", "-1")),
+        ('palm = "loose"', ("palm", "rigid", "soft weld", "loose")),
         ("required_share = 2", ("required_share must be at most 1", "2")),
         ("largest_mass = 0.5", ("largest_mass", "density")),
         ('based_on = "soft"', ("based_on", "'soft'", "dexgraspbench")),

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import kstest
 
 from grasp_refine.core.se3 import distances, exp_so3, log_so3
+from grasp_refine.results.simulated import reason_lines
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.noise import Noise
@@ -20,7 +21,7 @@ from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simula
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world
-from gripper import KP, RADIUS, around, ball, gripper, two_balls
+from gripper import KP, RADIUS, around, ball, gripper, lifted, two_balls
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
 ACROSS = ("+y", "-y", "+z", "-z")
@@ -107,9 +108,23 @@ def test_a_simulation_that_diverges_is_unstable_never_a_success(
     monkeypatch.chdir(tmp_path)
     wild = build_world(gripper(kp=1e13), ball(), DEXGRASPBENCH)
     trials = simulate(wild, around(2.0))
-    assert (trials.reason == Reason.UNSTABLE).all()
+    assert (trials.reason == Reason.HAND_UNSTABLE).all()
     assert not trials.success.any()
     assert not list(tmp_path.iterdir()), "MuJoCo writes its warnings to a file in the current folder"
+
+
+def test_a_hand_that_diverges_is_a_fault_of_its_model_and_named_by_its_joint() -> None:
+    """Servos of light links that nothing damps throw the object, which once was the grasp's fault."""
+    made = gripper(kp=20 * KP)
+    for geom, joint in zip(made.spec.geoms, made.spec.joints, strict=True):
+        geom.mass, joint.damping = 0.002, np.zeros(3)
+    trials = simulate(build_world(made, ball(), STRICT), around(200.0))
+    assert (trials.reason == Reason.HAND_UNSTABLE).all() and not trials.success.any()
+    assert set(trials.runaways) <= {"left", "right"} and trials.runaways
+    assert trials.runaway[0] in reason_lines(trials, STRICT)[0].plain
+    # Without that it is the push that makes a simulation diverge.
+    pushed = simulate(build_world(gripper(), ball(), replace(STRICT, acceleration=1e13)), around(4.0))
+    assert (pushed.reason == Reason.UNSTABLE).all() and pushed.runaways == ()
 
 
 def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
@@ -242,7 +257,7 @@ def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeyp
 
     monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
     world = build_world(gripper(), ball(), TABLETOP)
-    up, middle, motion = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02]), raised(around(8.0), 0.015)
+    up, middle, motion = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02]), lifted(around(8.0), 0.015)
     noise_score(world, motion, Noise(3), middle=middle, numbers=np.array([0]), upright=up)
     noise_score(world, motion, Noise(3, offset=0.0, turn=0.5), middle=middle, numbers=np.array([0]))
     on_table, turned = seen
@@ -262,26 +277,20 @@ def test_noise_is_uniform_in_spheres() -> None:
         np.testing.assert_allclose((vectors > 0).mean(axis=0), 0.5, atol=0.03)
 
 
-def raised(motion: Motion, height: float) -> Motion:
-    T = motion.T_world_root.copy()
-    T[..., 2, 3] += height
-    return Motion(T, motion.q)
-
-
 def test_an_object_is_lifted_off_a_table() -> None:
     world = build_world(gripper(), ball(), TABLETOP)
-    held, dropped = simulate(world, raised(around(8.0), 0.015)), simulate(world, raised(around(0.05), 0.015))
+    held, dropped = simulate(world, lifted(around(8.0), 0.015)), simulate(world, lifted(around(0.05), 0.015))
     assert held.directions == ("lift",)
     assert held.success.all() and held.displacement_m.max() < 0.02
     assert (dropped.reason == Reason.MOVED).all()
-    lift = record(world, raised(around(8.0), 0.015), "lift", name="ball", hand="gripper")
+    lift = record(world, lifted(around(8.0), 0.015), "lift", name="ball", hand="gripper")
     assert lift is not None and lift.lifted()[-1] == pytest.approx([0.0, 0.0, TABLETOP.lift])
 
 
 def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:
     # The plates reach 4 cm down, the ball lies on its radius of 3 cm.
     world = build_world(gripper(), ball(), TABLETOP)
-    trials = simulate(world, raised(around(8.0), -0.005))
+    trials = simulate(world, lifted(around(8.0), -0.005))
     assert (trials.reason == Reason.IN_TABLE).all() and np.isnan(trials.displacement_m).all()
 
 

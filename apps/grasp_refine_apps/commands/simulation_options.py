@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, radians
 from typing import Annotated
 
@@ -69,7 +69,7 @@ class Simulation:
                 raise GraspRefineError(f"--{name} must be above 0")
         protocol = _named(self.protocol, in_scene).with_friction(self.friction).with_mass(self.mass)
         protocol = protocol.with_multiccd(self.multiccd)
-        return protocol if self.seconds is None else replace(protocol, checks=_checks(protocol, self.seconds))
+        return protocol if self.seconds is None else protocol.changed(checks=_checks(protocol, self.seconds))
 
 
 def _named(name: str, in_scene: bool) -> Protocol:

@@ -156,7 +156,11 @@ class TrialResult:
         lost = [result for result in self.results if not result.held]
         if self.protocol.tabletop:
             if lost:
-                whose = "" if lost[0].reason == Reason.UNSTABLE else "while it was lifted, the object "
+                whose = (
+                    ""
+                    if lost[0].reason in (Reason.UNSTABLE, Reason.HAND_UNSTABLE)
+                    else "while it was lifted, the object "
+                )
                 return f"Does not hold: {whose}{self.words(lost[0])}"
             stayed = f"Holds: the object stayed in the hand while it was lifted by {self.protocol.lift * 1e2:g} cm"
         elif lost:

@@ -25,6 +25,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3, transform
+from grasp_refine.hands.servos import actuator_name
 from grasp_refine.validation.drake.actuation import Actuation
 from grasp_refine.validation.drake.contacts import let_collide, material, shape_of, touching_pairs
 from grasp_refine.validation.drake.plant import Parameters, Plant, rigid
@@ -39,8 +40,8 @@ NEAR_RIGID_THRESHOLD = 0.1
 """Share of a time step below which the period of a stiff constraint is not resolved but damped (SAP's beta): of the
 default, 1, couplings and servos of light fingers would be softer than their gains."""
 
-ROOT_STIFFNESS = (1e5, 1e4)
-"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, as MuJoCo's weld."""
+ROOT_STIFFNESS = (1e6, 1e5)
+"""Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
 
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
@@ -197,7 +198,7 @@ class _Builder:
                 own_limit = _largest(model.jnt_actfrclimited[target], model.jnt_actfrcrange[target])
             else:
                 raise GraspRefineError(
-                    f"engine drake drives joints and tendons, not '{model.actuator(number).name}' of the MJCF"
+                    f"engine drake drives joints and tendons, not '{actuator_name(model, number)}' of the MJCF"
                 )
             limit = _largest(model.actuator_forcelimited[number], model.actuator_forcerange[number]) * abs(gear)
             gain = self.parameters.gain * gear**2

@@ -138,6 +138,8 @@ class Rows(Simulations):
         self.world = world
         self.running = running.copy()
         self.unstable = np.zeros(len(running), dtype=bool)
+        # Its servos are implicit, and do not diverge.
+        self.runaway = np.full(len(running), "", dtype=object)
         self._spaces = spaces
         self._threads = threads
         # All plants of a world have the same joints and servos.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -44,7 +44,7 @@ class Worlds:
     """Worlds of one object, and what the draws need to know of it."""
 
     usual: World
-    """Hand, object and protocol."""
+    """Hand, object and protocol, the palm held rigidly: forces are drawn that a soft weld would give way to."""
     other: World | None
     """The same with the hand's other model; None: the hand has none."""
     middle: Float[np.ndarray, " 3"]
@@ -63,7 +63,10 @@ class Worlds:
             GraspRefineError: a protocol that lifts, or MuJoCo cannot compile the other model with the object.
         """
         check_pushes(usual.protocol)
-        return cls(usual, None if other is None else build_world(other, obj, usual.protocol), center_of_mass(obj))
+        protocol = replace(usual.protocol, palm="rigid")
+        if protocol != usual.protocol:
+            usual = build_world(usual.hand, obj, protocol)
+        return cls(usual, None if other is None else build_world(other, obj, protocol), center_of_mass(obj))
 
     def __repr__(self) -> str:
         return f"Worlds({self.usual!r}{', and with the other model of the hand' if self.other else ''})"

@@ -14,14 +14,12 @@ least three links touch, and only allowed ones, is not asked. PhysX has another 
 of 1.0.
 """
 
-from dataclasses import replace
 from math import radians
 
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.noise import Noise
+from grasp_refine.validation.protocols.protocol import Protocol
 
-GET_A_GRIP = replace(
-    DEXGRASPBENCH,
+GET_A_GRIP = Protocol(
     name="get-a-grip",
     friction=0.9,
     density=500.0,

@@ -14,13 +14,11 @@ hand, the contacts and the largest penetration. No rotation is a failure, as the
 apart.
 """
 
-from dataclasses import replace
 from math import tau
 
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.validation.protocols.protocol import Protocol
 
-GRASPQP = replace(
-    DEXGRASPBENCH,
+GRASPQP = Protocol(
     name="graspqp",
     friction=1.0,
     mass=0.2,

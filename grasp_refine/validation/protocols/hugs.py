@@ -11,12 +11,9 @@ have, so that it is half of the diagonal here. The volume is that of the convex 
 must stay near where the hand would carry it at each of five checks instead of at the end. Two hands are not simulated.
 """
 
-from dataclasses import replace
+from grasp_refine.validation.protocols.protocol import Protocol
 
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-
-HUGS = replace(
-    DEXGRASPBENCH,
+HUGS = Protocol(
     name="hugs",
     friction=0.8,
     density=700.0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil, degrees, inf, pi, radians
+from typing import Any, Literal
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
@@ -20,6 +21,9 @@ AXES = {
 }
 """Directions in which the object is pushed, in its frame: name -> unit vector."""
 
+Palm = Literal["rigid", "soft weld"]
+"""Holds of the palm of a hand without an arm: rigid, or DexGraspBench's weld, which gives way under load."""
+
 SHARE_ROUNDING = 1e-9
 """Number of directions by which a required share may exceed an integer: rounding."""
 
@@ -34,7 +38,8 @@ _POSITIVE = (
 class Protocol:
     """Test of a grasp: the hand closes over grasp to squeeze; then the object must stay while pushed, or be lifted.
 
-    The defaults are those of DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark).
+    The defaults are those of DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark), but for the
+    palm, which is held rigidly.
     """
 
     name: str = "dexgraspbench"
@@ -69,6 +74,9 @@ class Protocol:
     multiccd: bool | None = None
     """Whether two convex pieces may touch in several points, or in one, about which flat faces turn, in MuJoCo; None:
     in several where the hand touches in patches (`Hand.patches`)."""
+    palm: Palm = "rigid"
+    """Hold of the palm in MuJoCo: rigid, whatever hand and object weigh, or the soft weld of DexGraspBench, with which
+    it gives way to the object's weight, the more the lighter the hand is. On an arm, the arm holds it."""
     timestep: float = 0.004
     """Simulation step in seconds."""
     moves: int = 10
@@ -126,8 +134,8 @@ class Protocol:
 
     @property
     def label(self) -> str:
-        """Name, with the rule unless all directions must hold, and with contacts unless they are single points."""
-        return ", ".join([self.name, *self._concessions, *self.contact_points])
+        """Name, with the rule unless all directions must hold, contacts unless they are single points, a soft weld."""
+        return ", ".join([self.name, *self._concessions, *self.contact_points, *self._weld])
 
     @property
     def _concessions(self) -> list[str]:
@@ -140,6 +148,11 @@ class Protocol:
     def contact_points(self) -> list[str]:
         """Number of points in which two pieces touch, for people, unless it is one, or the hand decides."""
         return ["faces touch in several points"] if self.multiccd else []
+
+    @property
+    def _weld(self) -> list[str]:
+        """Hold of the palm, for people, unless it is rigid."""
+        return ["palm on a soft weld"] if self.palm == "soft weld" else []
 
     def bounds(self, share: float = 1.0) -> tuple[str, ...]:
         """Return displacement and rotation from which on the object is lost, times `share`, for people."""
@@ -165,7 +178,15 @@ class Protocol:
         else:
             motion = f"pushed with {force} in {len(self.directions)} directions for {self.seconds:g} s each"
         rule = [f"held {' and '.join(self._concessions)}"] if self._concessions else []
-        return ", ".join([f"friction {self.friction:g}", f"an object of {weight}", motion, *self.contact_points, *rule])
+        parts = [
+            f"friction {self.friction:g}",
+            f"an object of {weight}",
+            motion,
+            *self.contact_points,
+            *self._weld,
+            *rule,
+        ]
+        return ", ".join(parts)
 
     @property
     def tabletop(self) -> bool:
@@ -188,11 +209,13 @@ class Protocol:
         """Return a copy in which all objects have this mass in kg; None: this protocol."""
         if mass is None:
             return self
-        return replace(self, mass=mass, density=None, density_size=None, largest_mass=None)
+        return self.changed(mass=mass, density=None, density_size=None, largest_mass=None)
 
     def with_multiccd(self, multiccd: bool | None) -> Protocol:
         """Return a copy in which two pieces may touch in several points, or in one; None: this protocol."""
-        return self if multiccd is None else replace(self, multiccd=multiccd)
+        if multiccd is None:
+            return self
+        return self.changed(multiccd=True) if multiccd else replace(self, multiccd=False)
 
     def for_contacts(self, patches: bool) -> Protocol:
         """Return the protocol for a hand that touches in patches, or in points, where it leaves `multiccd` to that."""
@@ -202,4 +225,12 @@ class Protocol:
         """Return a copy with another sliding friction, and torsional friction in proportion; None: this protocol."""
         if friction is None:
             return self
-        return replace(self, friction=friction, torsion=self.torsion * friction / self.friction)
+        return self.changed(friction=friction, torsion=self.torsion * friction / self.friction)
+
+    def changed(self, **values: Any) -> Protocol:
+        """Return a copy with other values of its fields, whose palm is rigid unless they are the same values.
+
+        The soft weld belongs to published outcomes, which another test does not reproduce.
+        """
+        changed = replace(self, **values)
+        return changed if changed == self else replace(changed, palm="rigid")

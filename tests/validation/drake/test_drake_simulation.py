@@ -1,6 +1,7 @@
 """Grasps simulated in Drake against physics that is known in closed form, and against MuJoCo."""
 
 from dataclasses import replace
+from math import radians
 
 import mujoco
 import numpy as np
@@ -18,12 +19,13 @@ from grasp_refine.validation.engines import engine_of
 from grasp_refine.validation.hand_model import HandModel
 from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import AXES
+from grasp_refine.validation.protocols.protocol import AXES, Protocol
+from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.world import World, build_world
-from gripper import KP, RADIUS, around, ball, gripper
+from gripper import KP, RADIUS, around, ball, gripper, lifted, weighing
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
 ACROSS = ("+y", "-y", "+z", "-z")
@@ -365,3 +367,23 @@ def test_what_only_mujoco_has_is_refused(world: World) -> None:
     bent = '<equality><joint joint1="first" joint2="second" polycoef="0 1 1"/></equality>'
     with pytest.raises(GraspRefineError, match="equality"):
         one(finger(servo + bent))
+
+
+@pytest.mark.parametrize("protocol", [STRICT, TABLETOP])
+@pytest.mark.parametrize("hand_kg", [0.05, 5.0])
+def test_the_palm_gives_way_to_no_load_whatever_it_weighs(protocol: Protocol, hand_kg: float) -> None:
+    world = build_world(weighing(hand_kg), ball(), protocol.with_mass(1.0))
+    plants, made = Plants(world), []
+
+    def engine(*arguments: object) -> Rows:
+        made.append(plants.simulations(*arguments))
+        return made[-1]
+
+    motion = around(25.0)
+    motion = lifted(motion, y=0.01) if protocol.tabletop else motion
+    assert simulation.simulate(world, motion, threads=1, engine=engine).success.all()
+    rows = made[-1]
+    off = np.abs(rows._moving[:, rows._plant.root] - rows._set_points[:, rows._plant.root_servos])
+    # On the lift the palm follows its set points a little later.
+    assert off[:, : 2 if protocol.tabletop else 3].max() < 1e-4
+    assert off[:, 3:].max() < radians(0.1)

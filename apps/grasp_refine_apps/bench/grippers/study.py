@@ -46,7 +46,7 @@ SHRINKING, MIN_SCALE = 0.8, 0.4
 KINDS = ("sampled", "perturbed")
 """Kinds of grasps of a job, as many of each."""
 
-_ONE, _SEVERAL = (DEXGRASPBENCH.with_multiccd(several) for several in (False, True))
+_ONE, _SEVERAL = (replace(DEXGRASPBENCH, palm="rigid", multiccd=several) for several in (False, True))
 
 PROTOCOLS = {
     "friction 0.6": _SEVERAL,
