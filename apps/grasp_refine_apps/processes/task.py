@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import time
 from collections.abc import Callable
@@ -52,8 +53,11 @@ class Heartbeat(Protocol):
 Work = Callable[[Any, Heartbeat], Any]
 """Function of a task and the receiver of its heartbeats; it and its results can be pickled."""
 
-Reason = Literal["error", "crashed", "hung"]
-"""Reason of a failure: the work raised, the worker ended, or it gave no heartbeat."""
+Reason = Literal["error", "disk full", "crashed", "hung"]
+"""Reason of a failure: the work raised, at a full disk or otherwise, the worker ended, or it gave no heartbeat."""
+
+RAISED: tuple[Reason, ...] = ("error", "disk full")
+"""Reasons of work that raised."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class Failed:
     @staticmethod
     def of(error: BaseException) -> Failed:
         """Return the failure of work that raised an exception."""
-        return Failed("error", message_of(error), traceback_of(error))
+        return Failed("disk full" if is_disk_full(error) else "error", message_of(error), traceback_of(error))
 
 
 def attempt(work: Work, task: Task, send: Callable[[Sign], None], interval_s: float) -> Any:
@@ -99,6 +103,13 @@ def attempt(work: Work, task: Task, send: Callable[[Sign], None], interval_s: fl
         return result
     except Exception as error:
         return Failed.of(error)
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Return True if an exception, or one that caused it, says that a disk is full or a quota is used up."""
+    while error is not None and not (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)):
+        error = error.__cause__
+    return error is not None
 
 
 def message_of(error: BaseException) -> str:
