@@ -20,6 +20,7 @@ from tyro.conf import Positional, Suppress, arg
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
+from grasp_refine.core.machine import machine
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
@@ -170,6 +171,7 @@ class Batch:
                     "command": "batch",
                     "invocation": invocation("batch", self),
                     "versions": versions(),
+                    "machine": machine(),
                     "config": described
                     | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
                     "seed": config.seed,
