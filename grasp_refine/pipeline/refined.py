@@ -12,6 +12,7 @@ from rich.console import RenderableType
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
+from grasp_refine.core.machine import machine
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
 from grasp_refine.core.versions import versions
@@ -171,6 +172,7 @@ class RefinedGrasps:
             source = {"sampled": problem.sampled, "hand": source} if problem.sampled else source
         common = {
             "versions": versions(),
+            "machine": machine(),
             "seed": self.config.seed,
             "config": {"refine": settings(self.config)},
             "source": source,

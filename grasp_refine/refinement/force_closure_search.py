@@ -93,6 +93,9 @@ class Phase:
         )
 
 
+SAME_SCORE = 1e-6
+"""Difference of scores below which the earlier attempt stays, so that a last bit does not choose between two."""
+
 SLIDE = Phase("contacts slide", 25, farther=(0.01, 0.005), soft=0.01)
 SETTLE = Phase("contacts settle", 15)
 CLOSE = Phase("gaps close", 40, balance=False, patience=12)
@@ -257,7 +260,7 @@ class _Search:
     def take(self, rows: np.ndarray, found: _Attempt, pinch_share: float = 1.0) -> None:
         """Keep attempts at different grasps that are better than the best so far, pinches only by that share."""
         best = self.best.score[rows]
-        least = np.where(self.best.pinches[rows] & (found.score > self.good), pinch_share, 1.0) * best
+        least = np.where(self.best.pinches[rows] & (found.score > self.good), pinch_share, 1.0) * best - SAME_SCORE
         better = found.score < least
         never = self.best.minimum.status[rows] == Status.RUNNING
         kept = rows[better | never]

@@ -8,6 +8,7 @@ from typing import Any
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.json_files import SCHEMA
+from grasp_refine.core.machine import machine
 from grasp_refine.core.versions import versions
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
@@ -44,6 +45,7 @@ def run_document(
         "schema": SCHEMA,
         "command": "run",
         "versions": versions(),
+        "machine": machine(),
         "engine": chosen("auto"),
         "config": config,
         "seed": refined.seed,

@@ -13,6 +13,7 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA, save_bytes, save_text
+from grasp_refine.core.machine import machine
 from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
 from grasp_refine.results.simulated import simulation_entry
@@ -62,6 +63,7 @@ def validate_document(
         "schema": SCHEMA,
         "command": "validate",
         "versions": versions(),
+        "machine": machine(),
         "config": config,
         "seed": seed,
         "totals": {

@@ -64,6 +64,9 @@ MAX_STEPS, MIN_STEP_RAD, MAX_STEP_RAD = 40, 5e-3, 0.2
 TRIES_AMONG_BODIES = 8
 """Factor of the most hands that are placed where bodies around the object may be in their way."""
 
+SAME_DISTANCE_M = 1e-7
+"""Difference of distances in metres that does not count, so that no last bit chooses where a hand or finger stays."""
+
 SPEED_RANGE = (0.4, 1.0)
 """Range of the closing speeds of joints, so that fingers curl in many ways."""
 
@@ -73,6 +76,9 @@ SINGLE_GROUP_PENALTY = 0.1
 MISS_SCALE_M, TRIES_IN_REGIONS, MIN_SEEDS = 0.01, 4, 16
 """Distance in metres of a contact from where it should be that costs a score of 1; factor of the most hands that are
 placed where only some of the object should be touched, and least number of surface points there, else the nearest."""
+
+SCORE_DECIMALS = 5
+"""Decimals of a score that decide the order of hands: scores of other processors differ by less."""
 
 MIN_SPACING_M, MAX_HALVINGS = 0.02, 6
 """Distance in metres below which grasps are alike, and most halvings of it where there are too few others."""
@@ -209,7 +215,8 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
         own = query(prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0)
         deepest = np.minimum(deepest, own.distance.min(axis=1))
     group = np.array(link_groups(prepared.hand, links))
-    touching = proximity.witness.distance <= CONTACT_DISTANCE_M
+    # Palms that backed off are exactly there.
+    touching = proximity.witness.distance <= CONTACT_DISTANCE_M + SAME_DISTANCE_M
     worst = np.zeros(len(touching))
     if closing.regions is not None:
         miss = contact_misses(closing.regions, proximity.witness)
@@ -227,7 +234,8 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
 
 def _choose_distinct(hands: _Scored, closure: ClosureFrame, count: int) -> _Scored:
     """The best `count` hands that are not alike, of the better ones, best first."""
-    hands = take(hands, np.argsort(hands.score, kind="stable")[: 2 * count])
+    # Many hands balance their contacts equally well: their order must not hang on a last bit.
+    hands = take(hands, np.argsort(hands.score.round(SCORE_DECIMALS), kind="stable")[: 2 * count])
     # The centre of the closure frame and three points around it: their distances combine translation and rotation.
     points = closure.center + closure.radius * np.concatenate([np.zeros((1, 3)), np.eye(3)])
     place = transform_points(hands.T[:, None], points).reshape(-1, 12) / 2.0
@@ -310,7 +318,8 @@ class _Closing:
         while len(busy):
             proximity, way = self.proximity(take(hands, busy), CLEARANCE_M), hands.way[busy]
             above[busy] = proximity.table.min(axis=1)
-            lack = np.where(proximity.witness.valid, np.maximum(CLEARANCE_M - proximity.witness.distance, 0.0), 0.0)
+            lack = np.where(proximity.witness.valid, CLEARANCE_M - proximity.witness.distance, 0.0)
+            lack = np.where(lack > SAME_DISTANCE_M, lack, 0.0)
             # Where a surface lies along the way, the step is shorter than required: the surface may end sooner.
             back = (lack / np.maximum((proximity.witness.normal * way[:, None]).sum(axis=-1), 0.3)).max(axis=1)
             back = np.where(back > 0, np.maximum(back, 1e-3), 0.0)
@@ -347,7 +356,7 @@ class _Closing:
             q, gap = hands.q[busy], proximity.gap
             for k, (links, joints) in enumerate(self._fingers):
                 now = proximity.witness.distance[:, links].min(axis=1)
-                nearer = now < least[busy, k]
+                nearer = now < least[busy, k] - SAME_DISTANCE_M
                 least[busy[nearer], k] = now[nearer]
                 nearest[np.ix_(busy[nearer], joints)] = q[np.ix_(nearer, joints)]
             stopped = (self._moves & (gap <= STOP_DISTANCE_M)[..., None]).any(axis=1) | (q == end)

@@ -148,7 +148,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
 
     document = json.loads(Path("results/deep/report.json").read_text())
     assert list(document) == [
-        "schema", "command", "versions", "engine", "config", "seed", "totals", "profile", "grasps"
+        "schema", "command", "versions", "machine", "engine", "config", "seed", "totals", "profile", "grasps"
     ]  # fmt: skip
     assert document["engine"] == chosen("auto")
     assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)

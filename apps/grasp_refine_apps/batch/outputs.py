@@ -73,8 +73,7 @@ class Outputs:
                             f"{shard.path}: was replaced meanwhile by the result of another batch in this folder"
                         )
                 except GraspFileError as error:
-                    progress.say(str(error))
-                    session.complete.discard(shard.number)
+                    session.lose(shard, error, progress)
                     continue
                 session.statistics.add(rows)
                 if add_rows is not None:
@@ -83,14 +82,17 @@ class Outputs:
             # One in the other format would be outdated.
             _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
 
-    def write(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
-        """Write report and summary, as far as they are enabled."""
+    def write_report(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
+        """Write the report, if it is enabled."""
         if self.report:
             shards = {shard.number: shard for shard in session.complete_shards}
             load = partial(load_case, shards, InputCache(), document["seed"])
             worst = session.statistics.worst()
             pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
             save_text(self.out / REPORT, page(document, session.statistics, pictures))
+
+    def write_summary(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
+        """Write the summary, if it is enabled."""
         if self.json is not None:
             progress.wait("writing the summary")
             save_batch(self.json, document, session.complete_shards)

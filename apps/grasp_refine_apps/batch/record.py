@@ -104,7 +104,7 @@ def clean(shards: Iterable[Shard]) -> None:
         with suppress(OSError):
             for entry in os.scandir(folder):
                 pid, name = half_written(entry.name)
-                if name in here and pid is not None and not _is_alive(pid):
+                if name in here and pid is not None and not is_alive(pid):
                     Path(entry.path).unlink(missing_ok=True)
 
 
@@ -112,7 +112,7 @@ def _note_path(shard: Shard) -> Path:
     return shard.path.with_name(shard.path.name + NOTE_SUFFIX)
 
 
-def _is_alive(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
     """Return True if the process exists on this machine."""
     try:
         os.kill(pid, 0)

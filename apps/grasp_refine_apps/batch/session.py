@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -17,6 +18,12 @@ from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.work import peak_bytes
 from grasp_refine_apps.processes.dispatch import Pool, dispatch
 from grasp_refine_apps.processes.task import Failed
+
+MAX_UNWRITTEN = 3
+"""Number of shards in a row that find the disk full, after which no other is tried."""
+
+BYTES_PER_GRASP = 4096
+"""Size of a refined grasp in a result file, bytes, where no result file shows it."""
 
 
 @dataclass(eq=False)
@@ -49,6 +56,8 @@ class Session:
     """Stage -> CPU seconds, wall seconds and calls of all shards."""
     statistics: Statistics = field(default_factory=Statistics.empty)
     """Statistics of all grasps in the result files, once they are read."""
+    disk_full: bool = False
+    """Whether the work stopped for want of room."""
 
     def __post_init__(self) -> None:
         """Count what is complete."""
@@ -64,10 +73,23 @@ class Session:
         """Shards without result files, in order."""
         return [shard for shard in self.shards if shard.number not in self.complete]
 
+    @property
+    def open_grasps(self) -> int:
+        """Number of grasps in shards without result files."""
+        return sum(shard.size for shard in self.left)
+
+    @property
+    def room_bytes(self) -> int:
+        """Estimated size of the result files that are missing, bytes, by that of the others."""
+        done = self.complete_shards
+        sizes = [shard.path.stat().st_size for shard in done]
+        each = sum(sizes) / sum(shard.size for shard in done) if done else BYTES_PER_GRASP
+        return int(each * self.open_grasps)
+
     def run(
         self, shards: Sequence[Shard], pool: Pool, progress: Progress, *, tries: int, patience_s: float | None
     ) -> None:
-        """Work on shards, and record the result of each.
+        """Work on shards, and record the result of each; stop when nothing more can be written.
 
         Args:
             shards: The shards.
@@ -79,11 +101,18 @@ class Session:
         Raises:
             KeyboardInterrupt: raised again; shards complete by then are kept.
         """
+        unwritten = 0
         try:
-            for shard, result in dispatch(
-                shards, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat
-            ):
-                self.take(shard, result, progress)
+            with closing(
+                dispatch(shards, pool, tries=tries, patience_s=patience_s, heartbeat=progress.heartbeat)
+            ) as results:
+                for shard, result in results:
+                    self.take(shard, result, progress)
+                    full = isinstance(result, Failed) and result.reason == "disk full"
+                    unwritten = unwritten + 1 if full else 0
+                    if unwritten >= MAX_UNWRITTEN:
+                        self.disk_full = True
+                        return
         finally:
             # Killed workers leave partial files.
             clean(shards)
@@ -118,6 +147,12 @@ class Session:
                 self.notes.add(sign)
                 progress.say(f"note: {shard.task.job}: {note}")
         progress.done(shard, result)
+
+    def lose(self, shard: Shard, error: GraspRefineError, progress: Progress) -> None:
+        """Record and show that the result of a complete shard is damaged or of another batch."""
+        self.complete.discard(shard.number)
+        self.failed[shard.number] = Failed.of(error)
+        progress.say(str(error))
 
     def failures(self) -> list[dict[str, Any]]:
         """Entries of refused jobs and failed shards, also of those that failed in an earlier run, with reasons."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from grasp_refine_apps.processes.dispatch import dispatch
 from grasp_refine_apps.processes.local import LocalPool
-from grasp_refine_apps.processes.task import Failed, Heartbeat
+from grasp_refine_apps.processes.task import LOST, Failed, Heartbeat
 
 Progress = Callable[[float], None]
 """Called with the share of a job that is done."""
@@ -50,7 +50,7 @@ def run_jobs(
     try:
         for index, outcome in _run_serially(todo, progress) if workers == 1 else _run_parallel(todo, workers, progress):
             if isinstance(outcome, Failed):
-                error = outcome.traceback if outcome.reason == "error" else outcome.message
+                error = outcome.traceback if outcome.reason not in LOST else outcome.message
                 problems.append(f"{todo[index].label}: {error}")
             else:
                 results[index] = outcome

@@ -1,15 +1,12 @@
-"""Time and machine: CPU times measured alternately, shares of CPU time by stage, and the processor."""
+"""Time: CPU times measured alternately, and shares of CPU time by stage."""
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -102,17 +99,3 @@ def cpu_share(watches: Sequence[Stopwatch], parts: Parts) -> dict[str, float | N
         name: sum(watch.spent[stage].cpu_s for watch in watches for stage in stages) / whole if whole > 0 else None
         for name, stages in parts.items()
     }
-
-
-def machine() -> dict[str, Any]:
-    """Return number and name of the processors, and the system."""
-    return {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()}
-
-
-def _processor() -> str:
-    """Return the model name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())

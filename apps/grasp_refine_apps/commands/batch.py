@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
+from errno import ENOSPC
 from pathlib import Path
+from shutil import disk_usage
 from typing import Annotated, Any
 from uuid import uuid4
 
@@ -17,6 +20,7 @@ from tyro.conf import Positional, Suppress, arg
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import SCHEMA
+from grasp_refine.core.machine import machine
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
@@ -27,6 +31,7 @@ from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine_apps.batch.index import IndexKind, index_path
 from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine_apps.batch.lock import locked
 from grasp_refine_apps.batch.outputs import Outputs
 from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.progress import Progress
@@ -34,6 +39,7 @@ from grasp_refine_apps.batch.record import State, clean, state_of
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.table import batch_table
+from grasp_refine_apps.batch.words import grasps, mebibytes
 from grasp_refine_apps.batch.work import ShardWork, unusable_objects
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile
@@ -42,6 +48,7 @@ from grasp_refine_apps.commands.sharding import Sharding
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
 from grasp_refine_apps.processes.dispatch import Pool
 from grasp_refine_apps.processes.local import LocalPool
+from grasp_refine_apps.processes.task import is_disk_full
 from grasp_refine_apps.report.command_line import invocation
 from grasp_refine_apps.report.screen import screen
 
@@ -116,7 +123,13 @@ class Batch:
         Raises:
             GraspRefineError: an input that cannot be used at all; then nothing is written.
         """
-        batched = self.refine()
+        try:
+            batched = self.refine()
+        except GraspRefineError as error:
+            if not is_disk_full(error):
+                raise
+            screen(stderr=True).print(str(error), style="red", soft_wrap=True, markup=False)
+            return NOTHING_USABLE
         self._show(batched)
         nothing = batched.session.shards and not batched.session.statistics.all.usable
         return NOTHING_USABLE if batched.document["failed"] or nothing else 0
@@ -141,30 +154,40 @@ class Batch:
         with Progress(console, (), 1) as progress:
             plan = self._plan(outputs.out, described, config.seed, progress)
             outputs.check(plan)
-            progress.wait("checking existing results")
-            shards = part_of(plan.shards, *part)
-            states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in shards}
-            _report_states(shards, states, progress)
-        complete = {number for number, state in states.items() if state is State.COMPLETE}
-        session = Session(shards, plan.refused, complete)
-        self._run_shards(ShardWork(config, protocol, described, self.output.profile), session, console)
-        with Progress(console, (), 1) as progress:
-            outputs.read(session, progress)
-            failed = session.failures()
-            document = {
-                "schema": SCHEMA,
-                "command": "batch",
-                "invocation": invocation("batch", self),
-                "versions": versions(),
-                "config": described | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
-                "seed": config.seed,
-                "totals": session.totals(failed, time.perf_counter() - wall, cpu_seconds() - cpu),
-                "failed": failed,
-                "jobs": session.jobs(),
-                "profile": profile_entry(session.profile or None),
-            }
-            outputs.write(document, session, progress)
-        return Batched(document, session, outputs)
+        with locked(outputs.out, plan.shards, part):
+            with Progress(console, (), 1) as progress:
+                progress.wait("checking existing results")
+                shards = part_of(plan.shards, *part)
+                states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in shards}
+                _report_states(shards, states, progress)
+            complete = {number for number, state in states.items() if state is State.COMPLETE}
+            session = Session(shards, plan.refused, complete)
+            self._run_shards(ShardWork(config, protocol, described, self.output.profile), session, console)
+            with Progress(console, (), 1) as progress:
+                outputs.read(session, progress)
+                failed = session.failures()
+                document = {
+                    "schema": SCHEMA,
+                    "command": "batch",
+                    "invocation": invocation("batch", self),
+                    "versions": versions(),
+                    "machine": machine(),
+                    "config": described
+                    | {"inputs": settings(self.inputs.plain()), "sharding": settings(self.sharding)},
+                    "seed": config.seed,
+                    "failed": failed,
+                    "jobs": session.jobs(),
+                    "profile": profile_entry(session.profile or None),
+                }
+
+                def now() -> dict[str, Any]:
+                    """Return the document with the costs of this run so far."""
+                    totals = session.totals(failed, time.perf_counter() - wall, cpu_seconds() - cpu)
+                    return document | {"totals": totals}
+
+                outputs.write_report(now(), session, progress)
+                outputs.write_summary(now(), session, progress)
+        return Batched(now(), session, outputs)
 
     def _outputs(self) -> Outputs:
         """Return the files to write; a part of a batch has results and a summary only.
@@ -259,6 +282,8 @@ class Batch:
         simulated = work.protocol is not None
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
+            if session.room_bytes > disk_usage(self.output.out).free:
+                progress.say(f"note: the disk may become full: {_room_text(session, self.output.out)}")
             unusable = unusable_objects(
                 todo, lambda number: progress.wait(f"reading objects, {number + 1} of {len(todo)} shards")
             )
@@ -275,6 +300,18 @@ class Batch:
                 progress.say(f"{there}; {command} continues from there")
                 raise
         session.wall_s = time.perf_counter() - began
+        if session.disk_full:
+            there = f"{len(session.complete)} of {count_text(len(session.shards), 'shard')} complete"
+            raise GraspRefineError(
+                f"{self.output.out}: the disk is full; stopped with {there}. {_room_text(session, self.output.out)}; "
+                "make room, and the same command continues from there"
+            ) from OSError(ENOSPC, os.strerror(ENOSPC))
+
+
+def _room_text(session: Session, out: Path) -> str:
+    """Return the room that the missing results need, and that there is."""
+    free = mebibytes(disk_usage(out).free)
+    return f"the {grasps(session.open_grasps)} left need about {mebibytes(session.room_bytes)}, {free} are free"
 
 
 def _report_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:

@@ -16,11 +16,11 @@ from tyro.conf import DisallowNone
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_json
+from grasp_refine.core.machine import machine
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judged, load_baseline, updated
 from grasp_refine_apps.bench.gate.measures import measure
-from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.benchmark import progress_bar
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 from grasp_refine_apps.report.json_document import save_document

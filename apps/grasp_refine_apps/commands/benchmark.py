@@ -15,12 +15,12 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.interruption import INTERRUPTED
 from grasp_refine.core.json_files import SCHEMA, check_writable, save_json, save_text
+from grasp_refine.core.machine import machine
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine.results.document import settings
 from grasp_refine_apps.bench.jobs import run_jobs
 from grasp_refine_apps.bench.study import Study
-from grasp_refine_apps.bench.timing import machine
 from grasp_refine_apps.commands.options import NOTHING_USABLE, check_numbers
 from grasp_refine_apps.report.command_line import flag, invocation
 from grasp_refine_apps.report.screen import screen

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from grasp_refine_apps.processes.schedule import Schedule
-from grasp_refine_apps.processes.task import Failed, Reason, Sign, Task
+from grasp_refine_apps.processes.task import LOST, Failed, Reason, Sign, Task
 
 MAX_CLOCK_STEP_S = 2.0
 """Longest time between two looks at the workers that counts, seconds: a pause of this process makes none look dead."""
@@ -99,7 +99,7 @@ def dispatch(
         task = running.pop(worker).task
         attempts[task.number] += 1
         if isinstance(outcome, Failed):
-            if outcome.reason in ("crashed", "hung") and attempts[task.number] < tries:
+            if outcome.reason in LOST and attempts[task.number] < tries:
                 schedule.requeue(task)
                 return
             outcome = replace(outcome, tries=attempts[task.number])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import time
 from collections.abc import Callable
@@ -52,8 +53,12 @@ class Heartbeat(Protocol):
 Work = Callable[[Any, Heartbeat], Any]
 """Function of a task and the receiver of its heartbeats; it and its results can be pickled."""
 
-Reason = Literal["error", "suspected", "crashed", "hung"]
-"""Reason of a failure: the work raised, or suspects another convention; the worker ended, or gave no heartbeat."""
+Reason = Literal["error", "suspected", "disk full", "crashed", "hung"]
+"""Reason of a failure: the work raised, suspects another convention, or found a disk full; the worker ended, or gave no
+heartbeat."""
+
+LOST: tuple[Reason, ...] = ("crashed", "hung")
+"""Reasons of lost workers."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,8 @@ class Failed:
     @staticmethod
     def of(error: BaseException) -> Failed:
         """Return the failure of work that raised an exception."""
-        reason: Reason = "suspected" if isinstance(error, ConventionError) else "error"
+        reason: Reason = "disk full" if is_disk_full(error) else "error"
+        reason = "suspected" if isinstance(error, ConventionError) else reason
         return Failed(reason, message_of(error), traceback_of(error))
 
 
@@ -100,6 +106,13 @@ def attempt(work: Work, task: Task, send: Callable[[Sign], None], interval_s: fl
         return result
     except Exception as error:
         return Failed.of(error)
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Return True if an exception, or one that caused it, says that a disk is full or a quota is used up."""
+    while error is not None and not (isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)):
+        error = error.__cause__
+    return error is not None
 
 
 def message_of(error: BaseException) -> str:

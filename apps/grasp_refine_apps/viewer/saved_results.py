@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.json_files import dumps
+from grasp_refine.core.machine import machine
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.formats.listing import OURS
@@ -70,6 +71,7 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
     groups = {int(at): collection.problem.groups[at] for at in collection.group_of[numbers]}
     provenance: dict[str, Any] = {
         "versions": versions(),
+        "machine": machine(),
         "config": {"refine": settings(next(iter(configs.values())))} if len(configs) == 1 else {},
         "objects": object_entries(groups.values()),
         "index": [int(collection.group(n).index[collection.member[n]]) for n in numbers.tolist()],

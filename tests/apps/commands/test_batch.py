@@ -17,6 +17,7 @@ import pytest
 
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.batch.session import MAX_UNWRITTEN
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 from running_processes import PATIENCE_S, nothing_left, soon
@@ -26,6 +27,7 @@ WITH_REPORT = ("--geometry-only", "--iterations", "12", "--index-format", "csv",
 QUICK = (*WITH_REPORT, "--no-report")
 """Refinements of a moment; Parquet is tested with the index."""
 TIMING = ("wall_s", "cpu_s")
+FIRST = ("bottle", "rounded_box")
 
 
 def batch(*arguments: object) -> int:
@@ -84,11 +86,11 @@ def copy(whole: Path, tmp_path: Path) -> Path:
 
 def test_every_grasp_is_in_one_result_file_and_in_the_index(whole: Path, sources: Path):
     assert list(results(whole)) == [
-        f"example_{name}/allegro_{name}_0000{part}.npz" for name in ("bottle", "rounded_box") for part in (0, 1)
+        f"example_{name}/allegro_{name}_0000{part}.npz" for name in FIRST for part in (0, 1)
     ]
     rows = index(whole)
     assert [(row["job"], int(row["row"])) for row in rows] == [
-        (f"example_{name}", row) for name in ("bottle", "rounded_box") for row in range(4)
+        (f"example_{name}", row) for name in FIRST for row in range(4)
     ]
     for row in rows:
         with np.load(whole / row["file"]) as entries:
@@ -389,6 +391,38 @@ def test_a_full_disk_costs_only_what_cannot_be_written(
     assert f"{path.name}.failed.json" in "".join(capsys.readouterr().err.split("\n"))
     assert batch(sources, *command) == 0
     assert_same(copy, whole)
+
+
+def test_a_disk_that_stays_full_stops_the_batch_and_says_how_much_room_is_needed(
+    copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
+):
+    command = ("--out", copy, "--shard-size", 1, *QUICK)
+    paths = [copy / f"example_{name}" / f"allegro_{name}_0000{part}.npz" for name in FIRST for part in range(4)]
+    for path in paths:
+        path.unlink(missing_ok=True)
+        path.symlink_to("/dev/full")
+    assert batch(sources, *command) == 1
+    error = " ".join(capsys.readouterr().err.split())
+    assert_names(error.rpartition("note:")[2] or error, "0 of 8 shards", "8 grasps", "MiB")
+    assert sum(path.is_symlink() for path in paths) == 8 - MAX_UNWRITTEN, "the others were not tried"
+    assert not list(copy.rglob(".*"))
+    for path in paths:
+        path.unlink(missing_ok=True)
+    assert batch(sources, *command) == 0
+    assert len(index(copy)) == 8
+
+
+@pytest.mark.slow
+def test_two_batches_in_one_folder_do_not_take_each_others_place(tmp_path: Path, sources: Path):
+    out, options = tmp_path / "out", ("--workers", "1", "--no-report", "--index", "csv")
+    first = running(sources, out, *options, "--geometry-only")
+    assert soon(lambda: any(out.glob(".working.*")))
+    second = running(sources, out, *options, "--geometry-only", "--iterations", "3")
+    _, error = second.communicate(timeout=PATIENCE_S)
+    assert second.returncode == 2
+    assert_names(error.strip().splitlines()[-1], str(first.pid), "--out")
+    assert finished(first) == 0
+    assert len(index(out)) == 8
 
 
 @pytest.mark.slow
