@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.core.names import is_file
-from grasp_refine.geometry.mesh import check_mesh, load_mesh, quietly
+from grasp_refine.geometry.mesh import check_mesh, check_unpacked, load_mesh, quietly
 
 if TYPE_CHECKING:
     import trimesh
@@ -31,6 +31,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 def _read_collada(path: Path) -> trimesh.Trimesh:
     import trimesh
 
+    check_unpacked(path)
     try:
         with quietly():
             scene = trimesh.load_scene(path, process=False)

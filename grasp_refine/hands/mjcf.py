@@ -11,8 +11,9 @@ import mujoco
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
-from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
-from grasp_refine.hands.mujoco_messages import one_line, unlogged
+from grasp_refine.hands.mjcf_trial import try_out
+from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml, is_plain
+from grasp_refine.hands.mujoco_messages import MUJOCO_ERRORS, one_line, unlogged
 from grasp_refine.hands.prefixed_names import prefixed_names
 
 MAX_RADIANS = 2 * math.pi
@@ -38,10 +39,12 @@ def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
 
 def _read(path: Path) -> mujoco.MjSpec:
     check_xml(path)
+    if not is_plain(path):
+        try_out(path)
     try:
         with unlogged():
             spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
+    except MUJOCO_ERRORS as error:
         raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
     if (count := len(spec.bodies) - 1) > MAX_BODIES:
         raise HandError(f"{path}: has {count} bodies, more than the {MAX_BODIES} that a hand may have")
@@ -62,7 +65,7 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     try:
         with unlogged():
             return spec.compile()
-    except ValueError as error:
+    except MUJOCO_ERRORS as error:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 
 

@@ -7,6 +7,17 @@ from contextlib import contextmanager
 
 import mujoco
 
+MUJOCO_ERRORS = (
+    ValueError,
+    TypeError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    mujoco.FatalError,
+    mujoco.UnexpectedError,
+)
+"""Exceptions of MuJoCo on a file that it cannot read or compile."""
+
 
 @contextmanager
 def unlogged() -> Iterator[None]:
@@ -23,7 +34,7 @@ def unlogged() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def one_line(error: ValueError) -> str:
+def one_line(error: Exception) -> str:
     """Return the message of an error of MuJoCo in one line."""
     text = str(error).strip()
     while text.startswith(("XML Error: ", "Error: ")):

@@ -18,8 +18,9 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, watertight
-from grasp_refine.geometry.pieces import Piece, cut_meshes, hull
+from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
+from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.objects.folders import given_pieces, surface
 
@@ -69,6 +70,8 @@ class UncutObject:
     """Notes for the user, see `Object.notes`."""
     file: tuple[Path, float] | None = None
     """File of the mesh, see `Object.file`."""
+    beside: bool = False
+    """Whether the mesh came beside the pieces, so that it may differ from them."""
 
     @property
     def takes_long(self) -> bool:
@@ -144,12 +147,14 @@ def read_object(
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     file: tuple[Path, float] | None = None
+    beside = False
     # An empty path would be the current folder.
     if text and (text not in EMBEDDED or isinstance(source, Path)) and is_folder(Path(text)):
         name = Path(os.path.abspath(text)).name
         pieces, notes = given_pieces(Path(text), scale)
         mesh, more = surface(Path(text), pieces, scale)
         notes += more
+        beside = len(mesh.faces) != sum(len(piece.faces) for piece in pieces)
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
         name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     elif text in EMBEDDED:
@@ -172,7 +177,7 @@ def read_object(
         # An object's notes are printed after its name.
         notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
-    return UncutObject(name, mesh, tuple(pieces), convex, notes, file)
+    return UncutObject(name, mesh, tuple(pieces), convex, notes, file, beside)
 
 
 def cut_objects(
@@ -192,8 +197,13 @@ def cut_objects(
     folder = default_cache() if cache == "user" else cache
     meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
     cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
-    bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]
-    return [
-        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes, file=uncut.file)
-        for uncut, body in zip(objects, bodies, strict=True)
-    ]
+    found = []
+    for uncut in objects:
+        part = Cut(uncut.pieces) if uncut.pieces else next(cut)
+        notes = [*uncut.notes, *([part.shortfall] if part.shortfall else [])]
+        if uncut.beside or part.shortfall:
+            distances = None if folder is None else folder.with_name("distances")
+            notes += filter(None, [surface_note(part.pieces, uncut.mesh, distances)])
+        body = build_body(uncut.name, part.pieces, candidates=candidates, seed=seed)
+        found.append(Object(uncut.name, uncut.mesh, body, uncut.convex, tuple(notes), file=uncut.file))
+    return found

@@ -171,7 +171,8 @@ class Loader:
                 found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
             cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
             doubts = convention_notes([group.scene for group in found])
-            all_notes = dict.fromkeys((*notes, *check_objects(read.files, cut, other=True), *doubts))
+            of_pieces = (f"{group.object}: {note}" for group in found for note in group.scene.object.notes)
+            all_notes = dict.fromkeys((*notes, *of_pieces, *check_objects(read.files, cut, other=True), *doubts))
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)
 
