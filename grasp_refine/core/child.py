@@ -46,8 +46,8 @@ def run_module(
 ) -> Ended:
     """Run a module as the main program of a child process, and wait for it.
 
-    The module calls `limit_child` with the first argument that it gets; `arguments` follow. Processor time, and not wall
-    time, is bounded: a busy machine changes no outcome. The child ends with this process, and with an exception from
+    The module calls `limit_child` with its first argument; `arguments` follow. Processor time is bounded, not wall time:
+    a busy machine changes no outcome. The child ends with this process, and with an exception from
     `check`, which is called every `POLL_INTERVAL_S`, or from a signal.
 
     Args:
@@ -88,7 +88,7 @@ def _wait(child: subprocess.Popen[str], check: Callable[[], None]) -> Ended:
 
 
 def limit_child(limits: str) -> None:
-    """Bound this process, which `run_module` started, and make it end with its parent; `limits` is its first argument."""
+    """Bound this process, a child of `run_module`, and make it end with its parent; `limits` is its first argument."""
     parent, processor_s, memory_bytes = limits.split(",")
     end_with(int(parent))
     if processor_s != "inf":

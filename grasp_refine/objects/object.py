@@ -154,7 +154,7 @@ def read_object(
         pieces, notes = given_pieces(Path(text), scale)
         mesh, more = surface(Path(text), pieces, scale)
         notes += more
-        beside = len(mesh.faces) != sum(len(piece.faces) for piece in pieces)
+        beside = not np.array_equal(mesh.vertices, np.concatenate([piece.vertices for piece in pieces]))
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
         name, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     elif text in EMBEDDED:
@@ -202,7 +202,7 @@ def cut_objects(
         part = Cut(uncut.pieces) if uncut.pieces else next(cut)
         notes = [*uncut.notes, *([part.shortfall] if part.shortfall else [])]
         if uncut.beside or part.shortfall:
-            distances = None if folder is None else folder.with_name("distances")
+            distances = default_cache("distances") if cache == "user" else folder and folder / "distances"
             notes += filter(None, [surface_note(part.pieces, uncut.mesh, distances)])
         body = build_body(uncut.name, part.pieces, candidates=candidates, seed=seed)
         found.append(Object(uncut.name, uncut.mesh, body, uncut.convex, tuple(notes), file=uncut.file))

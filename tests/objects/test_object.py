@@ -301,7 +301,17 @@ def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.Fixt
     assert not thing.convex and thing.notes == ()
     assert thing.mesh.volume == pytest.approx(5)
     # Nothing was decomposed.
-    assert lines == [] and not cache.exists()
+    assert lines == [] and not list(cache.glob("*.npz"))
+
+
+def test_the_distance_of_given_pieces_from_their_surface_is_said(bodex: Path, cache: Path):
+    """The leg of the L ends 0.3 beyond its surface, in a folder of 3 m."""
+    longer = (LEG[0], tuple(np.add(LEG[1], np.where(np.ptp(LEG, axis=0) == np.ptp(LEG), 0.3, 0.0))))
+    put(bodex / "urdf" / "meshes" / "convex_piece_001.obj", block(longer))
+    for _ in range(2):
+        (note,) = load_object(bodex, candidates=64, cache=cache, scale=0.01).notes
+        assert_names(note, "2 convex pieces", "3.0", "mm", "surface")
+    assert len(list((cache / "distances").glob("*.npz"))) == 1
 
 
 def test_pieces_are_hulls_of_what_the_mesh_uses(tmp_path: Path):
