@@ -46,7 +46,7 @@ def run_module(
 ) -> Ended:
     """Run a module as the main program of a child process, and wait for it.
 
-    The module calls `limit_child` with its first argument; `arguments` follow. Processor time is bounded, not wall time:
+    The module calls `limit_child` with its first argument; `arguments` follow. Processor time is bounded, no wall time:
     a busy machine changes no outcome. The child ends with this process, and with an exception from
     `check`, which is called every `POLL_INTERVAL_S`, or from a signal.
 

@@ -306,11 +306,10 @@ def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.Fixt
 
 def test_the_distance_of_given_pieces_from_their_surface_is_said(bodex: Path, cache: Path):
     """The leg of the L ends 0.3 beyond its surface, in a folder of 3 m."""
-    longer = (LEG[0], tuple(np.add(LEG[1], np.where(np.ptp(LEG, axis=0) == np.ptp(LEG), 0.3, 0.0))))
-    put(bodex / "urdf" / "meshes" / "convex_piece_001.obj", block(longer))
+    put(bodex / "urdf" / "meshes" / "convex_piece_001.obj", block(([0, 1, 0], [1, 3.3, 1])))
     for _ in range(2):
         (note,) = load_object(bodex, candidates=64, cache=cache, scale=0.01).notes
-        assert_names(note, "2 convex pieces", "3.0", "mm", "surface")
+        assert_names(note, "2 convex pieces", "3.00 mm", "surface")
     assert len(list((cache / "distances").glob("*.npz"))) == 1
 
 
