@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,9 @@ from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.holes import find_holes
 from grasp_refine.geometry.mesh import FlatMeshError
-from grasp_refine.geometry.pieces import Piece, convex_pieces, hull
+from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull
 from grasp_refine.geometry.sampling import sample
+from grasp_refine.geometry.simplification import simplify
 
 if TYPE_CHECKING:
     import trimesh
@@ -30,6 +31,9 @@ MAX_PIECES_PER_BODY = 8
 SIMPLIFICATION_RATIO = 0.05
 """Distance of the simplified input of CoACD from the mesh, as a fraction of the limit; CoACD's time grows with the
 triangles."""
+
+VOXELS_PER_LIMIT = 2.5
+"""Voxels of CoACD's remeshing of an open body, per limit: 50 a side for a palm of 100 mm at a limit of 5 mm."""
 
 MIN_PROTRUSION_M = 2e-3
 """Protrusions below this, in metres, or below 1 % of the diagonal of the mesh, are ignored."""
@@ -183,7 +187,9 @@ def _body_pieces(
         found = [whole]
         if measured[index] > 0 and len(pieces) < MAX_PIECES:
             try:
-                found = _cut(body, limit, cache, progress, name)
+                cut = _cut(body, limit, cache, progress, name)
+                found = list(cut.pieces)
+                troubles += [cut.shortfall] if cut.shortfall else []
             except MeshError as error:
                 troubles.append(str(error))
         pieces += found
@@ -192,20 +198,34 @@ def _body_pieces(
 
 def _cut(
     body: trimesh.Trimesh, limit: float, cache: Path | None, progress: Callable[[str], None] | None, name: str
-) -> list[Piece]:
+) -> Cut:
     """Cut a connected mesh with CoACD.
 
     Raises:
         MeshError: CoACD fails.
     """
+    import trimesh
+
     # CoACD's threshold is about the protrusion of its pieces, the mesh being 2 long.
     threshold = float(np.clip(limit / (np.ptp(body.vertices, axis=0).max() / 2), 0.01, 1.0))
     settings = Decomposition(threshold, MAX_PIECES_PER_BODY, mcts_nodes=10, mcts_iterations=60, mcts_max_depth=2)
-    return list(
-        convex_pieces(
-            _simplify(body, SIMPLIFICATION_RATIO * limit), settings, cache=cache, progress=progress, name=name
-        )
-    )
+    simpler = trimesh.Trimesh(*simplify(body.vertices, body.faces, SIMPLIFICATION_RATIO * limit), process=False)
+    if simpler.is_watertight and simpler.is_winding_consistent:
+        return cut_meshes([(name, simpler)], settings, cache=cache, progress=progress)[0]
+    # Remeshing turns 500 triangles of an open fingertip into 100,000 at 50 voxels a side, whatever the limit. So it is
+    # the second attempt, with voxels that suit the limit.
+    voxels = int(np.clip(VOXELS_PER_LIMIT * 2 / threshold, 20, settings.preprocess_resolution))
+    best: tuple[float, Cut] | None = None
+    for attempt in (replace(settings, preprocess="off"), replace(settings, preprocess_resolution=voxels)):
+        with suppress(MeshError) if attempt.preprocess == "off" or best else nullcontext():
+            (cut,) = cut_meshes([(name, simpler)], attempt, cache=cache, progress=progress)
+            stands_out = protrusion(cut.pieces, body, limit)
+            if best is None or stands_out < best[0]:
+                best = stands_out, cut
+            if stands_out <= limit:
+                break
+    assert best is not None  # or the second attempt raised
+    return best[1]
 
 
 def _flat_hulls(flat: Sequence[np.ndarray]) -> list[Piece]:
@@ -231,20 +251,6 @@ def _thin_hull(points: np.ndarray) -> list[Piece]:
     with suppress(MeshError):
         return [hull(np.concatenate([points - step, points + step]))]
     return []
-
-
-def _simplify(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
-    """Mesh with fewer triangles, at most `tolerance` from `mesh`; `mesh` itself if it is not a closed manifold."""
-    import manifold3d
-    import trimesh
-
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.uint64))
-    )
-    simpler = solid.simplify(tolerance).to_mesh64()
-    if solid.status() != manifold3d.Error.NoError or len(simpler.tri_verts) < 4:
-        return mesh
-    return trimesh.Trimesh(simpler.vert_properties[:, :3], simpler.tri_verts.astype(np.int64), process=False)
 
 
 def _outermost(pieces: Sequence[Piece]) -> list[Piece]:

@@ -52,6 +52,17 @@ def quietly() -> Iterator[None]:
         logger.setLevel(level)
 
 
+def check_unpacked(path: Path) -> None:
+    """Refuse a zip, whatever its suffix: a reader would unpack any amount.
+
+    Raises:
+        MeshError: it is a zip.
+    """
+    with path.open("rb") as file:
+        if file.read(2) == b"PK":
+            raise MeshError(f"{path}: is a zip, not a mesh; unpack it, and name the mesh in it")
+
+
 class FlatMeshError(MeshError):
     """A mesh whose points span no volume: fewer than four, coincident, or coplanar."""
 
@@ -115,6 +126,7 @@ def _read(path: Path, scale: float, take: Callable[[trimesh.Scene], T], **option
     refuse_lfs_pointer(path, "mesh", MeshError)
     if not (np.isfinite(scale) and scale > 0):
         raise MeshError(f"{path}: the scale must be positive and finite, got {scale:g}")
+    check_unpacked(path)
     if path.suffix.lower() in (".obj", ".glb"):
         options["skip_materials"] = True
     try:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -21,9 +21,10 @@ from grasp_refine.core.errors import GraspFileError, MeshError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry import cache as disk
-from grasp_refine.geometry.decomposition import Decomposition, decompose
+from grasp_refine.geometry.decomposition import Decomposition, OutOfTimeError, decompose
 from grasp_refine.geometry.mesh import MAX_DIAGONAL, MIN_DIAGONAL, check_solid, convex_bodies
 from grasp_refine.geometry.rings import Rings
+from grasp_refine.geometry.simplification import simplify
 
 if TYPE_CHECKING:
     import trimesh
@@ -33,6 +34,12 @@ SHIPPED = Path(__file__).parent / "embedded_pieces"
 
 MIN_VOLUME_RATIO = 1e-9
 """Smallest volume of a piece, as a fraction of the cubed diagonal of the mesh; smaller ones are dropped."""
+
+SIMPLIFICATION_RATIO = 0.005
+"""Distance of a simplified mesh from a mesh of diagonal 1, where the time is short."""
+
+PROGRESS_INTERVAL_S = 10.0
+"""Time between two lines on a decomposition that is running, in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +220,16 @@ def ellipsoid(semi_axes: ArrayLike) -> Piece:
     return hull(semi_axes * trimesh.creation.icosphere(subdivisions=3).vertices, name="ellipsoid")
 
 
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Convex pieces of a mesh, and a reason why they are coarser than asked for."""
+
+    pieces: tuple[Piece, ...]
+    """Convex pieces, in metres."""
+    shortfall: str = ""
+    """Note for the user that the time was too short for the settings; empty: it was not."""
+
+
 def convex_pieces(
     mesh: trimesh.Trimesh,
     config: Decomposition | None = None,
@@ -222,7 +239,7 @@ def convex_pieces(
     name: str = "mesh",
 ) -> tuple[Piece, ...]:
     """Return the convex pieces of one closed `mesh`, see `cut_meshes`."""
-    return cut_meshes([(name, mesh)], config, cache=cache, progress=progress)[0]
+    return cut_meshes([(name, mesh)], config, cache=cache, progress=progress)[0].pieces
 
 
 def cut_meshes(
@@ -231,13 +248,17 @@ def cut_meshes(
     *,
     cache: Path | None = None,
     progress: Callable[[str], None] | None = None,
-) -> list[tuple[Piece, ...]]:
+) -> list[Cut]:
     """Cut named closed meshes into convex pieces: the bodies of a mesh if all are convex, else its parts by CoACD.
 
     CoACD's input is the mesh divided by its diagonal and rounded to 1e-9, so that one decomposition, and an entry of
     the folder `cache` (None: no cache), serves the same mesh at every scale. Pieces of the embedded objects come with
     the program. As many meshes as there are cores are decomposed at a time, which changes no piece, and each is saved
-    as soon as it is done. `progress` is called with a line before and one after each decomposition.
+    as soon as it is done. `progress` is called with a line before and one after each decomposition, and every
+    `PROGRESS_INTERVAL_S` meanwhile.
+
+    On a mesh that takes longer than `config.time_limit`, coarser settings are tried on a simpler mesh for half that
+    time; then its convex hull is used. Such pieces have entries of their own in the cache, and a `Cut.shortfall`.
 
     Raises:
         MeshError: CoACD fails on a mesh, or finds no solid piece.
@@ -246,33 +267,45 @@ def cut_meshes(
     pieces: dict[int, tuple[Piece, ...]] = {}
     concave: dict[int, _UnitMesh] = {}
     parts: dict[str, list[disk.Polytope]] = {}
+    shortfalls: dict[str, str] = {}
     waiting: dict[str, _UnitMesh] = {}
     for number, (name, mesh) in enumerate(meshes):
         if bodies := convex_bodies(mesh):
             pieces[number] = tuple(hull(points, name=name) for points in bodies)
             continue
         unit = concave[number] = _UnitMesh.of(mesh, config, name)
-        known = parts.get(unit.entry) or disk.load(SHIPPED / unit.shipped) or (cache and disk.load(cache / unit.entry))
+        known = disk.load(SHIPPED / unit.shipped) or (cache and disk.load(cache / unit.entry))
+        if unit.entry in parts:
+            continue
         if known:
             parts[unit.entry] = known
+        elif cache and (known := disk.load(cache / unit.short_entry)):
+            parts[unit.entry], shortfalls[unit.entry] = known, _shortfall(known, config)
+            report(f"{name}: {shortfalls[unit.entry]}")
         else:
             waiting.setdefault(unit.entry, unit)
-    for done, (unit, found, seconds) in enumerate(_decompose_all(list(waiting.values()), config, report), 1):
-        parts[unit.entry] = solid = _solid_hulls(found)
-        dropped = len(found) - len(solid)
+    for done, (unit, found) in enumerate(_decompose_all(list(waiting.values()), config, report), 1):
+        parts[unit.entry] = solid = _solid_hulls(found.parts)
+        dropped = len(found.parts) - len(solid)
         if not solid:
             raise MeshError(f"{unit.name}: CoACD found no solid piece in it ({dropped} flat ones)")
         flat = f", {dropped} flat ones dropped" if dropped else ""
         of_all = f"; {done} of {len(waiting)} objects done" if len(waiting) > 1 else ""
-        report(f"{unit.name}: {count_text(len(solid), 'convex piece')} in {seconds:.1f} s{flat}{of_all}")
+        if found.short:
+            shortfalls[unit.entry] = _shortfall(solid, config)
+            flat += f"; {shortfalls[unit.entry]}"
+        report(f"{unit.name}: {count_text(len(solid), 'convex piece')} in {found.seconds:.1f} s{flat}{of_all}")
         try:
             if cache:
-                disk.save(cache / unit.entry, solid)
+                disk.save(cache / (unit.short_entry if found.short else unit.entry), solid)
         except GraspFileError as error:
             report(f"{unit.name}: the pieces could not be cached ({error})")
     for number, unit in concave.items():
         pieces[number] = tuple(Piece(corners * unit.diagonal, faces) for corners, faces in parts[unit.entry])
-    return [pieces[number] for number in range(len(meshes))]
+    return [
+        Cut(pieces[number], shortfalls.get(concave[number].entry, "") if number in concave else "")
+        for number in range(len(meshes))
+    ]
 
 
 def unit_pieces(
@@ -304,6 +337,8 @@ class _UnitMesh:
     """Whether the mesh is one closed part."""
     entry: str
     """File name of its pieces in a cache."""
+    short_entry: str
+    """File name in a cache of coarser pieces, for want of time."""
     shipped: str
     """File name of its pieces in `SHIPPED`, independent of the installed CoACD."""
 
@@ -315,16 +350,30 @@ class _UnitMesh:
         vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64) / diagonal, 9) + 0.0
         faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
         single = bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1)
-        entry, shipped = (
-            disk.entry_name(vertices, faces, f"{asdict(config)}{coacd}") for coacd in (f" coacd {version('coacd')}", "")
+        coacd = f" coacd {version('coacd')}"
+        entry, short_entry, shipped = (
+            disk.entry_name(vertices, faces, f"{config.search}{more}")
+            for more in (coacd, f"{coacd} within {config.time_limit:g} s", "")
         )
-        return _UnitMesh(name, vertices, faces, diagonal, single, entry, shipped)
+        return _UnitMesh(name, vertices, faces, diagonal, single, entry, short_entry, shipped)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Result of a decomposition."""
+
+    parts: list[np.ndarray]
+    """Corners (V, 3) of each part."""
+    seconds: float
+    """Wall time."""
+    short: bool
+    """Whether the time was too short, so that the parts are coarser than asked for."""
 
 
 def _decompose_all(
     units: Sequence[_UnitMesh], config: Decomposition, report: Callable[[str], None]
-) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
-    """Yield each mesh with its parts and the seconds they took, in order of completion; one failure ends all.
+) -> Iterator[tuple[_UnitMesh, _Found]]:
+    """Yield each mesh with its parts, in order of completion; one failure ends all.
 
     Raises:
         MeshError: CoACD ended without a result.
@@ -337,40 +386,73 @@ def _decompose_all(
         if ending.is_set():
             raise CancelledError
 
-    def timed(unit: _UnitMesh) -> tuple[list[np.ndarray], float]:
+    def timed(unit: _UnitMesh) -> _Found:
         start = time.perf_counter()
         try:
-            found = decompose(unit.vertices, unit.faces, config, single=unit.single, threads=threads, check=check)
+            found, short = _decompose_in_time(unit, config, threads, check)
         except MeshError as error:
             raise MeshError(f"{unit.name}: {error}") from None
-        return found, time.perf_counter() - start
+        return _Found(found, time.perf_counter() - start, short)
 
     if len(units) > 1:
         report(
             f"cutting {len(units)} objects, {workers} at a time; each is saved when it is done "
             "(--object-name NAME selects the grasps of one)"
         )
-    running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh] = {}
+    running: dict[Future[_Found], tuple[_UnitMesh, float]] = {}
     with ThreadPoolExecutor(workers) as pool:
         try:
             for unit in units:
                 if len(running) == workers:
-                    yield from _take_finished(running)
+                    yield from _take_finished(running, report)
                 threshold = f"threshold {config.threshold:g}"
-                report(f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold} ...")
-                running[pool.submit(timed, unit)] = unit
+                report(
+                    f"decomposing {unit.name} ({len(unit.faces)} faces) with CoACD, {threshold}, "
+                    f"up to {config.time_limit:g} s of processor time ..."
+                )
+                running[pool.submit(timed, unit)] = unit, time.perf_counter()
             while running:
-                yield from _take_finished(running)
+                yield from _take_finished(running, report)
         finally:
             ending.set()
 
 
+def _decompose_in_time(
+    unit: _UnitMesh, config: Decomposition, threads: int, check: Callable[[], None]
+) -> tuple[list[np.ndarray], bool]:
+    """Return the parts of a mesh, and whether they are coarser than asked for: the hull at the worst.
+
+    Raises:
+        MeshError: CoACD ended without a result, though in time.
+    """
+    try:
+        return decompose(unit.vertices, unit.faces, config, single=unit.single, threads=threads, check=check), False
+    except OutOfTimeError:
+        vertices, faces = simplify(unit.vertices, unit.faces, SIMPLIFICATION_RATIO)
+    try:
+        return decompose(vertices, faces, config.coarser(), single=unit.single, threads=threads, check=check), True
+    except MeshError:
+        return [unit.vertices], True
+
+
+def _shortfall(pieces: Sequence[disk.Polytope], config: Decomposition) -> str:
+    """Note on pieces that are coarser than asked for."""
+    used = "its convex hull is used"
+    if len(pieces) > 1:
+        used = f"{len(pieces)} coarser pieces are used, threshold {config.coarser().threshold:g} on a simpler mesh"
+    return f"CoACD needs more than {config.time_limit:g} s of processor time, so {used}"
+
+
 def _take_finished(
-    running: dict[Future[tuple[list[np.ndarray], float]], _UnitMesh],
-) -> Iterator[tuple[_UnitMesh, list[np.ndarray], float]]:
+    running: dict[Future[_Found], tuple[_UnitMesh, float]], report: Callable[[str], None]
+) -> Iterator[tuple[_UnitMesh, _Found]]:
     """Wait for the first of `running` to finish, remove them from it, and yield their results."""
-    for future in wait(running, return_when=FIRST_COMPLETED).done:
-        yield running.pop(future), *future.result()
+    while not (done := wait(running, timeout=PROGRESS_INTERVAL_S, return_when=FIRST_COMPLETED).done):
+        for unit, start in running.values():
+            report(f"decomposing {unit.name} for {time.perf_counter() - start:.0f} s ...")
+    for future in done:
+        unit, _ = running.pop(future)
+        yield unit, future.result()
 
 
 def _solid_hulls(parts: Sequence[np.ndarray]) -> list[disk.Polytope]:

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.names import is_file
-from grasp_refine.geometry.mesh import check_mesh, load_mesh, quietly
+from grasp_refine.geometry.mesh import check_mesh, check_unpacked, load_mesh, quietly
 
 if TYPE_CHECKING:
     import trimesh
@@ -33,6 +33,7 @@ def _read_collada(path: Path) -> trimesh.Trimesh:
     import trimesh
 
     refuse_lfs_pointer(path, "mesh", MeshError)
+    check_unpacked(path)
     try:
         with quietly():
             scene = trimesh.load_scene(path, process=False)

@@ -12,8 +12,9 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.alignment import Mechanism
-from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml
-from grasp_refine.hands.mujoco_messages import compiled, one_line, unlogged
+from grasp_refine.hands.mjcf_trial import try_out
+from grasp_refine.hands.mjcf_xml import FILE_ADVICE, MAX_BODIES, check_xml, is_plain, named_xml
+from grasp_refine.hands.mujoco_messages import MUJOCO_ERRORS, compiled, one_line, unlogged
 from grasp_refine.hands.prefixed_names import prefixed_names
 
 MAX_RADIANS = 2 * math.pi
@@ -39,15 +40,13 @@ def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
 
 def _read(path: Path) -> mujoco.MjSpec:
     check_xml(path)
-    # MuJoCo goes by the suffix: text in memory, which has the name of the file with another suffix, is read like it.
-    file, text = path, {}
-    if path.suffix != ".xml":
-        file = path.with_name(f"{path.name}.xml")
-        text = {str(file): path.read_bytes()}
+    if not is_plain(path):
+        try_out(path)
+    file, text = named_xml(path)
     try:
         with unlogged():
-            spec = mujoco.MjSpec.from_file(str(file), include=text)
-    except ValueError as error:
+            spec = mujoco.MjSpec.from_file(file, include=text)
+    except MUJOCO_ERRORS as error:
         raise HandError(f"{path}: {one_line(error)}; {FILE_ADVICE}") from None
     for mesh in spec.meshes:
         refuse_lfs_pointer(path.parent / spec.meshdir / mesh.file, "mesh", HandError)
@@ -69,7 +68,7 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """
     try:
         return compiled(spec)
-    except ValueError as error:
+    except MUJOCO_ERRORS as error:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
 
 

@@ -8,6 +8,17 @@ from contextlib import contextmanager
 
 import mujoco
 
+MUJOCO_ERRORS = (
+    ValueError,
+    TypeError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    mujoco.FatalError,
+    mujoco.UnexpectedError,
+)
+"""Exceptions of MuJoCo on a file that it cannot read or compile."""
+
 
 @contextmanager
 def unlogged() -> Iterator[None]:
@@ -37,7 +48,7 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
 
 
-def one_line(error: ValueError) -> str:
+def one_line(error: Exception) -> str:
     """Return the message of an error of MuJoCo in one line."""
     text = str(error).strip()
     while text.startswith(("XML Error: ", "Error: ")):

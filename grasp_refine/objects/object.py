@@ -18,8 +18,9 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, mesh_of, watertight
-from grasp_refine.geometry.pieces import Piece, cut_meshes, hull
+from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
+from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
 from grasp_refine.objects.folders import given_pieces, surface
 
@@ -72,6 +73,8 @@ class UncutObject:
     """Notes for the user, see `Object.notes`."""
     file: tuple[Path, float] | None = None
     """File of the mesh, see `Object.file`."""
+    beside: bool = False
+    """Whether the mesh came beside the pieces, so that it may differ from them."""
 
     @property
     def takes_long(self) -> bool:
@@ -175,6 +178,7 @@ def read_object(
     pieces: Sequence[Piece] = ()
     notes: tuple[str, ...] = ()
     file: tuple[Path, float] | None = None
+    beside = False
     if is_mesh(source):
         known, mesh = text, _mesh_in_memory(source, scale, text)
     # An empty path would be the current folder.
@@ -183,6 +187,7 @@ def read_object(
         pieces, notes = given_pieces(Path(text), scale)
         mesh, more = surface(Path(text), pieces, scale)
         notes += more
+        beside = not np.array_equal(mesh.vertices, np.concatenate([piece.vertices for piece in pieces]))
     elif Path(text).suffix.lower() in SUFFIXES or isinstance(source, Path):
         known, mesh, file = Path(text).stem, load_mesh(text, scale), (Path(text), scale)
     elif text in EMBEDDED:
@@ -206,7 +211,7 @@ def read_object(
         # An object's notes are printed after its name.
         notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
-    return UncutObject(name, mesh, tuple(pieces), convex, notes, file)
+    return UncutObject(name, mesh, tuple(pieces), convex, notes, file, beside)
 
 
 def _mesh_in_memory(source: Mesh, scale: float, name: str) -> trimesh.Trimesh:
@@ -236,8 +241,13 @@ def cut_objects(
     folder = default_cache() if cache == "user" else None if cache is None else Path(cache)
     meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
     cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
-    bodies = [build_body(uncut.name, uncut.pieces or next(cut), candidates=candidates, seed=seed) for uncut in objects]
-    return [
-        Object(uncut.name, uncut.mesh, body, uncut.convex, uncut.notes, file=uncut.file)
-        for uncut, body in zip(objects, bodies, strict=True)
-    ]
+    found = []
+    for uncut in objects:
+        part = Cut(uncut.pieces) if uncut.pieces else next(cut)
+        notes = [*uncut.notes, *([part.shortfall] if part.shortfall else [])]
+        if uncut.beside or part.shortfall:
+            distances = default_cache("distances") if cache == "user" else folder and folder / "distances"
+            notes += filter(None, [surface_note(part.pieces, uncut.mesh, distances)])
+        body = build_body(uncut.name, part.pieces, candidates=candidates, seed=seed)
+        found.append(Object(uncut.name, uncut.mesh, body, uncut.convex, tuple(notes), file=uncut.file))
+    return found

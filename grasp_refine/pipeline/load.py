@@ -184,7 +184,8 @@ class Loader:
             if not spec.as_is:
                 refuse_conventions(doubts, str(path))
             frames = () if doubts else frame_notes(scenes)
-            checked = (*check_objects(read.files, cut, other=True), *surroundings_notes(scenes))
+            of_pieces = (f"{group.object}: {note}" for group in found for note in group.scene.object.notes)
+            checked = (*of_pieces, *check_objects(read.files, cut, other=True), *surroundings_notes(scenes))
             all_notes = dict.fromkeys((*notes, *checked, *doubts, *frames))
             alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
             return problem_on_arm(alone, whole, spec, seed=self.seed)

@@ -1,15 +1,17 @@
 """CoACD in its own process: what it is asked for, and what becomes of its failures."""
 
 import signal
+import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from grasp_refine.core.child import Ended
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import decomposition
-from grasp_refine.geometry.decomposition import Decomposition, decompose
+from grasp_refine.geometry.decomposition import Decomposition, OutOfTimeError, decompose
 from grasp_refine.geometry.pieces import convex_pieces
 from refusals import refused
 
@@ -51,7 +53,7 @@ def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preproces
 
     def fail(vertices, faces, settings, *_):
         asked.append(settings["preprocess"])
-        return None, "exit code -11"
+        return None, Ended(-11, "")
 
     monkeypatch.setattr(decomposition, "_run", fail)
     with refused(MeshError, "CoACD", "-11"):
@@ -61,7 +63,7 @@ def test_one_closed_part_is_remeshed_only_after_a_failure(monkeypatch, preproces
 
 def test_the_second_attempt_can_succeed(monkeypatch):
     def fail_once(vertices, faces, settings, *_):
-        return (None, "exit code -11") if settings["preprocess"] == "off" else ([VERTICES], "")
+        return (None, Ended(-11, "")) if settings["preprocess"] == "off" else ([VERTICES], Ended(0, ""))
 
     monkeypatch.setattr(decomposition, "_run", fail_once)
     assert len(decompose(VERTICES, FACES, Decomposition(), single=True)) == 1
@@ -82,8 +84,13 @@ def test_the_number_of_threads_changes_nothing(parts):
 
 def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
     started = []
-    start = decomposition._start
-    monkeypatch.setattr(decomposition, "_start", lambda *given: started.append(start(*given)) or started[-1])
+    start = subprocess.Popen
+
+    def record(*given, **options):
+        started.append(start(*given, **options))
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", record)
 
     def refuse():
         raise KeyboardInterrupt
@@ -91,6 +98,13 @@ def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         decompose(VERTICES, FACES, Decomposition(), single=True, check=refuse)
     assert [child.returncode for child in started] == [-signal.SIGKILL]
+
+
+@pytest.mark.slow
+def test_more_processor_time_than_allowed_ends_the_child():
+    endless = Decomposition(threshold=0.01, mcts_iterations=2000, mcts_max_depth=7, time_limit=1)
+    with refused(OutOfTimeError, "1 s"):
+        decompose(VERTICES, FACES, endless, single=True, threads=1)
 
 
 @pytest.mark.parametrize(
@@ -101,6 +115,7 @@ def test_a_decomposition_that_is_no_longer_wanted_ends_its_process(monkeypatch):
         ({"preprocess_resolution": 2000}, ("preprocess_resolution", "20", "100", "2000")),
         ({"max_pieces": 0}, ("max_pieces", "-1", "1", "0")),
         ({"seed": -1}, ("seed", "0", "-1")),
+        ({"time_limit": 0.5}, ("time_limit", "1", "0.5")),
     ],
 )
 def test_settings_out_of_range_are_refused(settings, named):

@@ -13,6 +13,7 @@ from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry import pieces as pieces_module
 from grasp_refine.geometry.cache import default_cache
+from grasp_refine.geometry.decomposition import OutOfTimeError
 from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.pieces import (
     SHIPPED,
@@ -329,7 +330,7 @@ def test_every_setting_of_the_decomposition_has_entries_of_its_own(bracket, slow
         "threshold": 0.2, "max_pieces": 3, "preprocess": "on", "preprocess_resolution": 60, "resolution": 3000,
         "mcts_nodes": 30, "mcts_iterations": 100, "mcts_max_depth": 4, "merge": False, "seed": 1,
     }  # fmt: skip
-    assert [*others] == [field.name for field in fields(Decomposition)]
+    assert [*others] == [field.name for field in fields(Decomposition) if field.name != "time_limit"]
     for changed in ({}, *({name: value} for name, value in others.items())):
         convex_pieces(bracket, Decomposition(**changed), cache=tmp_path)
     assert slow_cuts[1] == len(list(tmp_path.iterdir())) == 1 + len(others)
@@ -340,7 +341,8 @@ def test_several_meshes_are_cut_at_a_time_and_come_back_in_order(bracket, slow_c
     meshes = brackets(bracket, 5)
     found = cut_meshes(meshes, cache=tmp_path, progress=lines.append)
     assert slow_cuts[:2] == [2, 5]
-    for (_, mesh), (piece,) in zip(meshes, found, strict=True):
+    for (_, mesh), cut in zip(meshes, found, strict=True):
+        (piece,) = cut.pieces
         np.testing.assert_allclose(piece.bounds, mesh.bounds, atol=1e-9)
     assert len(list(tmp_path.iterdir())) == 5
     for n in range(5):
@@ -353,7 +355,8 @@ def test_a_mesh_of_several_scales_is_cut_once_also_without_a_cache(bracket, slow
     sizes = (1.0, 0.3, 7.0)
     found = cut_meshes([("bracket", bracket.copy().apply_scale(size)) for size in sizes])
     assert slow_cuts[1] == 1
-    for size, (piece,) in zip(sizes, found, strict=True):
+    for size, cut in zip(sizes, found, strict=True):
+        (piece,) = cut.pieces
         np.testing.assert_allclose(piece.bounds, size * bracket.bounds, atol=1e-8)
 
 
@@ -363,7 +366,7 @@ def test_the_number_of_processes_changes_no_piece(bracket, monkeypatch):
     alone = cut_meshes(meshes)
     monkeypatch.setattr(pieces_module, "usable_cores", lambda: 2)
     for one, other in zip(alone, cut_meshes(meshes), strict=True):
-        for a, b in zip(one, other, strict=True):
+        for a, b in zip(one.pieces, other.pieces, strict=True):
             assert a.vertices.tobytes() == b.vertices.tobytes() and a.faces.tobytes() == b.faces.tobytes()
 
 
@@ -391,6 +394,67 @@ def test_what_was_cut_before_the_end_is_kept_and_what_runs_is_ended(bracket, tmp
     with pytest.raises(ending):
         cut_meshes(meshes, cache=tmp_path, progress=interrupt)
     assert ended == [True] and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.fixture
+def endless(monkeypatch):
+    """Settings of each decomposition; those that ask for a finer threshold than 0.1 never end in time."""
+    asked = []
+
+    def decompose(vertices, faces, config, **_):
+        asked.append(config)
+        if config.threshold < 0.1:
+            raise OutOfTimeError("too long")
+        return [vertices, vertices / 2]
+
+    monkeypatch.setattr(pieces_module, "decompose", decompose)
+    return asked
+
+
+def test_beyond_the_time_limit_coarser_pieces_are_used_and_said_to_be_each_time(bracket, endless, tmp_path):
+    (cut,) = cut_meshes([("bracket", bracket)], cache=tmp_path)
+    assert len(cut.pieces) == 2
+    assert_names(cut.shortfall, "120 s", "2 coarser pieces", "threshold 0.1")
+    assert [(c.threshold, c.time_limit) for c in endless] == [(0.05, 120), (0.1, 60)]
+    lines = []
+    (again,) = cut_meshes([("bracket", bracket)], cache=tmp_path, progress=lines.append)
+    assert len(endless) == 2 and again.shortfall == cut.shortfall and cut.shortfall in lines[0]
+    # More time is another request, and what comes of it in time has no note, for any limit.
+    cut_meshes([("bracket", bracket)], Decomposition(time_limit=600), cache=tmp_path)
+    assert len(endless) == 4
+    (full,) = cut_meshes([("bracket", bracket)], Decomposition(threshold=0.1), cache=tmp_path)
+    assert full.shortfall == ""
+
+
+def test_where_coarser_pieces_take_too_long_the_hull_is_used(bracket, monkeypatch, tmp_path):
+    def decompose(*_, **__):
+        raise OutOfTimeError("too long")
+
+    monkeypatch.setattr(pieces_module, "decompose", decompose)
+    for _ in range(2):
+        (cut,) = cut_meshes([("bracket", bracket)], cache=tmp_path)
+        (piece,) = cut.pieces
+        np.testing.assert_allclose(piece.bounds, bracket.bounds, atol=1e-8)
+        assert_names(cut.shortfall, "120 s", "convex hull")
+
+
+def test_the_time_limit_is_no_part_of_the_name_of_an_entry(bracket, slow_cuts, tmp_path):
+    for limit in (60, 120, np.inf):
+        convex_pieces(bracket, Decomposition(time_limit=limit), cache=tmp_path)
+    assert slow_cuts[1] == 1
+
+
+def test_progress_is_said_while_a_mesh_is_cut(bracket, monkeypatch):
+    monkeypatch.setattr(pieces_module, "PROGRESS_INTERVAL_S", 0.01)
+
+    def decompose(vertices, *_, **__):
+        time.sleep(0.1)
+        return [vertices]
+
+    monkeypatch.setattr(pieces_module, "decompose", decompose)
+    lines = []
+    convex_pieces(bracket, progress=lines.append, name="bracket")
+    assert len(lines) > 3 and all("bracket" in line for line in lines)
 
 
 CONCAVE = [name for name in EMBEDDED if name != "rounded_box"]

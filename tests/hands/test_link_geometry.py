@@ -1,6 +1,7 @@
 """Collision geometry of links: primitives, meshes with scales as hulls or several pieces, and what is said of these."""
 
 import re
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.core.errors import HandError
+from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands import mesh_files
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.link_geometry import LinkMeshes, link_pieces
-from grasp_refine.hands.mesh_files import resolve_mesh
+from grasp_refine.hands.mesh_files import read_mesh, resolve_mesh
 from grasp_refine.hands.shape import MeshFile
 from grasp_refine.hands.urdf_tree import urdf_tree
 from refusals import assert_names, refused
@@ -265,3 +266,12 @@ def test_both_sides_of_faces_are_one_surface(package: Path) -> None:
         both.export(package / f"meshes/both.{suffix}")
         found, notes = cut(package, f'<mesh filename="../meshes/both.{suffix}"/>')
         assert len(found) == 2, notes
+
+
+def test_a_zip_is_not_unpacked_as_a_mesh(tmp_path: Path) -> None:
+    """Readers of Collada unpack one, however much is in it."""
+    path = tmp_path / "bomb.dae"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("bomb.dae", b" " * 2**20)
+    with refused(MeshError, "bomb.dae", "zip"):
+        read_mesh(path)

@@ -304,6 +304,18 @@ JOINT = '<body name="a"><joint name="j" range="-1 1"/><geom size="0.01"/></body>
         ("<mujoco><nothing/></mujoco>", ("nothing",)),
         ("<package/>", ("<package>",)),
         ("<mujocoinclude/>", ("part", "include")),
+        # MuJoCo reads a sign, spaces and an exponent.
+        (BODY.format("", '<replicate count="+1000000">' + JOINT + "</replicate>", ""), ("1000000",)),
+        (BODY.format("", '<replicate count=" 1e6">' + JOINT + "</replicate>", ""), ("1000000",)),
+        # Other readers stop at what that of MuJoCo passes over.
+        (BODY.format("", JOINT + '<site name="&zz;"/><replicate count="1000000"/>', ""), ("zz",)),
+        (BODY.format("", JOINT + '<site name="<!--"/><replicate count="1000000"/><site name="-->"/>', ""), ("XML",)),
+        (BODY.format("", JOINT, "") + "<mujoco/>", ("XML",)),
+        (BODY.format("", JOINT, "<body/>" * 1001), ("1003", "1000")),
+        # As many numbers as no memory holds.
+        (BODY.format('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', JOINT, ""),
+         ("4 GiB",)),
+        (BODY.format('<size nuser_body="1000000000"/>', JOINT, ""), ("4 GiB",)),
         ("{}", ("XML",)),
     ],
 )  # fmt: skip
@@ -311,6 +323,41 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, named: tu
     path = tmp_path / "hand.xml"
     path.write_text(text)
     with refused(HandError, "hand.xml", *named):
+        load_hand(path, candidates=16)
+
+
+def test_models_that_an_mjcf_attaches_are_checked(tmp_path: Path) -> None:
+    (tmp_path / "inner.xml").write_text(BODY.format("", '<replicate count="5000">' + JOINT + "</replicate>", ""))
+    path = tmp_path / "hand.xml"
+    attached = '<asset><model name="m" file="inner.xml"/></asset>'
+    path.write_text(BODY.format(attached, JOINT, '<attach model="m" body="p" prefix="x"/>'))
+    with refused(HandError, "inner.xml", "5000"):
+        load_hand(path, candidates=16)
+
+
+def test_a_name_in_latin_1_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "hand.xml"
+    path.write_bytes(BODY.format("", JOINT, "").replace('"a"', '"\xe9"').encode("latin-1"))
+    with refused(HandError, "hand.xml", "UTF-8"):
+        load_hand(path, candidates=16)
+
+
+def test_comments_with_two_hyphens_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "hand.xml"
+    path.write_text(BODY.format("<!-- ---- fingers -- all ---- -->", JOINT, ""))
+    assert load_hand(path, candidates=16).base_link == "p"
+
+
+@pytest.mark.slow
+def test_a_model_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copies of what is copied elsewhere, each fewer than a hand may have, are a million."""
+    monkeypatch.setattr("grasp_refine.hands.mjcf_trial.MAX_PROCESSOR_S", 2.0)
+    many = '<replicate count="900"><body><geom size="0.01"/></body></replicate>'
+    (tmp_path / "inner.xml").write_text(BODY.format("", many, ""))
+    attach = '<replicate count="900"><attach model="m" body="p" prefix="x"/></replicate>'
+    path = tmp_path / "hand.xml"
+    path.write_text(BODY.format('<asset><model name="m" file="inner.xml"/></asset>', JOINT, attach))
+    with refused(HandError, "hand.xml", "2 s"):
         load_hand(path, candidates=16)
 
 

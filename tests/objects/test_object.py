@@ -333,7 +333,16 @@ def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.Fixt
     assert not thing.convex and thing.notes == ()
     assert thing.mesh.volume == pytest.approx(5)
     # Nothing was decomposed.
-    assert lines == [] and not cache.exists()
+    assert lines == [] and not list(cache.glob("*.npz"))
+
+
+def test_the_distance_of_given_pieces_from_their_surface_is_said(bodex: Path, cache: Path):
+    """The leg of the L ends 0.3 beyond its surface, in a folder of 3 m."""
+    put(bodex / "urdf" / "meshes" / "convex_piece_001.obj", block(([0, 1, 0], [1, 3.3, 1])))
+    for _ in range(2):
+        (note,) = load_object(bodex, candidates=64, cache=cache, scale=0.01).notes
+        assert_names(note, "2 convex pieces", "3.00 mm", "surface")
+    assert len(list((cache / "distances").glob("*.npz"))) == 1
 
 
 def test_pieces_are_hulls_of_what_the_mesh_uses(tmp_path: Path):
