@@ -57,6 +57,9 @@ REQUIRED_ATTRIBUTES = {
 }
 """Attributes that an element must have."""
 
+MAX_INERTIA = 1e9
+"""Largest mass in kg, and moment of inertia in kg m^2, beyond that of any robot."""
+
 NUMBER_COUNTS: dict[str, dict[str, tuple[int, ...]]] = {
     "origin": {"xyz": (3,), "rpy": (3,)},
     "axis": {"xyz": (3,)},
@@ -120,8 +123,11 @@ def _read_xml(path: Path) -> _Element:
             if entry.domain_name != "NAMESPACE":
                 reason = f"{' '.join(entry.message.split())}, line {entry.line}, column {entry.column}"
                 raise HandError(f"{path}: not XML ({reason})") from None
-        # Elements of Drake have a prefix that files with them do not declare.
+        # Elements and attributes of Drake have an undeclared prefix, of which yourdfpy complains.
         root = etree.fromstring(data, etree.XMLParser(**safe, recover=True))
+        for element in root.iter():
+            for name in [name for name in element.attrib if ":" in name and not name.startswith("{")]:
+                del element.attrib[name]
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
     if root.tag == "mujocoinclude":
@@ -168,6 +174,8 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
     if len(values) not in counts or not np.isfinite(values).all():
         wanted = "a finite number" if counts == (1,) else f"{' or '.join(map(str, counts))} finite numbers"
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> must be {wanted}')
+    if element.tag in ("mass", "inertia") and max(map(abs, values)) > MAX_INERTIA:
+        raise HandError(f'{where}: <{element.tag} {name}="{text}"> is no mass or inertia, above {MAX_INERTIA:g}')
     return " ".join(map(repr, values))
 
 

@@ -64,6 +64,12 @@ def test_elements_of_drake_need_no_declared_prefix(tmp_path: Path) -> None:
         read_urdf(write(tmp_path, robot().replace("</robot>", drake)))
 
 
+def test_attributes_with_an_undeclared_prefix_print_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path, robot().replace('name="tip"', 'name="tip" drake:a="1" b:="2"', 1))
+    assert [link.name for link in read_urdf(path).links] == ["base", "tip"]
+    assert capfd.readouterr().err == ""
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with refused(HandError, "none.urdf", "No such file or directory"):
         read_urdf(tmp_path / "none.urdf")
