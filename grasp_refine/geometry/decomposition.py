@@ -15,9 +15,8 @@ import numpy as np
 from grasp_refine.core.child import Ended, limit_child, run_module
 from grasp_refine.core.errors import MeshError
 
-TIME_LIMIT_S = 120.0
-"""Processor time in seconds of one decomposition: a minute on two cores. Of 40 objects of 1,000 to 5,000 faces, few
-take longer."""
+TIME_LIMIT_S = 600.0
+"""Processor time in seconds of one decomposition: five minutes on two cores."""
 
 COARSE_THRESHOLD = 0.1
 """Smallest concavity of a piece where the time is short."""
