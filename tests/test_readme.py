@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.grasps.grasp_set import OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
+from grasp_refine.grasps.grasp_set import CONTACT_KEYS, OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.results.verdict import should_hold
@@ -168,7 +168,7 @@ def test_the_table_of_grasp_files_is_complete():
     lines = section("docs/pages/reference/files.md", "Grasp files").splitlines()
     listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in lines if "|" in line)))
     stages = {f"{stage}_{key}" for stage in OTHER_STAGES for key in ("pose", "q")}
-    assert listed == {*REQUIRED, *TARGET_KEYS, *stages, "schema", "hand_pose_before", "q_before"}
+    assert listed == {*REQUIRED, *TARGET_KEYS, *CONTACT_KEYS, *stages, "schema", "hand_pose_before", "q_before"}
 
 
 def anchors(text: str) -> set[str]:

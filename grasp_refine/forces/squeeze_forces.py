@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -60,6 +61,12 @@ class ContactForces:
     def entries(self) -> dict[str, np.ndarray]:
         """Return the entries of result files: `forces_` and the name of the field -> its values."""
         return {f"forces_{field.name}": getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def of_entries(cls, entries: Mapping[str, np.ndarray]) -> ContactForces | None:
+        """Return the forces of a result file; None: it has none."""
+        names = [f"forces_{field.name}" for field in fields(cls)]
+        return cls(*(entries[name] for name in names)) if names[0] in entries else None
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return one column (C,) per number or name, as for `pandas.DataFrame(refined.forces.columns())`."""

@@ -138,6 +138,7 @@ class Loader:
         whole = self._whole(spec.hand or grasps.hand, hand)
         targets = grasps.targets
         q, notes = match_joints(grasps, hand)
+        check_collides(hand)
         notes = (
             *read.notes,
             *regions_notes,
@@ -208,6 +209,7 @@ class Loader:
         check_arm(spec)
         assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
         hand = self._simulated(self.load_hand(spec.hand, None if spec.stands else spec.base_link))
+        check_collides(hand)
         whole = self._whole(spec.hand, hand)
         source = chosen_object(spec.object, self.on_message)
         scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
@@ -282,11 +284,7 @@ class Loader:
         spec = self.spec
         options = {name: getattr(spec, name) for name in ("urdf", "mjcf", "collision", "follower_limits", "hull_limit")}
 
-        def load() -> Hand:
-            hand = load_hand(source, base_link=base_link, **options, progress=self.on_message)
-            check_collides(hand)
-            return hand
-
+        load = partial(load_hand, source, base_link=base_link, **options, progress=self.on_message)
         return self.cache.get("hand", (source, base_link, *options.values()), load)
 
     def read_object(self, source: ObjectSource, scale: float) -> UncutObject:

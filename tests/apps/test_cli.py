@@ -35,7 +35,7 @@ QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
 GRASP_KEYS = {
     "index", "row", "object", "status", "advice", "starts", "iterations", "queries", "wall_s", "cpu_s", "quality",
     "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m", "region_miss_m", "arm_dexterity_m",
-    "wrench_residual", "limits_violated", "loss_m2", "moved",
+    "wrench_residual", "limits_violated", "loss_m2", "moved", "forces",
     "simulation",
 }  # fmt: skip
 
@@ -347,7 +347,7 @@ def test_nothing_usable_is_exit_code_1(grasp_file: Callable[..., Path], capsys: 
     with np.load(EXAMPLE) as example:
         away = example["hand_pose"] + np.array([1.0, 0, 0, 0, 0, 0, 0])
     far = grasp_file(hand_pose=away)
-    assert main([*QUICK, "--grasps", str(far), "--json", "report.json"]) == 1
+    assert main([*QUICK, "--grasps", str(far), "--as-is", "--json", "report.json"]) == 1
     assert not Path("grasp-refine-results").exists()
     assert "4 no target" in capsys.readouterr().out
     grasp = json.loads(Path("report.json").read_text())["grasps"][0]
@@ -386,7 +386,7 @@ def test_bad_meshes_are_refused(inputs: Path, capfd: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize("scale", ["0", "-1", "nan", "inf"])
 def test_a_scale_is_positive(scale: str, capfd: pytest.CaptureFixture[str]):
-    assert_names(refused(capfd, *QUICK, "--scale", scale), "--scale", f"{float(scale):g}")
+    assert_names(refused(capfd, *QUICK, "--scale", scale), "scale", f"{float(scale):g}")
 
 
 def test_bad_grasp_files_are_refused(grasp_file: Callable[..., Path], inputs: Path, capfd: pytest.CaptureFixture[str]):

@@ -179,10 +179,10 @@ def read(path: Path) -> Hashable:
     n = len(grasps)
     assert n and grasps.q.shape == (n, len(grasps.joint_names)) and grasps.finite.shape == (n,)
     assert (grasps.scale > 0).all() and np.isfinite(grasps.scale).all()
-    for stage in (grasps, grasps.pregrasp, grasps.squeeze):
-        if stage is not None:
-            poses = stage.pose[grasps.finite]
-            np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1, atol=1e-9)
+    stages = (stage.pose for stage in (grasps.pregrasp, grasps.squeeze) if stage is not None)
+    for pose in (grasps.hand_pose, *stages):
+        poses = pose[grasps.finite]
+        np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1, atol=1e-9)
     for text in (grasps.hand, grasps.base_link, *grasps.joint_names, *grasps.object.tolist()):
         plain(text)
     return n, known, grasps.targets is None, grasps.pregrasp is None, grasps.squeeze is None

@@ -405,12 +405,19 @@ def check_only_note(thing: object.Object, *named: str) -> None:
     assert_names(note, *named)
 
 
+def check_surface_note(thing: object.Object, *named: str) -> None:
+    """Of pieces with another surface, the second note is the distance between both."""
+    note, distance = thing.notes
+    assert_names(note, *named)
+    assert_names(distance, "convex piece", " mm ")
+
+
 def test_an_open_surface_changes_nothing_that_is_touched(bodex: Path):
     whole = load_object(bodex, candidates=64)
     torn = trimesh.boolean.union([block(ARM), block(LEG)]).subdivide()
     put(bodex / "mesh" / "simplified.obj", without_top(torn))
     thing = load_object(bodex, candidates=64)
-    check_only_note(thing, "simplified.obj", "watertight")
+    check_surface_note(thing, "simplified.obj", "watertight")
     assert not thing.mesh.is_watertight
     assert corners(thing.body.pieces) == corners(whole.body.pieces)
     np.testing.assert_array_equal(thing.body.candidates.points, whole.body.candidates.points)
@@ -422,7 +429,7 @@ def test_a_surface_that_can_be_repaired_is(bodex: Path):
     put(bodex / "mesh" / "simplified.obj", inverted)
     thing = load_object(bodex, candidates=64)
     assert thing.mesh.volume == pytest.approx(3)
-    check_only_note(thing, "simplified.obj", "inside out")
+    check_surface_note(thing, "simplified.obj", "inside out")
 
 
 def test_a_piece_that_is_not_convex_is_noted(parts: Path):
@@ -498,7 +505,7 @@ def test_pieces_of_a_shared_object_fill_its_surface(shared_assets: Path):
     )
     thing = load_object(folder, scale=0.06, candidates=64, cache=None)
     assert thing.name == folder.name
-    assert thing.notes == ()
+    check_only_note(thing, "3 convex pieces", "1.31 mm")
     assert len(thing.body.pieces) == 3
     assert sum(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx(thing.mesh.volume, rel=0.02)
     np.testing.assert_allclose(thing.body.diagonal, np.linalg.norm(thing.mesh.extents), rtol=0.02)

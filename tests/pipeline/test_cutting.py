@@ -138,7 +138,7 @@ def test_a_batch_refines_what_is_usable(
     objects: Path, tmp_path: Path, workplace: Path, capfd: pytest.CaptureFixture[str]
 ):
     (objects / "block.toml").write_text(f'corner = "box:0.05,0.05,0.05"\nlarge = "{objects / "large.ply"}"\n')
-    quick = (*QUICK, "--index", "csv", "--no-report", "--workers", "1", "--out", "out")
+    quick = (*QUICK, "--index-format", "csv", "--no-report", "--workers", "1", "--out", "out")
     listed = ("--objects", str(objects / "block.toml"))
     assert main(["batch", str(file_of(tmp_path, "corner", "large")), *listed, *quick]) == 1
     assert [path.name for path in Path("out").rglob("*.npz")] == ["allegro_corner_00000.npz"]

@@ -345,7 +345,7 @@ def test_a_batch_goes_on_around_poison(files: Path, workplace: Path) -> None:
         object = "torn.obj"
         """
     )
-    options = ("--geometry-only", "--iterations", "20", "--index", "csv", "--no-report", "--workers", "1")
+    options = ("--geometry-only", "--iterations", "20", "--index-format", "csv", "--no-report", "--workers", "1")
     assert main(["batch", "jobs.toml", "--out", "out", "--json", "batch.json", *options]) == 1
     check_results(Path("out/clean/allegro_rounded_box_00000.npz"), Path("out/poisoned/allegro_rounded_box_00000.npz"))
     document = strict(Path("batch.json").read_text())

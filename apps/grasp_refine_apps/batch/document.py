@@ -10,6 +10,7 @@ from typing import Any
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.npz_files import load_npz
+from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.results.document import measure_entries
 from grasp_refine.validation.measures import SIDES
 from grasp_refine_apps.batch.shard import Shard
@@ -45,7 +46,9 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
     Raises:
         GraspFileError: the result file cannot be read.
     """
-    values = {name: array.tolist() for name, array in load_npz(shard.path).entries.items()}
+    entries = load_npz(shard.path).entries
+    values = {name: array.tolist() for name, array in entries.items()}
+    forces = ContactForces.of_entries(entries)
     provenance = json.loads(values["provenance"])
     protocol = (provenance.get("config", {}).get("protocol") or {}).get("name")
     for i, status in enumerate(values["status"]):
@@ -56,6 +59,7 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
             "object": values["object"] if isinstance(values["object"], str) else values["object"][i],
             "status": status,
             "advice": provenance["advice"][i],
+            "forces": None if forces is None else forces.of_grasp(i),
             **measure_entries(values, i),
             "simulation": {side: _simulated(values, side, i, protocol) for side in SIDES},
         }

@@ -34,7 +34,7 @@ def test_a_line_for_each_object_and_one_for_all():
     quality = {"quality_before": 0.25, "quality_after": 0.75, "penetration_after_m": 2e-3}
     found.add(made_up_rows(4, object="mug", good_after=[1, 1, 1, 0], held_after=[1, 1, 1, 0], **held, **quality))
     found.add(made_up_rows(4, 1, object="cup", good_after=[1, 1, 0, 0], held_after=[1, 1, 0, 0], **held, **quality))
-    lines = printed(document(config={"protocol": {"name": "strict"}}), found)
+    lines = printed(document(config={"protocol": {"name": "strict", "palm": "rigid"}}), found)
     assert lines[0] == "8 grasps, most failures first"
     rows = [line.replace("→", "").split() for line in lines]
     assert ["cup", "4", "50.0", "50.0", "25.0", "50.0", "0.250", "0.750", "2.00"] in rows

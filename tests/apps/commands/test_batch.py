@@ -414,7 +414,7 @@ def test_a_disk_that_stays_full_stops_the_batch_and_says_how_much_room_is_needed
 
 @pytest.mark.slow
 def test_two_batches_in_one_folder_do_not_take_each_others_place(tmp_path: Path, sources: Path):
-    out, options = tmp_path / "out", ("--workers", "1", "--no-report", "--index", "csv")
+    out, options = tmp_path / "out", ("--workers", "1", "--no-report", "--index-format", "csv")
     first = running(sources, out, *options, "--geometry-only")
     assert soon(lambda: any(out.glob(".working.*")))
     second = running(sources, out, *options, "--geometry-only", "--iterations", "3")
