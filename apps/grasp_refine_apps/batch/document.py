@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,16 @@ SIMULATED = ("success", "reason", "direction", "displacement_m", "angle_rad")
 """Keys of the simulation of a grasp; the result file has that of the worst direction."""
 
 
-def save_batch(path: Path, document: Mapping[str, Any], complete: Iterable[Shard]) -> None:
+def save_batch(
+    path: Path, document: Mapping[str, Any], complete: Iterable[Shard], totals: Callable[[], Mapping[str, Any]]
+) -> None:
     """Write the document with an entry for each grasp, as `run --json` has them; whole or not at all.
 
     Args:
         path: Output file.
-        document: Document without the grasps.
+        document: Document without the grasps and the totals.
         complete: Shards with result files.
+        totals: Returns the totals, with the time until then; called when all grasps are written.
 
     Raises:
         GraspRefineError: it cannot be written, or a result file cannot be read.
@@ -37,7 +40,7 @@ def save_batch(path: Path, document: Mapping[str, Any], complete: Iterable[Shard
             for entry in grasp_entries(shard):
                 file.write(between + dumps(entry))
                 between = ",\n  "
-        file.write("\n ]\n}\n")
+        file.write(f'\n ],\n "totals": {dumps(totals())}\n}}\n')
 
 
 def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:

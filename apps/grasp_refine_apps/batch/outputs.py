@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import os
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -83,19 +85,36 @@ class Outputs:
             _remove_index(self.index.with_suffix({".csv": ".parquet", ".parquet": ".csv"}[self.index.suffix]))
 
     def write_report(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
-        """Write the report, if it is enabled."""
-        if self.report:
-            shards = {shard.number: shard for shard in session.complete_shards}
-            load = partial(load_case, shards, InputCache(), document["seed"])
-            worst = session.statistics.worst()
-            pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
-            save_text(self.out / REPORT, page(document, session.statistics, pictures))
+        """Write the report, if it is enabled; one of the same results and failures stays, as its pictures take long."""
+        report, shards = self.out / REPORT, session.complete_shards
+        if not self.report:
+            return
+        found = [(shard.number, shard.stamp, shard.path.stat().st_mtime_ns) for shard in shards]
+        state = hashlib.sha256(repr((found, document["failed"], document["config"])).encode()).hexdigest()
+        mark = f"<!-- results {state} -->\n"
+        if _ends_with(report, mark):
+            progress.say(f"{REPORT} shows these results already")
+            return
+        load = partial(load_case, {shard.number: shard for shard in shards}, InputCache(), document["seed"])
+        worst = session.statistics.worst()
+        pictures = draw_cases(worst, self.out, load, progress=lambda what, share: progress.wait(what))
+        save_text(report, page(document, session.statistics, pictures) + mark)
 
-    def write_summary(self, document: Mapping[str, Any], session: Session, progress: Progress) -> None:
-        """Write the summary, if it is enabled."""
+    def write_summary(
+        self, document: Mapping[str, Any], totals: Callable[[], Mapping[str, Any]], session: Session, progress: Progress
+    ) -> None:
+        """Write the summary, if it is enabled; `totals` is called at the end, when all else is written."""
         if self.json is not None:
             progress.wait("writing the summary")
-            save_batch(self.json, document, session.complete_shards)
+            save_batch(self.json, document, session.complete_shards, totals)
+
+
+def _ends_with(path: Path, text: str) -> bool:
+    """Return True if a file ends with a text."""
+    with suppress(OSError), path.open("rb") as file:
+        file.seek(-min(len(text.encode()), path.stat().st_size), os.SEEK_END)
+        return file.read() == text.encode()
+    return False
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

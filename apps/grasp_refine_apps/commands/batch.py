@@ -180,14 +180,13 @@ class Batch:
                     "profile": profile_entry(session.profile or None),
                 }
 
-                def now() -> dict[str, Any]:
-                    """Return the document with the costs of this run so far."""
-                    totals = session.totals(failed, time.perf_counter() - wall, cpu_seconds() - cpu)
-                    return document | {"totals": totals}
+                def totals() -> dict[str, Any]:
+                    """Return the totals with the costs of this run so far."""
+                    return session.totals(failed, time.perf_counter() - wall, cpu_seconds() - cpu)
 
-                outputs.write_report(now(), session, progress)
-                outputs.write_summary(now(), session, progress)
-        return Batched(now(), session, outputs)
+                outputs.write_report(document | {"totals": totals()}, session, progress)
+                outputs.write_summary(document, totals, session, progress)
+        return Batched(document | {"totals": totals()}, session, outputs)
 
     def _outputs(self) -> Outputs:
         """Return the files to write; a part of a batch has results and a summary only.

@@ -17,6 +17,7 @@ import pytest
 
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.batch.outputs import Outputs
 from grasp_refine_apps.batch.session import MAX_UNWRITTEN
 from grasp_refine_apps.cli import main
 from refusals import assert_names
@@ -134,6 +135,30 @@ def test_what_is_complete_is_skipped(copy: Path, sources: Path, capsys: pytest.C
     assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.npz")} == before
     assert (copy / "index.csv").read_bytes() == first
     assert "4 of 4 shards" in capsys.readouterr().err
+
+
+def test_the_report_of_the_same_results_stays(copy: Path, sources: Path):
+    """Its pictures took most of the time of a command that had nothing else to do."""
+    command, report = ("--out", copy, "--shard-size", 3, *WITH_REPORT), copy / "report.html"
+    before = report.stat().st_mtime_ns
+    assert batch(sources, *command) == 0
+    assert report.stat().st_mtime_ns == before
+    (copy / "example_bottle" / "allegro_bottle_00000.npz").unlink()
+    assert batch(sources, *command) == 0
+    assert report.stat().st_mtime_ns > before
+
+
+def test_the_time_of_a_batch_includes_its_outputs(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    written = Outputs.write_report
+
+    def slowly(*arguments: object) -> None:
+        time.sleep(2.0)
+        written(*arguments)
+
+    monkeypatch.setattr(Outputs, "write_report", slowly)
+    assert batch(sources, "--out", tmp_path / "out", "--json", tmp_path / "batch.json", *QUICK) == 0
+    totals = json.loads((tmp_path / "batch.json").read_text())["totals"]
+    assert totals["wall_s"] > 2.0 and totals["n"] == 8
 
 
 def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
