@@ -175,9 +175,10 @@ class _Planner:
                 yield stages
 
     def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp."""
-        arm = self.scene.hand.arm_joints
-        close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
+        """Return the way through the three stages of a grasp; set points of its squeeze stay within joint limits."""
+        hand = self.scene.hand
+        pressing = np.clip(q[2], hand.lower, hand.upper)
+        close, squeeze = HandPath(T[:2], q[:2]), HandPath(T[1:], np.stack([q[1], pressing]))
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
         approach = self._approach(T[0], q[0], q[0] - q[1])
         if not approach.free:
@@ -189,11 +190,10 @@ class _Planner:
             return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
         legs += [squeeze]
         # Fingers are where the grasp has them, however far their set points are.
-        held, reached = straight(self.scene.hand, T[1], q[1], self.options.lift * self.up)
-        pressing = q[2] - q[1]
-        legs += [HandPath(held.T_world_root, held.q + np.where(arm, 0.0, pressing))]
+        held, reached = straight(hand, T[1], q[1], self.options.lift * self.up)
+        legs += [HandPath(held.T_world_root, np.where(hand.arm_joints, held.q, pressing))]
         if not reached:
-            first, last = palm_poses(self.scene.hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
+            first, last = palm_poses(hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
             why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ self.up:.2f} m only"
             return Way(WayStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)

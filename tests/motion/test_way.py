@@ -292,3 +292,40 @@ def test_lengths_that_are_none_are_refused(lengths: dict) -> None:
     """The message names the length."""
     with pytest.raises(gr.GraspRefineError, match=next(iter(lengths))):
         WayOptions(**lengths)
+
+
+@pytest.mark.parametrize("beyond", [-0.02, 0.06])
+def test_set_points_of_a_squeeze_are_within_the_limits_of_joints_and_their_followers(
+    whole: Hand, thing: Object, beyond: float
+) -> None:
+    """The squeeze and the lift of fingers that press beyond their limits end at the limits; the arm does not move."""
+    scene, motion = grasp(whole, thing)
+    motion.q[0, 2, -1] = beyond
+    (way,) = ways(scene, motion)
+    assert way.free
+    limit = np.clip(beyond, whole.lower[-1], whole.upper[-1])
+    squeeze, lift = way.legs[2:]
+    assert squeeze.q[-1, -1] == limit and (lift.q[:, -1] == limit).all()
+    np.testing.assert_array_equal(squeeze.q[-1, whole.arm_joints], motion.q[0, 1, whole.arm_joints])
+    check_limits(whole, trajectory(whole, way).q)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["allegro", "shadow"])
+def test_all_set_points_of_sampled_grasps_on_an_arm_are_within_limits(name: str) -> None:
+    """Joints that follow others too; before, most squeezes of Allegro and Shadow pressed beyond."""
+    alone, box = load_hand(name, candidates=64), load_object("box:0.06,0.06,0.12")
+    arm = mount(load_hand("ur5e", candidates=32), alone)
+    grasps = gr.sample_grasps(alone, box, 8)
+    refined = gr.refine(arm, box, grasps, base=[-0.55, 0.0, -0.06, 0.0, 0.0, 0.0])
+    timed = [one.q for one in gr.plan_ways(refined).trajectories() if len(one)]
+    assert len(timed) > 2
+    check_limits(arm, np.concatenate(timed))
+
+
+def check_limits(hand: Hand, q: np.ndarray) -> None:
+    """Check the values of all movable joints, those of followers by the couplings of the file."""
+    matrix, offset, names = hand.mimic_map()
+    values = q @ matrix.T + offset + hand.curves(q)
+    lower, upper = (np.array([getattr(hand.joints_by_name[name], end) for name in names]) for end in ("lower", "upper"))
+    assert (values > lower - 1e-9).all() and (values < upper + 1e-9).all()
