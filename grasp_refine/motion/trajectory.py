@@ -26,8 +26,11 @@ SPEED_SHARE = 0.5
 MIN_LEG_S = 0.5
 """Least duration of a leg in seconds, in which fingers come to press."""
 
-MIN_SAMPLES = 10
-"""Least number of set points of a leg after its first one."""
+MIN_KNOTS = 10
+"""Least number of poses of a leg after its first one, between which the speed of the palm is found."""
+
+PERIOD_S = 0.02
+"""Time in seconds between two set points: legs last whole numbers of periods, so that waypoints are among them."""
 
 PEAK = 1.5
 """Largest speed of a leg over its mean one: it starts and ends at rest, s = 3 u^2 - 2 u^3."""
@@ -38,7 +41,7 @@ class Trajectory:
     """Set points of a hand, and its arm, over time."""
 
     time: Float[np.ndarray, " K"]
-    """Times (K,) in seconds, from 0 on."""
+    """Times (K,) in seconds, from 0 on, `PERIOD_S` apart."""
     T_world_root: Float[np.ndarray, "K 4 4"]
     """Poses (K, 4, 4) of the base link in the object's frame, metres."""
     q: Float[np.ndarray, "K n"]
@@ -51,6 +54,16 @@ class Trajectory:
     def __len__(self) -> int:
         """Return the number of set points."""
         return len(self.time)
+
+    def velocity(self, values: Float[np.ndarray, "K m"]) -> Float[np.ndarray, "K m"]:
+        """Return the rates (K, m) of values at the set points, by central differences; 0 at waypoints, which are rests.
+
+        Args:
+            values: Values (K, m) at the times, such as those of joints.
+        """
+        rate = np.gradient(values, PERIOD_S, axis=0) if len(values) else values.copy()
+        rate[list(self.waypoints)] = 0.0
+        return rate
 
     def sampled(
         self, seconds: float
@@ -88,26 +101,24 @@ def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajector
         share: Share of the speed limits.
     """
     limits = speed_limits(hand) * share
-    time, T, q, waypoints = [np.zeros(1)], [], [], [0]
+    T, q, waypoints = [], [], [0]
     for number, known in enumerate(way.legs):
-        leg = known if len(known) > MIN_SAMPLES else known.at(np.linspace(0.0, len(known) - 1, MIN_SAMPLES + 1))
+        leg = known if len(known) > MIN_KNOTS else known.at(np.linspace(0.0, len(known) - 1, MIN_KNOTS + 1))
         T_palm = palm_poses(hand, leg.T_world_root, leg.q)
         palm = np.stack(distances(T_palm[:-1], T_palm[1:]), axis=1) / (share * np.array(PALM_SPEED))
         each = np.concatenate([np.abs(np.diff(leg.q, axis=0)) / limits, palm], axis=1).max(axis=1, initial=0.0)
         total = float(each.sum())
-        place = np.concatenate([[0.0], np.cumsum(each)]) / total if total else np.linspace(0.0, 1.0, len(leg))
-        times = time[-1][-1] + _smooth_times(place) * max(PEAK * total, MIN_LEG_S)
+        travelled = np.concatenate([[0.0], np.cumsum(each)]) / total if total else np.linspace(0.0, 1.0, len(leg))
+        # Rounding of a duration adds no period.
+        periods = int(np.ceil(max(PEAK * total, MIN_LEG_S) / PERIOD_S - 1e-9))
+        u = np.linspace(0.0, 1.0, periods + 1)
+        timed = leg.at(np.interp(u * u * (3.0 - 2.0 * u), travelled, np.arange(len(leg), dtype=float)))
         first = 0 if number == 0 else 1
-        T.append(leg.T_world_root[first:])
-        q.append(leg.q[first:])
-        time.append(times[first:])
-        waypoints.append(waypoints[-1] + len(leg) - 1)
+        T.append(timed.T_world_root[first:])
+        q.append(timed.q[first:])
+        waypoints.append(waypoints[-1] + periods)
     if not q:
         n = len(hand.joint_names)
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, n)), ())
-    return Trajectory(np.concatenate(time[1:]), np.concatenate(T), np.concatenate(q), tuple(waypoints))
-
-
-def _smooth_times(place: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Return u in [0, 1] where 3 u^2 - 2 u^3 = place: the inverse is 1/2 - sin(asin(1 - 2 s) / 3)."""
-    return 0.5 - np.sin(np.arcsin(np.clip(1.0 - 2.0 * place, -1.0, 1.0)) / 3.0)
+    time = PERIOD_S * np.arange(waypoints[-1] + 1)
+    return Trajectory(time, np.concatenate(T), np.concatenate(q), tuple(waypoints))
