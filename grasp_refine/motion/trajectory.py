@@ -9,13 +9,11 @@ from jaxtyping import Float, Int
 
 from grasp_refine.core.se3 import distances
 from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.arm_gains import DEFAULT_SPEED_RAD_S
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath
 from grasp_refine.motion.way import Way
-
-DEFAULT_SPEED_RAD_S = 1.0
-"""Speed limit of joints in rad/s whose file gives none; slides move by `Hand.per_radian` of it, 0.1 m/s."""
 
 PALM_SPEED = (0.25, 1.0)
 """Speed limits of the palm, in m/s, the reduced speed of ISO 10218-1, and rad/s."""
