@@ -31,7 +31,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     links and joints that both have get the name of the arm as a prefix in the arm, as in ur5e_base_link.
 
     Args:
-        arm: The arm, read by `load_hand`.
+        arm: The arm, read by `load_arm`.
         hand: The hand.
         link: Link of the arm that the hand is fixed to; by default that of the arm's arm.toml, else its last link.
         T_link_hand: Pose (4, 4) of the hand's base link in that link; by default that of its hand.toml (`flange`), else
@@ -46,17 +46,25 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     check_kind("link", link, str | None)
     if hand.arm is not None or arm.arm is not None:
         raise HandError(f"{(hand if hand.arm is not None else arm).name} is a hand on an arm already")
-    default = np.eye(4) if hand.T_base_flange is None else inverse(hand.T_base_flange)
+    default, notes = np.eye(4) if hand.T_base_flange is None else inverse(hand.T_base_flange), list(hand.notes)
     T = default if T_link_hand is None else as_numbers("T_link_hand", T_link_hand)
     if T.shape != (4, 4) or not is_rigid(T):
         raise HandError(f"T_link_hand must be a rigid transform (4, 4), got {np.array2string(T, precision=3)}")
     link = link or arm.mount or _last_link(arm)
     if link not in arm.links_by_name:
         listing = ", ".join(arm.links_by_name)
-        raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}")
+        whole = read_tree(arm.urdf)
+        above = link in whole.links and arm.base_link != whole.root
+        hint = "; load_arm reads an arm from its base on, without its gripper" if above else ""
+        raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}{hint}")
     carrying = [joint.name for joint in arm.joints_to([link]) if joint.movable]
     if not carrying:
         raise HandError(f"no joint of arm {arm.name} moves link '{link}': a hand there would not be on an arm")
+    if T_link_hand is None and hand.T_base_flange is None:
+        notes.append(
+            f"no flange of hand {hand.name} is known (flange in its hand.toml): its base link '{hand.base_link}' is "
+            f"mounted in the frame of '{link}', not turned; --mount-pose gives another pose"
+        )
     renamed = _renamed(arm, hand)
     link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)[link]
     taken = {*renamed.joints_by_name, *hand.joints_by_name}
@@ -74,7 +82,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         lower=np.concatenate([arm.lower, hand.lower]),
         upper=np.concatenate([arm.upper, hand.upper]),
         rest=np.concatenate([arm.rest, hand.rest]),
-        notes=tuple(dict.fromkeys((*_arm_notes(arm), *hand.notes))),
+        notes=tuple(dict.fromkeys((*_arm_notes(arm), *notes))),
         actuator=both(arm.actuator, hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),

@@ -19,6 +19,7 @@ from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_
 from grasp_refine.grasps.rebase import rebased
 from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.hands.arm_file import load_arm
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
@@ -274,7 +275,7 @@ class Loader:
 
     def load_arm(self, source: str) -> Hand:
         """Return an arm."""
-        load = partial(load_hand, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
+        load = partial(load_arm, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
         return self.cache.get("hand", (source, "arm", self.spec.hull_limit), load)
 
     def load_hand(self, source: str, base_link: str | None) -> Hand:
