@@ -53,8 +53,8 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     link = link or arm.mount or _last_link(arm)
     if link not in arm.links_by_name:
         listing = ", ".join(arm.links_by_name)
-        whole = read_tree(arm.urdf)
-        above = link in whole.links and arm.base_link != whole.root
+        tree = read_tree(arm.urdf)
+        above = link in tree.links and arm.base_link != tree.root
         hint = "; load_arm reads an arm from its base on, without its gripper" if above else ""
         raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}{hint}")
     carrying = [joint.name for joint in arm.joints_to([link]) if joint.movable]
