@@ -13,7 +13,7 @@ from grasp_refine.hands.arm_gains import DEFAULT_SPEED_RAD_S
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath
-from grasp_refine.motion.way import Way
+from grasp_refine.motion.way import WAYPOINTS, Way
 
 PALM_SPEED = (0.25, 1.0)
 """Speed limits of the palm, in m/s, the reduced speed of ISO 10218-1, and rad/s."""
@@ -29,6 +29,9 @@ MIN_KNOTS = 10
 
 PERIOD_S = 0.02
 """Time in seconds between two set points: legs last whole numbers of periods, so that waypoints are among them."""
+
+POINTS = ("start", *WAYPOINTS)
+"""Names of the waypoints, that before the approach too, where the arm comes from a start configuration."""
 
 PEAK = 1.5
 """Largest speed of a leg over its mean one: it starts and ends at rest, s = 3 u^2 - 2 u^3."""
@@ -46,12 +49,19 @@ class Trajectory:
     """Joint values (K, n) in `Hand.joint_names` order, rad or m."""
     waypoints: tuple[int, ...]
     """Places of the waypoints among them, the first one and the end of each leg."""
+    reaches: bool = False
+    """Whether the arm comes from a start configuration first: `Way.reach`."""
 
     __repr__ = brief
 
     def __len__(self) -> int:
         """Return the number of set points."""
         return len(self.time)
+
+    @property
+    def named(self) -> dict[str, int]:
+        """Places of the waypoints by name."""
+        return dict(zip(POINTS[0 if self.reaches else 1 :], self.waypoints, strict=False))
 
     def velocity(self, values: Float[np.ndarray, "K m"]) -> Float[np.ndarray, "K m"]:
         """Return the rates (K, m) of values at the set points, by central differences; 0 at waypoints, which are rests.
@@ -73,11 +83,11 @@ class Trajectory:
 
         Returns:
             Times (S,) in seconds, places (S,) between the set points of the trajectory, the path of S poses, and the
-            numbers (S,) of their legs.
+            numbers (S,) of their legs among `LEGS`; -1 before them.
         """
         time = np.append(np.arange(0.0, self.time[-1], seconds), self.time[-1])
         place = np.interp(time, self.time, np.arange(len(self), dtype=float))
-        leg = np.searchsorted(self.waypoints[1:-1], place)
+        leg = np.searchsorted(self.waypoints[1:-1], place) - int(self.reaches)
         return time, place, HandPath(self.T_world_root, self.q).at(place), leg
 
 
@@ -100,7 +110,7 @@ def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajector
     """
     limits = speed_limits(hand) * share
     T, q, waypoints = [], [], [0]
-    for number, known in enumerate(way.legs):
+    for number, known in enumerate(way.legs if way.reach is None else (way.reach, *way.legs)):
         leg = known if len(known) > MIN_KNOTS else known.at(np.linspace(0.0, len(known) - 1, MIN_KNOTS + 1))
         T_palm = palm_poses(hand, leg.T_world_root, leg.q)
         palm = np.stack(distances(T_palm[:-1], T_palm[1:]), axis=1) / (share * np.array(PALM_SPEED))
@@ -119,4 +129,4 @@ def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajector
         n = len(hand.joint_names)
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, n)), ())
     time = PERIOD_S * np.arange(waypoints[-1] + 1)
-    return Trajectory(time, np.concatenate(T), np.concatenate(q), tuple(waypoints))
+    return Trajectory(time, np.concatenate(T), np.concatenate(q), tuple(waypoints), way.reach is not None)

@@ -18,8 +18,8 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
-from grasp_refine.motion.trajectory import PERIOD_S, Trajectory, trajectory
-from grasp_refine.motion.way import LEGS, WAYPOINTS, Way
+from grasp_refine.motion.trajectory import PERIOD_S, POINTS, Trajectory, trajectory
+from grasp_refine.motion.way import LEGS, REACH, Way
 from grasp_refine.motion.way_context import (
     CONVENTIONS,
     all_values,
@@ -37,9 +37,6 @@ SCHEMA = 2
 
 SUFFIXES = (".npz", ".json")
 """Suffixes of files of ways."""
-
-GRASPED, SQUEEZED = WAYPOINTS.index("grasp"), WAYPOINTS.index("squeeze")
-"""Places of the waypoints between which the fingers come to press."""
 
 AT_WAYPOINTS = ("q", "palm_pose", "palm_pose_base")
 """Numbers that waypoints have, too."""
@@ -131,7 +128,7 @@ class PlannedWays:
             "joint_names": [joint["name"] for joint in joints],
             "arm_joints": [name for name, arm in zip(hand.joint_names, hand.arm_joints, strict=True) if arm],
             "joints": joints,
-            "legs": list(LEGS),
+            "legs": [REACH, *LEGS],
             "period_s": PERIOD_S,
             "scenes": scenes,
             "grasps": [
@@ -153,7 +150,7 @@ class PlannedWays:
         hand, count, (scenes, scene_of) = self.hand, len(self), self._scenes()
         timed = self.trajectories()
         longest, joints = max((len(one) for one in timed), default=0), joint_entries(hand)
-        points, m = len(WAYPOINTS), len(joints)
+        points, m = len(POINTS), len(joints)
         time = np.full((count, longest), np.nan)
         widths = {"q": m, "velocity": m, "base_pose": 7, "palm_pose": 7, "palm_pose_base": 7}
         numbers = {key: np.full((count, longest, width), np.nan) for key, width in widths.items()}
@@ -163,13 +160,14 @@ class PlannedWays:
             if not len(one):
                 continue
             time[row, : len(one)] = one.time
-            index[row, : len(one.waypoints)] = one.waypoints
+            places = [POINTS.index(name) for name in one.named]
+            index[row, places] = one.waypoints
             for key, values in _numbers(hand, one).items():
                 numbers[key][row, : len(one)] = values
             for key, values in at_points.items():
-                values[row, : len(one.waypoints)] = numbers[key][row, list(one.waypoints)]
-            if len(one.waypoints) > SQUEEZED:
-                torque[row] = pressing_torques(hand, one.q[list(one.waypoints[GRASPED : SQUEEZED + 1])])
+                values[row, places] = numbers[key][row, list(one.waypoints)]
+            if "squeeze" in one.named:
+                torque[row] = pressing_torques(hand, one.q[[one.named["grasp"], one.named["squeeze"]]])
         return {
             "schema": np.array(SCHEMA),
             "conventions": as_text(CONVENTIONS),
@@ -188,8 +186,8 @@ class PlannedWays:
             "period": np.array(PERIOD_S),
             "time": time,
             **numbers,
-            "legs": np.array(LEGS),
-            "waypoint_names": np.array(WAYPOINTS),
+            "legs": np.array((REACH, *LEGS)),
+            "waypoint_names": np.array(POINTS),
             "waypoint_index": index,
             **{f"waypoint_{key}": values for key, values in at_points.items()},
             "squeeze_torque": torque,
@@ -237,13 +235,13 @@ def _waypoints(hand: Hand, timed: Trajectory) -> list[dict[str, Any]]:
     numbers = _numbers(hand, timed)
     return [
         {"name": name, "index": place, "time_s": timed.time[place]} | {key: numbers[key][place] for key in AT_WAYPOINTS}
-        for name, place in zip(WAYPOINTS, timed.waypoints, strict=False)
+        for name, place in timed.named.items()
     ]
 
 
 def _squeeze(hand: Hand, timed: Trajectory, joints: Sequence[dict[str, Any]]) -> dict[str, float] | None:
     """Return the torques of the joints that press, by name; None where the way ends before the squeeze."""
-    if len(timed.waypoints) <= SQUEEZED:
+    if "squeeze" not in timed.named:
         return None
-    torque = pressing_torques(hand, timed.q[list(timed.waypoints[GRASPED : SQUEEZED + 1])])
+    torque = pressing_torques(hand, timed.q[[timed.named["grasp"], timed.named["squeeze"]]])
     return {joint["name"]: value for joint, value in zip(joints, torque.tolist(), strict=True) if value}

@@ -24,7 +24,7 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import Sweep
 from grasp_refine.motion.trajectory import PALM_SPEED, SPEED_SHARE, speed_limits, trajectory
-from grasp_refine.motion.way import LEGS, Way, WayOptions, WayStatus, ways
+from grasp_refine.motion.way import LEGS, WAYPOINTS, Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.arms import arm_clearance
@@ -280,12 +280,13 @@ def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Objec
     arrays, document = load_npz(tmp_path / "ways.npz").entries, json.loads((tmp_path / "ways.json").read_text())
     entry, timed = document["grasps"][0], trajectory(whole, way)
     assert entry["row"] == 3 and entry["status"] == "free" and document["grasps"][1]["trajectory"]["q"] == []
-    assert [point["name"] for point in entry["waypoints"]] == arrays["waypoint_names"].tolist()
+    assert ["start", *(point["name"] for point in entry["waypoints"])] == arrays["waypoint_names"].tolist()
     assert document["joint_names"] == arrays["joint_names"].tolist() and document["schema"] == arrays["schema"]
     for key in ("q", "velocity", "base_pose", "palm_pose", "palm_pose_base"):
         np.testing.assert_array_equal(entry["trajectory"][key], arrays[key][0, : len(timed)])
         assert np.isnan(arrays[key][0, len(timed) :]).all() and np.isnan(arrays[key][1]).all()
-    for place, point in enumerate(entry["waypoints"]):
+    assert (arrays["waypoint_index"][:, 0] == -1).all() and np.isnan(arrays["waypoint_q"][:, 0]).all()
+    for place, point in enumerate(entry["waypoints"], 1):
         assert arrays["waypoint_index"][0, place] == point["index"] and arrays["waypoint_index"][1, place] == -1
         np.testing.assert_array_equal(arrays["waypoint_q"][0, place], timed_values(entry, point["index"]))
     independent = [document["joint_names"].index(name) for name in whole.joint_names]
@@ -389,3 +390,52 @@ def check_limits(hand: Hand, q: np.ndarray) -> None:
     values = q @ matrix.T + offset + hand.curves(q)
     lower, upper = (np.array([getattr(hand.joints_by_name[name], end) for name in names]) for end in ("lower", "upper"))
     assert (values > lower - 1e-9).all() and (values < upper + 1e-9).all()
+
+
+def test_arm_comes_from_its_start_straight_in_its_joints(whole: Hand, thing: Object, tmp_path: Path) -> None:
+    """To the start of the approach with the fingers as there, before the same legs; files name the waypoint."""
+    scene, motion = grasp(whole, thing)
+    arm = whole.arm_joints
+    start = tuple(whole.rest[arm].tolist())
+    (plain,), (way,) = ways(scene, motion), ways(scene, motion, WayOptions(start=start))
+    assert way.free and way.reach is not None and plain.reach is None
+    np.testing.assert_array_equal(way.reach.q[0, arm], start)
+    np.testing.assert_array_equal(way.reach.q[1], way.legs[0].q[0])
+    np.testing.assert_array_equal(way.reach.q[0, ~arm], way.legs[0].q[0, ~arm])
+    np.testing.assert_array_equal(way.legs[2].q, plain.legs[2].q)
+    timed = trajectory(whole, way)
+    assert timed.named["start"] == 0 and list(timed.named)[1:] == list(trajectory(whole, plain).named)
+    reach = timed.q[: timed.named["approach"] + 1]
+    share = (reach - reach[0]) @ (reach[-1] - reach[0]) / ((reach[-1] - reach[0]) ** 2).sum()
+    np.testing.assert_allclose(reach, reach[0] + share[:, None] * (reach[-1] - reach[0]), atol=1e-9)
+    assert (timed.sampled(0.05)[3][:3] == -1).all() and timed.sampled(0.05)[3].max() == LEGS.index("lift")
+    one = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
+    PlannedWays(whole, *one, (way,)).save(tmp_path / "ways.json")
+    (entry,) = json.loads((tmp_path / "ways.json").read_text())["grasps"]
+    assert [point["name"] for point in entry["waypoints"]] == ["start", *WAYPOINTS]
+    assert entry["squeeze"] and all(name in whole.joint_names[-1:] for name in entry["squeeze"])
+
+
+def test_start_behind_a_wall_is_named_as_blocked(whole: Hand, thing: Object) -> None:
+    """The arm turns through a plate beside its way that neither start nor approach touches."""
+    scene, motion = grasp(whole, thing)
+    turned = whole.rest[whole.arm_joints] + [np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]
+    plate = obstacle("plate", (0.5, 0.01, 0.5), (-0.1, 0.3, 0.3))
+    scene, motion = grasp(whole, thing, plate)
+    assert ways(scene, motion)[0].free
+    (way,) = ways(scene, motion, WayOptions(start=tuple(turned.tolist())))
+    assert way.status == WayStatus.BLOCKED and way.why.startswith("reach: ") and "plate" in way.why
+    assert way.legs == () and len(trajectory(whole, way)) > 1
+
+
+@pytest.mark.parametrize(
+    ("start", "named"), [((0.0, 1.0), "2 joint values"), ((9.0,) + (0.0,) * 5, "shoulder_pan_joint")]
+)
+def test_starts_that_are_none_of_the_arm_are_refused(
+    whole: Hand, hand: Hand, thing: Object, start: tuple[float, ...], named: str
+) -> None:
+    """The message names the number of joints, or the joint and its limits; a hand without an arm has none."""
+    with pytest.raises(gr.GraspRefineError, match=named):
+        ways(*grasp(whole, thing), WayOptions(start=start))
+    with pytest.raises(gr.GraspRefineError, match="no arm"):
+        ways(*grasp(hand, thing), WayOptions(start=start))
