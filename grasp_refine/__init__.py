@@ -94,6 +94,7 @@ if TYPE_CHECKING:
     from grasp_refine.grasps.grasp_set import GraspSet as GraspSet
     from grasp_refine.grasps.grasp_set import Targets as Targets
     from grasp_refine.grasps.grasp_set import load_grasps as load_grasps
+    from grasp_refine.hands.arm_file import load_arm as load_arm
     from grasp_refine.hands.hand import Hand as Hand
     from grasp_refine.hands.hand import list_hands as list_hands
     from grasp_refine.hands.hand import load_hand as load_hand
@@ -130,6 +131,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "core.errors": ("GraspRefineError",),
     "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
+    "hands.arm_file": ("load_arm",),
     "hands.hand": ("Hand", "list_hands", "load_hand"),
     "hands.mount": ("mount",),
     "motion.way": ("WayOptions",),

@@ -206,6 +206,28 @@ class ArmKinematics:
         found &= ~self._repeated(q[:, :, self.joints], found)
         return self._ranked(T_world_base, q, found)
 
+    def shortfall(
+        self,
+        T_world_base: Float[np.ndarray, "N 4 4"],
+        q_hand: Float[np.ndarray, "N h"],
+        T_world_palm: Float[np.ndarray, "N 4 4"],
+        *,
+        starts: int = STARTS,
+        seed: int = 0,
+    ) -> Float[np.ndarray, "N 2"]:
+        """Return how far (N, 2), in metres and radians, the palm stays from poses at the best of several attempts.
+
+        The arguments are those of `solve`; poses and values are finite.
+        """
+        count, rows = len(q_hand), np.repeat(np.arange(len(q_hand)), starts)
+        q = np.empty((len(rows), len(self.hand.joint_names)))
+        q[:, ~self.arm.joints], q[:, self.joints] = q_hand[rows], np.tile(self._starts(starts, seed), (count, 1))
+        q, _ = self.follow(T_world_base[rows], q, T_world_palm[rows])
+        error = _error(self.palm(T_world_base[rows], q), T_world_palm[rows]).reshape(count, starts, 2, 3)
+        away = np.linalg.norm(error, axis=-1)
+        best = (away @ [1.0, ROTATION_M_PER_RAD]).argmin(axis=1)
+        return away[np.arange(count), best]
+
     def _ranked(self, T_world_base: np.ndarray, q: np.ndarray, found: np.ndarray) -> ArmSolutions:
         """Return solutions (N, K, n), of which some are `found`, as ordered and measured ones."""
         count, starts = found.shape
@@ -213,7 +235,7 @@ class ArmKinematics:
         flat, grasp = q.reshape(count * starts, -1), at // max(starts, 1)
         dexterity, free = np.full(count * starts, np.nan), np.zeros(count * starts, dtype=bool)
         dexterity[at] = self.dexterity(T_world_base[grasp], flat[at])
-        free[at] = self_penetration(self.hand, self._pairs, flat[at]) == 0.0
+        free[at] = self_penetration(self.hand, self.pairs, flat[at]) == 0.0
         dexterity, free = dexterity.reshape(count, starts), free.reshape(count, starts)
         per_radian = self.hand.per_radian[self.joints]
         away = np.abs((q[..., self.joints] - self.hand.rest[self.joints]) / per_radian).max(axis=2)
@@ -225,7 +247,7 @@ class ArmKinematics:
         return ArmSolutions(q, np.take_along_axis(dexterity, order, axis=1), np.take_along_axis(free, order, axis=1))
 
     @cached_property
-    def _pairs(self) -> tuple[tuple[str, str], ...]:
+    def pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of links that can touch, of which the arm moves one against the other."""
         arm = self.arm.links
         return tuple(pair for pair in touching_pairs(self.hand) if arm & set(pair))

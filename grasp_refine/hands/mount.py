@@ -6,26 +6,22 @@ from collections.abc import Container, Iterable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from grasp_refine.core.arguments import as_numbers, check_kind
-from grasp_refine.core.array_records import join
+from grasp_refine.core.array_records import join, take
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.hands.arm import Arm
+from grasp_refine.hands.arm_gains import with_arm_gains
 from grasp_refine.hands.base_link import guess_base
-from grasp_refine.hands.defaults import LEVER_POWERS, SLIDE_LEVER_M
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Actuator, Hand
-from grasp_refine.hands.hand_toml import ACTUATOR
 from grasp_refine.hands.source import ON_ARM
 from grasp_refine.hands.tree import Joint
 
 MOUNT_JOINT = "mount"
 """Name of the fixed joint between the arm and the hand; with a number where that is taken."""
-
-ARM_ACTUATOR = {"kp": 5000.0, "damping": 100.0, "armature": 0.1, "frictionloss": 0.0}
-"""Settings of an arm's revolute joints where no file gives them; slides are driven as by a lever of 0.1 m on these."""
 
 
 def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.ndarray, "4 4"] | None = None) -> Hand:
@@ -35,7 +31,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     links and joints that both have get the name of the arm as a prefix in the arm, as in ur5e_base_link.
 
     Args:
-        arm: The arm, read by `load_hand`.
+        arm: The arm, read by `load_arm`.
         hand: The hand.
         link: Link of the arm that the hand is fixed to; by default that of the arm's arm.toml, else its last link.
         T_link_hand: Pose (4, 4) of the hand's base link in that link; by default that of its hand.toml (`flange`), else
@@ -50,17 +46,25 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     check_kind("link", link, str | None)
     if hand.arm is not None or arm.arm is not None:
         raise HandError(f"{(hand if hand.arm is not None else arm).name} is a hand on an arm already")
-    default = np.eye(4) if hand.T_base_flange is None else inverse(hand.T_base_flange)
+    default, notes = np.eye(4) if hand.T_base_flange is None else inverse(hand.T_base_flange), list(hand.notes)
     T = default if T_link_hand is None else as_numbers("T_link_hand", T_link_hand)
     if T.shape != (4, 4) or not is_rigid(T):
         raise HandError(f"T_link_hand must be a rigid transform (4, 4), got {np.array2string(T, precision=3)}")
     link = link or arm.mount or _last_link(arm)
     if link not in arm.links_by_name:
         listing = ", ".join(arm.links_by_name)
-        raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}")
+        tree = read_tree(arm.urdf)
+        above = link in tree.links and arm.base_link != tree.root
+        hint = "; load_arm reads an arm from its base on, without its gripper" if above else ""
+        raise HandError(f"arm {arm.name} has no link '{link}' to mount a hand on; its links: {listing}{hint}")
     carrying = [joint.name for joint in arm.joints_to([link]) if joint.movable]
     if not carrying:
         raise HandError(f"no joint of arm {arm.name} moves link '{link}': a hand there would not be on an arm")
+    if T_link_hand is None and hand.T_base_flange is None:
+        notes.append(
+            f"no flange of hand {hand.name} is known (flange in its hand.toml): its base link '{hand.base_link}' is "
+            f"mounted in the frame of '{link}', not turned; --mount-pose gives another pose"
+        )
     renamed = _renamed(arm, hand)
     link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)[link]
     taken = {*renamed.joints_by_name, *hand.joints_by_name}
@@ -68,7 +72,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     fixed = Joint(name, "fixed", link, hand.base_link, T, np.zeros(3), 0.0, 0.0, None, None)
     links = (*renamed.links, *hand.links)
     solids = tuple(part.name for part in links if part.body is not None)
-    return replace(
+    whole = replace(
         hand,
         name=f"{hand.name}{ON_ARM}{arm.name}",
         base_link=renamed.base_link,
@@ -78,8 +82,8 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
         lower=np.concatenate([arm.lower, hand.lower]),
         upper=np.concatenate([arm.upper, hand.upper]),
         rest=np.concatenate([arm.rest, hand.rest]),
-        notes=tuple(dict.fromkeys((*_arm_notes(arm), *hand.notes))),
-        actuator=both(holding(arm.actuator, arm.slides), hand.actuator),
+        notes=tuple(dict.fromkeys((*_arm_notes(arm), *notes))),
+        actuator=both(arm.actuator, hand.actuator),
         coupled=(*renamed.coupled, *hand.coupled),
         excluded=_excluded(renamed, hand),
         compliance=None if hand.compliance is None else np.pad(hand.compliance, (len(arm.joint_names), 0)),
@@ -92,8 +96,10 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
             links=frozenset(renamed.links_by_name),
             standing=renamed.fixed_to(renamed.base_link),
         ),
-        parts=(renamed, hand),
     )
+    whole = with_arm_gains(whole, whole.arm_joints)
+    # The arm is simulated by itself where the hand is from an MJCF.
+    return replace(whole, parts=(replace(renamed, actuator=take(whole.actuator, whole.arm_joints)), hand))
 
 
 def standing(hand: Hand, palm: str | None = None) -> Hand:
@@ -124,8 +130,8 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
         below |= {joint.child} if joint.parent in below else set()
     touching = tuple(contact for contact in hand.contacts if contact.link in below)
     links = frozenset(link.name for link in hand.links) - below
-    driven = holding(hand.actuator, hand.slides, names)
-    return replace(hand, contacts=touching, actuator=driven, arm=Arm(palm, names, links, hand.fixed_to(hand.base_link)))
+    hand = with_arm_gains(hand, names)
+    return replace(hand, contacts=touching, arm=Arm(palm, names, links, hand.fixed_to(hand.base_link)))
 
 
 def _last_link(arm: Hand) -> str:
@@ -192,30 +198,6 @@ def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
     if arm.excluded is None and hand.excluded is None:
         return None
     return (*(arm.excluded or ()), *(hand.excluded or ()))
-
-
-def holding(
-    actuator: Actuator, slides: Bool[np.ndarray, " n"], which: Bool[np.ndarray, " n"] | None = None
-) -> Actuator:
-    """Return actuators of which those of an arm hold their set points, where neither file gives a stiffness.
-
-    The default is for fingers, under which an arm would give way.
-
-    Args:
-        actuator: The actuators.
-        slides: Joints that slide.
-        which: Joints of the arm; None: all.
-    """
-    lever = np.where(slides, SLIDE_LEVER_M, 1.0)
-    ours = np.isclose(actuator.kp * lever ** LEVER_POWERS["kp"], float(ACTUATOR["kp"] or 0.0))
-    ours &= np.ones_like(ours) if which is None else which
-    if not ours.any():
-        return actuator
-    given = {
-        key: np.where(ours, value / lever ** LEVER_POWERS[key], getattr(actuator, key))
-        for key, value in ARM_ACTUATOR.items()
-    }
-    return replace(actuator, **given)
 
 
 def both(arm: Actuator, hand: Actuator) -> Actuator:

@@ -16,7 +16,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
-from grasp_refine.motion.way import LEGS, Way
+from grasp_refine.motion.way import LEGS, REACH, Way
 from grasp_refine.validation.simulation import CHUNK_GRASPS, Course
 from grasp_refine.validation.stepping import Conditions, Rows
 from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
@@ -159,7 +159,7 @@ class _Contacts:
                     self._hit(row, leg, self.world.object, other)
 
     def _hit(self, row: int, leg: int, first: str, second: str) -> None:
-        self.hits[row][f"{LEGS[leg]}: {first} and {second}"] = None
+        self.hits[row][f"{(REACH, *LEGS)[leg + 1]}: {first} and {second}"] = None
 
     def _name(self, geom: int) -> str:
         """Return the name of the table, or of a body of the scene."""

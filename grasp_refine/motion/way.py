@@ -18,6 +18,7 @@ from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import tangents
 from grasp_refine.core.short_repr import brief
+from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import SAME_RAD, ArmKinematics
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
@@ -28,6 +29,9 @@ from grasp_refine.validation.motion import Motion
 
 LEGS = ("approach", "close", "squeeze", "lift")
 """Names of the legs of a way: to the pregrasp, to the grasp, to the squeeze, and up."""
+
+REACH = "reach"
+"""Name of the leg before those, from a start configuration of the arm, where one is given."""
 
 WAYPOINTS = ("approach", "pregrasp", "grasp", "squeeze", "lift")
 """Names of the waypoints: the start of the first leg, and the ends of all."""
@@ -67,14 +71,19 @@ class WayOptions:
     """Length in metres of the straight approach of the palm to the pregrasp."""
     lift: float = 0.1
     """Height in metres by which the palm lifts the object."""
+    start: tuple[float, ...] | None = None
+    """Values in rad or m of the joints of the arm from which it comes to the approach, straight in these; None: the way
+    begins with the approach."""
 
     def __post_init__(self) -> None:
-        """Refuse lengths that are not at least 0.
+        """Refuse lengths that are not at least 0, and starts that are no joint values.
 
         Raises:
-            GraspRefineError: names the length.
+            GraspRefineError: names the length, or the start.
         """
         check_fields(self)
+        if self.start is not None and not np.isfinite(self.start).all():
+            raise GraspRefineError(f"start must be joint values in rad or m, all finite, got {self.start}")
         for name in ("approach", "lift"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 m and finite, got {getattr(self, name):g}")
@@ -97,6 +106,9 @@ class Way:
     other_arm: bool = False
     """Whether the arm reaches the poses of the palm in another configuration than that of the grasp, whose way is not
     free; the fingers are the same."""
+    reach: HandPath | None = None
+    """Straight joint motion of the arm from `WayOptions.start` to the start of the approach, before the legs, of which
+    there are none where it runs into something; None: no start is given, or the legs are not free."""
 
     __repr__ = brief
 
@@ -118,13 +130,14 @@ def ways(
         prepared: Geometry of this hand and object; None: built here.
 
     Raises:
-        GraspRefineError: an argument of another type, or motions of other grasps.
+        GraspRefineError: an argument of another type, motions of other grasps, or a start that is none of the arm.
     """
     check_kind("scene", scene, Scene)
     check_kind("motion", motion, Motion)
     check_kind("options", options, WayOptions | None)
     if len(motion) != len(scene.q):
         raise GraspRefineError(f"the motion has {len(motion)} grasps, the scene {len(scene.q)}")
+    _check_start(scene.hand, (options or WayOptions()).start)
     prepared = prepared or HandObject.of(scene)
     planner = _Planner(scene, prepared, options or WayOptions())
     beyond = Way(WayStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
@@ -134,6 +147,26 @@ def ways(
         planner.free_way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
         for row, out_of_reach in enumerate(scene.out_of_reach)
     )
+
+
+def _check_start(hand: Hand, start: tuple[float, ...] | None) -> None:
+    """Refuse a start that is no configuration of the arm.
+
+    Raises:
+        GraspRefineError: names what is wrong, and the joints.
+    """
+    if start is None:
+        return
+    arm = np.flatnonzero(hand.arm_joints)
+    names = [hand.joint_names[joint] for joint in arm]
+    if len(start) != len(arm):
+        joints = f"its joints are {', '.join(names)}" if names else "it is on no arm"
+        raise GraspRefineError(f"start has {len(start)} joint values, the arm of {hand.name} {len(arm)}: {joints}")
+    for name, value, joint in zip(names, start, arm.tolist(), strict=True):
+        if not hand.lower[joint] <= value <= hand.upper[joint]:
+            raise GraspRefineError(
+                f"start: {name} = {value:g} is outside its limits, {hand.lower[joint]:g} to {hand.upper[joint]:g}"
+            )
 
 
 class _Planner:
@@ -149,12 +182,27 @@ class _Planner:
 
         That of the grasp comes first; its way is returned where none is.
         """
-        own = self.way(T, q)
+        own = self._from_start(self.way(T, q))
         if own.free or self.scene.hand.arm is None:
             return own
-        others = (self.way(T, values) for values in self._other_configurations(T, q))
+        others = (self._from_start(self.way(T, values)) for values in self._other_configurations(T, q))
         free = next((way for way in others if way.free), None)
         return own if free is None else replace(free, other_arm=True)
+
+    def _from_start(self, way: Way) -> Way:
+        """Return a way with its motion from the start, or blocked by what this runs into."""
+        start, arm = self.options.start, self.scene.hand.arm_joints
+        if start is None or not way.free:
+            return way
+        first = way.legs[0]
+        q = np.tile(first.q[0], (2, 1))
+        q[0, arm] = start
+        path = HandPath(first.T_world_root[[0, 0]], q)
+        met = self.sweep.obstruction(path)
+        if met is None:
+            return replace(way, reach=path)
+        why = f"{REACH}: {met}"
+        return Way(WayStatus.BLOCKED, why, (), way.direction, met, way.other_arm, path)
 
     def _other_configurations(
         self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]
@@ -175,9 +223,10 @@ class _Planner:
                 yield stages
 
     def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp."""
-        arm = self.scene.hand.arm_joints
-        close, squeeze = (HandPath(T[stage : stage + 2], q[stage : stage + 2]) for stage in (0, 1))
+        """Return the way through the three stages of a grasp; set points of its squeeze stay within joint limits."""
+        hand = self.scene.hand
+        pressing = np.clip(q[2], hand.lower, hand.upper)
+        close, squeeze = HandPath(T[:2], q[:2]), HandPath(T[1:], np.stack([q[1], pressing]))
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
         approach = self._approach(T[0], q[0], q[0] - q[1])
         if not approach.free:
@@ -189,11 +238,10 @@ class _Planner:
             return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
         legs += [squeeze]
         # Fingers are where the grasp has them, however far their set points are.
-        held, reached = straight(self.scene.hand, T[1], q[1], self.options.lift * self.up)
-        pressing = q[2] - q[1]
-        legs += [HandPath(held.T_world_root, held.q + np.where(arm, 0.0, pressing))]
+        held, reached = straight(hand, T[1], q[1], self.options.lift * self.up)
+        legs += [HandPath(held.T_world_root, np.where(hand.arm_joints, held.q, pressing))]
         if not reached:
-            first, last = palm_poses(self.scene.hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
+            first, last = palm_poses(hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
             why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ self.up:.2f} m only"
             return Way(WayStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)

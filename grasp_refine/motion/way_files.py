@@ -1,4 +1,4 @@
-"""Files of ways, JSON or .npz: waypoints and timed set points, that a robot can follow."""
+"""Files of ways, JSON or .npz: waypoints and timed set points with all that a robot needs to follow them."""
 
 from __future__ import annotations
 
@@ -13,19 +13,33 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import save_json
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.plurals import first_of
-from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine.core.se3 import inverse, pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
-from grasp_refine.motion.trajectory import Trajectory, trajectory
-from grasp_refine.motion.way import LEGS, WAYPOINTS, Way
+from grasp_refine.motion.trajectory import PERIOD_S, POINTS, Trajectory, trajectory
+from grasp_refine.motion.way import LEGS, REACH, Way
+from grasp_refine.motion.way_context import (
+    CONVENTIONS,
+    all_values,
+    as_text,
+    joint_arrays,
+    joint_entries,
+    pressing_torques,
+    robot_entry,
+    scene_entry,
+)
+from grasp_refine.scene.scene import Scene
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the layout."""
 
 SUFFIXES = (".npz", ".json")
 """Suffixes of files of ways."""
+
+AT_WAYPOINTS = ("q", "palm_pose", "palm_pose_base")
+"""Numbers that waypoints have, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +56,8 @@ class PlannedWays:
     """Numbers of the grasps (N,) among those of their object."""
     ways: tuple[Way, ...]
     """The ways."""
+    scenes: tuple[tuple[Scene, float], ...] = ()
+    """Scene of each grasp, and the scale of its object, N of them; none: what is around the hand is not written."""
     executions: Executions | None = None
     """The free ones as they were followed in simulation; None: they were not."""
 
@@ -84,8 +100,8 @@ class PlannedWays:
     def save(self, path: str | Path) -> None:
         """Write them: .npz with arrays of all grasps, or .json with an entry for each.
 
-        Metres, radians, seconds; poses are x y z qw qx qy qz in the object's frame. Set points of fingers that press
-        lie beyond where they rest on the object.
+        Both hold the same: set points of all joints with velocities and the poses of base and palm at even times,
+        waypoints, joints with their servos, object, table and scene, and `CONVENTIONS` in words.
 
         Raises:
             GraspRefineError: another suffix, or the file cannot be written.
@@ -99,71 +115,92 @@ class PlannedWays:
 
     def document(self) -> dict[str, Any]:
         """Return the contents of a JSON file."""
-        hand = self.hand
+        hand, (scenes, scene_of) = self.hand, self._scenes()
+        timed = self.trajectories()
+        joints = joint_entries(hand)
         return {
             "schema": SCHEMA,
+            "conventions": CONVENTIONS,
             "hand": hand.name,
             "base_link": hand.base_link,
             "palm": hand.palm,
-            "joint_names": list(hand.joint_names),
+            "robot": robot_entry(hand),
+            "joint_names": [joint["name"] for joint in joints],
             "arm_joints": [name for name, arm in zip(hand.joint_names, hand.arm_joints, strict=True) if arm],
-            "legs": list(LEGS),
+            "joints": joints,
+            "legs": [REACH, *LEGS],
+            "period_s": PERIOD_S,
+            "scenes": scenes,
             "grasps": [
                 {
-                    "object": str(name),
-                    "row": int(row),
+                    "object": str(self.object[number]),
+                    "row": int(self.row[number]),
+                    "scene": scene_of[number],
                     **self.entry(number),
-                    "waypoints": _waypoints(hand, timed),
-                    "trajectory": {
-                        "time_s": timed.time.tolist(),
-                        "base_pose": pose_from_transform(timed.T_world_root).tolist(),
-                        "q": timed.q.tolist(),
-                    },
+                    "waypoints": _waypoints(hand, one),
+                    "squeeze": _squeeze(hand, one, joints),
+                    "trajectory": {"time_s": one.time, **_numbers(hand, one)},
                 }
-                for number, (name, row, timed) in enumerate(
-                    zip(self.object, self.row, self.trajectories(), strict=True)
-                )
+                for number, one in enumerate(timed)
             ],
         }
 
     def arrays(self) -> dict[str, Any]:
         """Return the arrays of an .npz file; NaN after the end of a way, and where a waypoint is not known."""
-        hand, count = self.hand, len(self)
+        hand, count, (scenes, scene_of) = self.hand, len(self), self._scenes()
         timed = self.trajectories()
-        longest = max((len(one) for one in timed), default=0)
-        n, points = len(hand.joint_names), len(WAYPOINTS)
-        time, q = np.full((count, longest), np.nan), np.full((count, longest, n), np.nan)
-        pose, waypoint_time = np.full((count, longest, 7), np.nan), np.full((count, points), np.nan)
-        waypoint_q, waypoint_palm = np.full((count, points, n), np.nan), np.full((count, points, 7), np.nan)
+        longest, joints = max((len(one) for one in timed), default=0), joint_entries(hand)
+        points, m = len(POINTS), len(joints)
+        time = np.full((count, longest), np.nan)
+        widths = {"q": m, "velocity": m, "base_pose": 7, "palm_pose": 7, "palm_pose_base": 7}
+        numbers = {key: np.full((count, longest, width), np.nan) for key, width in widths.items()}
+        at_points = {key: np.full((count, points, widths[key]), np.nan) for key in AT_WAYPOINTS}
+        index, torque = np.full((count, points), -1), np.full((count, m), np.nan)
         for row, one in enumerate(timed):
             if not len(one):
                 continue
-            time[row, : len(one)], q[row, : len(one)] = one.time, one.q
-            pose[row, : len(one)] = pose_from_transform(one.T_world_root)
-            at = np.array(one.waypoints)
-            waypoint_time[row, : len(at)], waypoint_q[row, : len(at)] = one.time[at], one.q[at]
-            palm = pose_from_transform(palm_poses(hand, one.T_world_root[at], one.q[at]))
-            waypoint_palm[row, : len(at)] = palm
+            time[row, : len(one)] = one.time
+            places = [POINTS.index(name) for name in one.named]
+            index[row, places] = one.waypoints
+            for key, values in _numbers(hand, one).items():
+                numbers[key][row, : len(one)] = values
+            for key, values in at_points.items():
+                values[row, places] = numbers[key][row, list(one.waypoints)]
+            if "squeeze" in one.named:
+                torque[row] = pressing_torques(hand, one.q[[one.named["grasp"], one.named["squeeze"]]])
         return {
             "schema": np.array(SCHEMA),
+            "conventions": as_text(CONVENTIONS),
             "hand": np.array(hand.name),
             "base_link": np.array(hand.base_link),
             "palm": np.array(hand.palm),
-            "joint_names": np.array(hand.joint_names),
+            "robot": as_text(robot_entry(hand)),
+            **joint_arrays(joints),
             "object": np.asarray(self.object, dtype=np.str_),
             "row": np.asarray(self.row),
+            "scenes": as_text(scenes),
+            "scene": np.array([-1 if number is None else number for number in scene_of]),
             "status": np.array([way.status.label for way in self.ways]),
             "why": np.array([way.why for way in self.ways]),
             "other_arm_configuration": np.array([way.other_arm for way in self.ways], dtype=bool),
+            "period": np.array(PERIOD_S),
             "time": time,
-            "q": q,
-            "base_pose": pose,
-            "waypoint_names": np.array(WAYPOINTS),
-            "waypoint_time": waypoint_time,
-            "waypoint_q": waypoint_q,
-            "waypoint_palm_pose": waypoint_palm,
+            **numbers,
+            "legs": np.array((REACH, *LEGS)),
+            "waypoint_names": np.array(POINTS),
+            "waypoint_index": index,
+            **{f"waypoint_{key}": values for key, values in at_points.items()},
+            "squeeze_torque": torque,
             **({} if self.executions is None else self.executions.arrays()),
         }
+
+    def _scenes(self) -> tuple[list[dict[str, Any]], list[int | None]]:
+        """Return an entry for each different scene, and the number of that of each grasp; None: it is not known."""
+        if not self.scenes:
+            return [], [None] * len(self)
+        different = {id(scene): (scene, scale) for scene, scale in self.scenes}
+        number = {key: place for place, key in enumerate(different)}
+        return [scene_entry(*each) for each in different.values()], [number[id(scene)] for scene, _ in self.scenes]
 
 
 def check_way_file(path: Path) -> None:
@@ -180,15 +217,31 @@ def join(parts: Sequence[PlannedWays], order: np.ndarray) -> PlannedWays:
     """Return ways of several groups of grasps as one, in another order."""
     ways = [way for part in parts for way in part.ways]
     labels = {key: np.concatenate([getattr(part, key) for part in parts])[order] for key in ("object", "row", "index")}
-    return PlannedWays(parts[0].hand, **labels, ways=tuple(ways[place] for place in order.tolist()))
+    scenes = [scene for part in parts for scene in part.scenes]
+    ways, scenes = ([given[place] for place in order.tolist()] if given else [] for given in (ways, scenes))
+    return PlannedWays(parts[0].hand, **labels, ways=tuple(ways), scenes=tuple(scenes))
+
+
+def _numbers(hand: Hand, timed: Trajectory) -> dict[str, np.ndarray]:
+    """Return values (K, m) of all joints, their velocities, and poses (K, 7), at the set points."""
+    values, T_root = all_values(hand, timed.q), timed.T_world_root
+    T_palm = palm_poses(hand, T_root, timed.q)
+    poses = {"base_pose": T_root, "palm_pose": T_palm, "palm_pose_base": inverse(T_root) @ T_palm}
+    found = {"q": values, "velocity": timed.velocity(values)}
+    return found | {key: pose_from_transform(T) for key, T in poses.items()}
 
 
 def _waypoints(hand: Hand, timed: Trajectory) -> list[dict[str, Any]]:
-    at = np.array(timed.waypoints, dtype=np.int64)
-    if not len(at):
-        return []
-    palm = pose_from_transform(palm_poses(hand, timed.T_world_root[at], timed.q[at]))
+    numbers = _numbers(hand, timed)
     return [
-        {"name": name, "time_s": float(timed.time[place]), "palm_pose": pose.tolist(), "q": timed.q[place].tolist()}
-        for name, place, pose in zip(WAYPOINTS, at.tolist(), palm, strict=False)
+        {"name": name, "index": place, "time_s": timed.time[place]} | {key: numbers[key][place] for key in AT_WAYPOINTS}
+        for name, place in timed.named.items()
     ]
+
+
+def _squeeze(hand: Hand, timed: Trajectory, joints: Sequence[dict[str, Any]]) -> dict[str, float] | None:
+    """Return the torques of the joints that press, by name; None where the way ends before the squeeze."""
+    if "squeeze" not in timed.named:
+        return None
+    torque = pressing_torques(hand, timed.q[[timed.named["grasp"], timed.named["squeeze"]]])
+    return {joint["name"]: value for joint, value in zip(joints, torque.tolist(), strict=True) if value}

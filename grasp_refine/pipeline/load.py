@@ -9,6 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
 from grasp_refine.core.profiling import stage
@@ -19,13 +20,14 @@ from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_
 from grasp_refine.grasps.rebase import rebased
 from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.hands.arm_file import load_arm
 from grasp_refine.hands.description import read_tree
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.hands.source import check_known
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
-from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand
+from grasp_refine.pipeline.arms import check_arm, problem_on_arm, whole_hand, within_reach
 from grasp_refine.pipeline.example import example_grasps
 from grasp_refine.pipeline.frame_check import frame_notes
 from grasp_refine.pipeline.input_cache import InputCache, NoCache
@@ -219,7 +221,11 @@ class Loader:
         environment = self.environment()
 
         def finish(objects: Sequence[Object]) -> Problem:
-            alone = sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment)
+            def reaches(grasps: GraspSet, scene: Scene) -> Bool[np.ndarray, " N"]:
+                return within_reach(grasps, whole, spec, scene, seed=self.seed)
+
+            needed = None if whole.arm is None or spec.base is None else reaches
+            alone = sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment, needed)
             return problem_on_arm(alone, whole, spec, seed=self.seed)
 
         group = sample_group(uncut, spec.metres(scale))
@@ -276,7 +282,7 @@ class Loader:
 
     def load_arm(self, source: str) -> Hand:
         """Return an arm."""
-        load = partial(load_hand, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
+        load = partial(load_arm, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
         return self.cache.get("hand", (source, "arm", self.spec.hull_limit), load)
 
     def load_hand(self, source: str, base_link: str | None) -> Hand:

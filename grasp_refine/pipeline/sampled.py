@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, UncutObject
@@ -22,6 +24,9 @@ from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.scene_check import surroundings_notes
+
+MAX_DRAWS, MAX_VAIN_DRAWS = 8, 2
+"""Most draws of as many grasps as are wanted, for an arm that does not reach all; and while it has reached none."""
 
 
 def check_sampled(spec: ProblemSpec) -> int:
@@ -58,11 +63,25 @@ def sampled_problem(
     obj: Object,
     scale: float,
     count: int,
-    seed: int | tuple[int, int],
+    seed: int | tuple[int, ...],
     on_wait: Callable[[str], None],
     environment: Environment | None = None,
+    reaches: Callable[[GraspSet, Scene], Bool[np.ndarray, " N"]] | None = None,
 ) -> Problem:
-    """Return `count` new grasps of a hand on an object, whose mesh is scaled by `scale`, among bodies around it."""
+    """Return `count` new grasps of a hand on an object among bodies around it.
+
+    Args:
+        spec: What is sampled.
+        hand: The hand alone.
+        obj: The object.
+        scale: Factor of its mesh.
+        count: Number of grasps.
+        seed: Seed of the first draw.
+        on_wait: Called with a line on what takes time.
+        environment: Bodies around the object.
+        reaches: Mask (N,) of grasps that an arm reaches, in a scene: others are replaced by those of further draws, up
+            to `MAX_DRAWS` in all; where none is reached, they are those of the first draw. None: there is no arm.
+    """
     from grasp_refine.sampling.sample import sample_grasps
 
     table = spec.plane
@@ -70,13 +89,33 @@ def sampled_problem(
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
     regions = regions_of(obj, spec.touch, spec.avoid, environment)
     where = regions or ContactRegions()
-    grasps = sample_grasps(
-        hand, obj, count, seed=seed, table=table, environment=environment, touch=where.touch, avoid=where.avoid
-    )
+
+    def draw(number: int) -> GraspSet:
+        given = seed if number == 0 else (*(seed if isinstance(seed, tuple) else (seed, 0)), number)
+        return sample_grasps(
+            hand, obj, count, seed=given, table=table, environment=environment, touch=where.touch, avoid=where.avoid
+        )
+
+    grasps = draw(0)
+    drawn, lacking = len(grasps), f"of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'"
     notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
-    notes.append(f"sampled {count_text(len(grasps), 'grasp')} in {time.perf_counter() - began:.1f} s")
-    if len(grasps) < count:
-        notes.append(f"found only {len(grasps)} of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'")
+    found = len(grasps)
+    if reaches is not None:
+        scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table, environment=environment)
+        reached = [grasps.select(np.flatnonzero(reaches(grasps, scene)))]
+        while (got := sum(map(len, reached))) < count and len(reached) < (MAX_DRAWS if got else MAX_VAIN_DRAWS):
+            more = draw(len(reached))
+            drawn += len(more)
+            reached.append(more.select(np.flatnonzero(reaches(more, scene))))
+        within = GraspSet.join(reached)
+        found = min(len(within), count)
+        grasps = within.select(np.arange(found)) if found else grasps
+        lacking += " within reach of the arm"
+    notes.append(f"sampled {count_text(drawn, 'grasp')} in {time.perf_counter() - began:.1f} s")
+    if drawn > count and found == count:
+        notes.append(f"the first {found} of them within reach of the arm are taken")
+    if found < count:
+        notes.append(f"found only {found} {lacking}")
     grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
     rows = choose_rows(grasps.object, object_name=None, index=spec.index or None)
     grasps = grasps.select(rows)

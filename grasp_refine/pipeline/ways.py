@@ -36,7 +36,8 @@ def plan_ways(
         part, scene = refined.outcome.select(group.place), group.scene
         prepared = cache.get("prepared", (problem.hand, scene.object), partial(HandObject.of, scene))
         planned = ways(part.posed(scene), part.motion, options, prepared)
-        parts.append(PlannedWays(problem.hand, part.object, part.row, part.index, planned))
+        around = ((scene, group.scale),) * len(planned)
+        parts.append(PlannedWays(problem.hand, part.object, part.row, part.index, planned, around))
     return join(parts, problem.order)
 
 

@@ -32,7 +32,8 @@ from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, mi
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.scene.contact_selection import ContactSelection, contact_misses
+from grasp_refine.scene.contact_patches import patch_misses
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -279,7 +280,8 @@ class _Search:
         score, pinches = judge(prepared, known.frames, self.clearance)
         score = score + self.free.other_depth(known) / DEEP
         if scene.regions is not None:
-            score = score + contact_misses(scene.regions, known.witness).max(axis=1) / MISS_SCALE_M
+            given = prepared.bodies, prepared.object.body, known.frames.T_world_link, known.witness
+            score = score + patch_misses(scene.regions, *given).miss.max(axis=1) / MISS_SCALE_M
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 

@@ -235,9 +235,9 @@ def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
             body = grasps.environment.bodies[found.body[i]].name
             inside[i] = f"{links[found.link[i]]} is {1e3 * found.depth[i]:.1f} mm in {body}"
     if grasps.regions is not None and (misses := grasps.contact_misses) is not None:
-        for i in np.flatnonzero(misses.max(axis=1) > COSTLY_M[0]).tolist():
-            at = int(misses[i].argmax())
-            why = f"{links[at]} touches {grasps.regions.reason(grasps.geometry.witness.point_b[i, at])}"
+        for i in np.flatnonzero(misses.miss.max(axis=1) > COSTLY_M[0]).tolist():
+            at = int(misses.miss[i].argmax())
+            why = f"{links[at]} touches {grasps.regions.reason(misses.point[i, at])}"
             inside[i] = f"{inside[i]}; {why}" if i in inside else why
     texts = weaknesses(grasps.quality, links, hand.joint_names, tuple(mode.joint for mode in hand.modes))
     return [inside.get(i, text) for i, text in enumerate(texts)]

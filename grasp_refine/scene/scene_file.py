@@ -25,7 +25,7 @@ from grasp_refine.scene.environment import DEFAULT_MARGIN_M, LIFT_M, Environment
 from grasp_refine.scene.furniture import FURNITURE
 
 POSE_KEYS = ("pose", "position", "rpy")
-"""Keys of a pose: position and quaternion x y z qw qx qy qz; or a position, and angles about x, y and z in degrees."""
+"""Keys of a pose: x y z qw qx qy qz or a 4 x 4 matrix; or a position, and angles about x, y and z in degrees."""
 
 SHAPES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
 """Shape of a body -> number of its lengths in metres: sides; radius; radius and height; radius and length."""
@@ -263,7 +263,10 @@ def _pose(raw: Mapping[str, Any], where: str) -> np.ndarray:
     if "pose" in raw:
         if len([key for key in POSE_KEYS if key in raw]) > 1:
             raise GraspRefineError(f"{where}has pose beside position or rpy: give one or the other")
-        values = np.array(_numbers(raw["pose"], 7, f"{where}pose", "x, y, z, qw, qx, qy, qz"))
+        if isinstance(raw["pose"], Sequence) and len(raw["pose"]) == 4:
+            return _matrix(raw["pose"], f"{where}pose")
+        what = "x, y, z, qw, qx, qy, qz, or the 4 rows of a 4 x 4 matrix"
+        values = np.array(_numbers(raw["pose"], 7, f"{where}pose", what))
         length = float(np.linalg.norm(values[3:]))
         if not abs(length - 1.0) <= UNIT_TOLERANCE:
             raise GraspRefineError(f"{where}pose: the length of its quaternion qw, qx, qy, qz must be 1, is {length:g}")
@@ -271,6 +274,18 @@ def _pose(raw: Mapping[str, Any], where: str) -> np.ndarray:
     position = _numbers(raw.get("position", [0.0, 0.0, 0.0]), 3, f"{where}position", "x, y, z in metres")
     rpy = _numbers(raw.get("rpy", [0.0, 0.0, 0.0]), 3, f"{where}rpy", "angles about x, y, z in degrees", most=1e6)
     return transform_from_rpy([*position, *rpy])
+
+
+def _matrix(rows: Sequence[Any], where: str) -> np.ndarray:
+    """Return the pose (4, 4) of the rows of a matrix, whose rotation may be rounded."""
+    T = np.array([_numbers(row, 4, f"{where}: each row", "as of a 4 x 4 matrix") for row in rows])
+    off = float(np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max())
+    if off > UNIT_TOLERANCE or np.linalg.det(T[:3, :3]) < 0.0 or (T[3] != [0.0, 0.0, 0.0, 1.0]).any():
+        raise GraspRefineError(
+            f"{where} must be a rotation and a position, with a last row of 0, 0, 0, 1, got {quote_value(T.tolist())}"
+        )
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    return transform(U @ Vt, T[:3, 3])
 
 
 def _source(value: Any, folder: Path, where: str) -> str:

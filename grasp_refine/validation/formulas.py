@@ -17,7 +17,8 @@ from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses
+from grasp_refine.scene.contact_patches import PatchMisses, patch_misses
+from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import moving_links
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
@@ -75,9 +76,13 @@ class MeasuredGrasps:
         return scene_depths(self.environment, bodies, self.geometry.T_world_link, moving_links(self.hand, self.links))
 
     @cached_property
-    def contact_misses(self) -> Float[np.ndarray, "N L"] | None:
-        """Distances (N, L) in metres of contacts outside of the regions, 0 for other links; None: there are none."""
-        return None if self.regions is None else contact_misses(self.regions, self.geometry.witness)
+    def contact_misses(self) -> PatchMisses | None:
+        """Distances of contact patches from the regions; None: there are none."""
+        if self.regions is None:
+            return None
+        bodies = [self.hand.links_by_name[name].solid for name in self.links]
+        geometry = self.geometry
+        return patch_misses(self.regions, bodies, self.object.body, geometry.T_world_link, geometry.witness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +112,9 @@ def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 
 def region_miss(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
-    """Return the largest distance (N,) of a contact from where hands may touch, metres; NaN without regions."""
+    """Return the largest distance (N,) of a contact patch from where hands may touch, metres; NaN without regions."""
     found = grasps.contact_misses
-    return np.full(len(grasps.q), np.nan) if found is None else np.where(grasps.known, found.max(axis=1), np.nan)
+    return np.full(len(grasps.q), np.nan) if found is None else np.where(grasps.known, found.miss.max(axis=1), np.nan)
 
 
 def arm_dexterity(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

@@ -186,7 +186,7 @@ MEASURES = (
     Measure(
         key="region_miss",
         title="contacts outside",
-        hint="the largest distance of a contact from where hands should touch; none where no regions are given",
+        hint="the largest distance of the surface in contact from where hands should touch; none without regions",
         unit=METRE,
         formula=region_miss,
     ),

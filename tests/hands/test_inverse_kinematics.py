@@ -128,6 +128,19 @@ def test_straight_elbow_is_singular(whole: Hand, kinematics: ArmKinematics) -> N
     assert dexterity[0] < 1e-9 and dexterity[1] > 0.01
 
 
+def test_shortfall_is_how_far_the_palm_stays_away(whole: Hand, kinematics: ArmKinematics) -> None:
+    """Nothing at poses of the arm; 3 m out, what is left of that beyond its longest reach."""
+    q = reachable(whole, 3)
+    T_base = np.tile(T_BASE, (3, 1, 1))
+    T, hand = kinematics.palm(T_base, q), q[:, ~whole.arm_joints]
+    assert kinematics.shortfall(T_base, hand, T).max() < 1e-6
+    T[:, :3, 3] = T_BASE[:3, 3] + [3.0, 0.0, 0.0]
+    away = kinematics.shortfall(T_base, hand, T)
+    drawn = kinematics.palm(np.tile(T_BASE, (4000, 1, 1)), reachable(whole, 4000))[:, :3, 3]
+    reach = np.linalg.norm(drawn - T_BASE[:3, 3], axis=1).max()
+    assert (away[:, 0] > 3.0 - reach - 0.15).all() and (away[:, 0] < 3.0 - 0.5 * reach).all()
+
+
 @pytest.mark.parametrize(
     ("call", "error"),
     [

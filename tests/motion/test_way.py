@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yourdfpy
 
 import grasp_refine as gr
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import distances, exp_se3
+from grasp_refine.core.se3 import distances, exp_se3, transform_from_pose
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -23,7 +24,7 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import Sweep
 from grasp_refine.motion.trajectory import PALM_SPEED, SPEED_SHARE, speed_limits, trajectory
-from grasp_refine.motion.way import LEGS, Way, WayOptions, WayStatus, ways
+from grasp_refine.motion.way import LEGS, WAYPOINTS, Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.pipeline.arms import arm_clearance
@@ -242,7 +243,7 @@ def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Ob
     T_palm = palm_poses(whole, timed.T_world_root, timed.q)
     moved, turned = distances(T_palm[:-1], T_palm[1:])
     fast = np.stack([moved, turned], axis=1) / np.diff(timed.time)[:, None] / PALM_SPEED
-    assert SPEED_SHARE - 0.01 < fast.max() <= SPEED_SHARE + 1e-9
+    assert SPEED_SHARE - 0.01 < fast.max() < SPEED_SHARE + 5e-3  # of the palm, between knots of its line
     slow = trajectory(whole, way, share=0.1)
     assert (np.abs(np.diff(slow.q, axis=0)) / np.diff(slow.time)[:, None] <= 0.1 * limits + 1e-9).all()
     assert slow.time[-1] > 2 * timed.time[-1]
@@ -268,23 +269,83 @@ def test_grasps_without_a_way_say_why_and_leave_others_alone(whole: Hand, thing:
 
 def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Object, tmp_path: Path) -> None:
     """Both formats have the same numbers; arrays of a way that is not known are NaN."""
-    scene, motion = grasp(whole, thing)
+    scene, motion = grasp(whole, thing, obstacle("post", (0.02, 0.02, 0.02), (0.3, 0.3, 0.0)))
     (way,) = ways(scene, motion)
     none = ways(replace(scene, q=np.full_like(scene.q, np.nan)), motion)[0]
-    planned = PlannedWays(whole, np.array(["box", "box"]), np.array([3, 4]), np.array([1, 2]), (way, none))
+    labels = np.array(["box", "box"]), np.array([3, 4]), np.array([1, 2])
+    planned = PlannedWays(whole, *labels, (way, none), ((scene, 0.5), (scene, 0.5)))
     assert planned.lines() == ["the whole way is free in 1 of 2", "way of grasp 2 no grasp: there is no grasp"]
     planned.save(tmp_path / "ways.npz")
     planned.save(tmp_path / "ways.json")
     arrays, document = load_npz(tmp_path / "ways.npz").entries, json.loads((tmp_path / "ways.json").read_text())
     entry, timed = document["grasps"][0], trajectory(whole, way)
     assert entry["row"] == 3 and entry["status"] == "free" and document["grasps"][1]["trajectory"]["q"] == []
-    assert [point["name"] for point in entry["waypoints"]] == arrays["waypoint_names"].tolist()
-    np.testing.assert_array_equal(entry["trajectory"]["q"], timed.q)
-    np.testing.assert_array_equal(arrays["q"][0, : len(timed)], timed.q)
-    np.testing.assert_array_equal(arrays["waypoint_q"][0, 2], timed.q[timed.waypoints[2]])
-    assert np.isnan(arrays["q"][1]).all() and document["joint_names"] == list(whole.joint_names)
+    assert ["start", *(point["name"] for point in entry["waypoints"])] == arrays["waypoint_names"].tolist()
+    assert document["joint_names"] == arrays["joint_names"].tolist() and document["schema"] == arrays["schema"]
+    for key in ("q", "velocity", "base_pose", "palm_pose", "palm_pose_base"):
+        np.testing.assert_array_equal(entry["trajectory"][key], arrays[key][0, : len(timed)])
+        assert np.isnan(arrays[key][0, len(timed) :]).all() and np.isnan(arrays[key][1]).all()
+    assert (arrays["waypoint_index"][:, 0] == -1).all() and np.isnan(arrays["waypoint_q"][:, 0]).all()
+    for place, point in enumerate(entry["waypoints"], 1):
+        assert arrays["waypoint_index"][0, place] == point["index"] and arrays["waypoint_index"][1, place] == -1
+        np.testing.assert_array_equal(arrays["waypoint_q"][0, place], timed_values(entry, point["index"]))
+    independent = [document["joint_names"].index(name) for name in whole.joint_names]
+    np.testing.assert_allclose(np.array(entry["trajectory"]["q"])[:, independent], timed.q, atol=1e-12)
+    (around,) = document["scenes"]
+    assert json.loads(str(arrays["scenes"])) == document["scenes"] and arrays["scene"].tolist() == [0, 0]
+    assert around["object"]["name"] == thing.name and around["object"]["scale"] == 0.5
+    assert [body["name"] for body in around["scene"]["bodies"]] == ["post"]
+    np.testing.assert_allclose(around["scene"]["bodies"][0]["pose"], [0.3, 0.3, 0.0, 1.0, 0.0, 0.0, 0.0])
     with pytest.raises(gr.GraspRefineError, match=".csv"):
         planned.save(tmp_path / "ways.csv")
+
+
+def timed_values(entry: dict, index: int) -> list[float]:
+    """Return the values of all joints at a set point of a file."""
+    values: list[float] = entry["trajectory"]["q"][index]
+    return values
+
+
+def test_file_suffices_to_follow_a_way(whole: Hand, thing: Object, tmp_path: Path) -> None:
+    """From the file and the URDFs that it names alone: kinematics, followers, even times, velocities and torques."""
+    scene, motion = grasp(whole, thing)
+    motion.q[0, 2, -1] = 0.02
+    one = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
+    PlannedWays(whole, *one, ways(scene, motion), ((scene, 1.0),)).save(tmp_path / "ways.json")
+    document = json.loads((tmp_path / "ways.json").read_text())
+    names, entry = document["joint_names"], document["grasps"][0]
+    numbers = {key: np.array(values) for key, values in entry["trajectory"].items()}
+    time, q, period = numbers["time_s"], numbers["q"], document["period_s"]
+    assert time[0] == 0.0 and len(names) == q.shape[1] == len(whole.joint_names) + 1
+    np.testing.assert_allclose(np.diff(time), period, rtol=1e-9)
+    # Another program's kinematics of the arm, and the pose in which the hand is mounted.
+    arm, mount_of = yourdfpy.URDF.load(document["robot"]["files"][0], load_meshes=False), document["robot"]["mount"]
+    T_mount = transform_from_pose(np.array(mount_of["pose"]))
+    for place in range(0, len(q), 20):
+        arm.update_cfg(at_names(arm, names, q[place]))
+        T = arm.get_transform(mount_of["parent"], document["base_link"]) @ T_mount
+        np.testing.assert_allclose(transform_from_pose(numbers["palm_pose_base"][place]), T, atol=1e-7)
+        T = transform_from_pose(numbers["base_pose"][place]) @ T
+        np.testing.assert_allclose(transform_from_pose(numbers["palm_pose"][place]), T, atol=1e-7)
+    follower = next(joint for joint in document["joints"] if joint["mimic"])
+    leader, (c0, c1) = names.index(follower["mimic"]["joint"]), follower["mimic"]["coefficients"]
+    np.testing.assert_allclose(q[:, names.index(follower["name"])], c0 + c1 * q[:, leader], atol=1e-12)
+    # Velocities lead from one set point to that after the next, and are 0 where the hand rests.
+    rests = [point["index"] for point in entry["waypoints"]]
+    assert len(rests) == 5 and rests[0] == 0 and rests[-1] == len(q) - 1
+    inside = np.setdiff1d(np.arange(len(q)), rests)
+    np.testing.assert_allclose(numbers["velocity"][inside] * 2 * period, q[inside + 1] - q[inside - 1], atol=1e-12)
+    assert (numbers["velocity"][rests] == 0.0).all()
+    # It comes to rest, and no velocity jumps: each leg lasts at least half a second.
+    assert np.abs(np.diff(numbers["velocity"], axis=0)).max() < 0.2
+    servo = document["joints"][leader]["servo"]
+    torque = np.clip(servo["kp"] * (0.02 - 0.025), -servo["force_limit"], servo["force_limit"])
+    assert entry["squeeze"] == {names[leader]: pytest.approx(torque)}
+
+
+def at_names(robot: yourdfpy.URDF, names: list[str], values: np.ndarray) -> np.ndarray:
+    """Return the values of the joints of a robot, in its own order."""
+    return np.array([values[names.index(name)] for name in robot.actuated_joint_names])
 
 
 @pytest.mark.parametrize("lengths", [{"approach": -0.1}, {"lift": np.inf}, {"lift": float("nan")}])
@@ -292,3 +353,89 @@ def test_lengths_that_are_none_are_refused(lengths: dict) -> None:
     """The message names the length."""
     with pytest.raises(gr.GraspRefineError, match=next(iter(lengths))):
         WayOptions(**lengths)
+
+
+@pytest.mark.parametrize("beyond", [-0.02, 0.06])
+def test_set_points_of_a_squeeze_are_within_the_limits_of_joints_and_their_followers(
+    whole: Hand, thing: Object, beyond: float
+) -> None:
+    """The squeeze and the lift of fingers that press beyond their limits end at the limits; the arm does not move."""
+    scene, motion = grasp(whole, thing)
+    motion.q[0, 2, -1] = beyond
+    (way,) = ways(scene, motion)
+    assert way.free
+    limit = np.clip(beyond, whole.lower[-1], whole.upper[-1])
+    squeeze, lift = way.legs[2:]
+    assert squeeze.q[-1, -1] == limit and (lift.q[:, -1] == limit).all()
+    np.testing.assert_array_equal(squeeze.q[-1, whole.arm_joints], motion.q[0, 1, whole.arm_joints])
+    check_limits(whole, trajectory(whole, way).q)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["allegro", "shadow"])
+def test_all_set_points_of_sampled_grasps_on_an_arm_are_within_limits(name: str) -> None:
+    """Joints that follow others too; before, most squeezes of Allegro and Shadow pressed beyond."""
+    alone, box = load_hand(name, candidates=64), load_object("box:0.06,0.06,0.12")
+    arm = mount(load_hand("ur5e", candidates=32), alone)
+    grasps = gr.sample_grasps(alone, box, 8)
+    refined = gr.refine(arm, box, grasps, base=[-0.55, 0.0, -0.06, 0.0, 0.0, 0.0])
+    timed = [one.q for one in gr.plan_ways(refined).trajectories() if len(one)]
+    assert len(timed) > 2
+    check_limits(arm, np.concatenate(timed))
+
+
+def check_limits(hand: Hand, q: np.ndarray) -> None:
+    """Check the values of all movable joints, those of followers by the couplings of the file."""
+    matrix, offset, names = hand.mimic_map()
+    values = q @ matrix.T + offset + hand.curves(q)
+    lower, upper = (np.array([getattr(hand.joints_by_name[name], end) for name in names]) for end in ("lower", "upper"))
+    assert (values > lower - 1e-9).all() and (values < upper + 1e-9).all()
+
+
+def test_arm_comes_from_its_start_straight_in_its_joints(whole: Hand, thing: Object, tmp_path: Path) -> None:
+    """To the start of the approach with the fingers as there, before the same legs; files name the waypoint."""
+    scene, motion = grasp(whole, thing)
+    arm = whole.arm_joints
+    start = tuple(whole.rest[arm].tolist())
+    (plain,), (way,) = ways(scene, motion), ways(scene, motion, WayOptions(start=start))
+    assert way.free and way.reach is not None and plain.reach is None
+    np.testing.assert_array_equal(way.reach.q[0, arm], start)
+    np.testing.assert_array_equal(way.reach.q[1], way.legs[0].q[0])
+    np.testing.assert_array_equal(way.reach.q[0, ~arm], way.legs[0].q[0, ~arm])
+    np.testing.assert_array_equal(way.legs[2].q, plain.legs[2].q)
+    timed = trajectory(whole, way)
+    assert timed.named["start"] == 0 and list(timed.named)[1:] == list(trajectory(whole, plain).named)
+    reach = timed.q[: timed.named["approach"] + 1]
+    share = (reach - reach[0]) @ (reach[-1] - reach[0]) / ((reach[-1] - reach[0]) ** 2).sum()
+    np.testing.assert_allclose(reach, reach[0] + share[:, None] * (reach[-1] - reach[0]), atol=1e-9)
+    assert (timed.sampled(0.05)[3][:3] == -1).all() and timed.sampled(0.05)[3].max() == LEGS.index("lift")
+    one = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
+    PlannedWays(whole, *one, (way,)).save(tmp_path / "ways.json")
+    (entry,) = json.loads((tmp_path / "ways.json").read_text())["grasps"]
+    assert [point["name"] for point in entry["waypoints"]] == ["start", *WAYPOINTS]
+    assert entry["squeeze"] and all(name in whole.joint_names[-1:] for name in entry["squeeze"])
+
+
+def test_start_behind_a_wall_is_named_as_blocked(whole: Hand, thing: Object) -> None:
+    """The arm turns through a plate beside its way that neither start nor approach touches."""
+    scene, motion = grasp(whole, thing)
+    turned = whole.rest[whole.arm_joints] + [np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]
+    plate = obstacle("plate", (0.5, 0.01, 0.5), (-0.1, 0.3, 0.3))
+    scene, motion = grasp(whole, thing, plate)
+    assert ways(scene, motion)[0].free
+    (way,) = ways(scene, motion, WayOptions(start=tuple(turned.tolist())))
+    assert way.status == WayStatus.BLOCKED and way.why.startswith("reach: ") and "plate" in way.why
+    assert way.legs == () and len(trajectory(whole, way)) > 1
+
+
+@pytest.mark.parametrize(
+    ("start", "named"), [((0.0, 1.0), "2 joint values"), ((9.0,) + (0.0,) * 5, "shoulder_pan_joint")]
+)
+def test_starts_that_are_none_of_the_arm_are_refused(
+    whole: Hand, hand: Hand, thing: Object, start: tuple[float, ...], named: str
+) -> None:
+    """The message names the number of joints, or the joint and its limits; a hand without an arm has none."""
+    with pytest.raises(gr.GraspRefineError, match=named):
+        ways(*grasp(whole, thing), WayOptions(start=start))
+    with pytest.raises(gr.GraspRefineError, match="no arm"):
+        ways(*grasp(hand, thing), WayOptions(start=start))

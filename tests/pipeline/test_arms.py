@@ -55,7 +55,7 @@ def refined(problem: Problem) -> gr.RefinedGrasps:
 
 
 def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> None:
-    """On the arm, sampled palms are where they are without it; some ways may be out of reach, and say so."""
+    """On the arm, sampled palms are where they are without it."""
     alone = gr.load_problem(spec(arm=None, base=None)).groups[0].scene
     scene = problem.groups[0].scene
     reached = ~scene.out_of_reach
@@ -77,6 +77,38 @@ def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     assert (found.outcome.status == Status.OUT_OF_REACH).all() and set(found.status) == {"out of reach"}
     assert np.isnan(found.quality).all()
     assert "out of reach" in str(found)
+
+
+def test_grasps_are_sampled_until_as_many_are_within_reach() -> None:
+    """The arm reaches few of the first draw from there; the notes say how many were drawn."""
+    far = spec(base="-0.9,0,-0.06", grasps=Path("sample:6"))
+    alone = gr.load_problem(replace(far, arm=None, base=None)).groups[0].scene
+    problem = gr.load_problem(far)
+    scene = problem.groups[0].scene
+    assert len(scene.q) == 6 and not scene.out_of_reach.any()
+    T = palm_poses(scene.hand, scene.T_world_root, scene.q)
+    known = [distances(alone.T_world_root, one[None])[0].min() < 1e-6 for one in T]
+    assert not all(known) and known == sorted(known, reverse=True)
+    (sampled,) = (note for note in problem.notes if note.startswith("sampled"))
+    assert int(sampled.split()[1]) in range(12, 49, 6)
+    assert any("within reach" in note for note in problem.notes)
+
+
+def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -> None:
+    """From 3 m away the palm misses metres; a wall across the arm is met by one of its links, of all its ways."""
+    notes = gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))).notes
+    (found,) = (note for note in notes if note.startswith("grasp 0 out of reach"))
+    millimetres = float(found.split(" mm")[0].split()[-1])
+    assert 1500.0 < millimetres < 2500.0 and "degrees" in found
+    file = tmp_path / "walled.toml"
+    file.write_text(
+        '[object]\nname = "box:0.05,0.06,0.12"\n[[body]]\nname = "wall"\nbox = [0.02, 4.0, 4.0]\n'
+        "position = [-0.25, 0.0, 0.0]\n"
+    )
+    blocked = gr.load_problem(spec(object=None, table=None, scene=str(file), grasps=Path("sample:1")))
+    (note,) = (note for note in blocked.notes if note.startswith("grasp 0 out of reach"))
+    arm = blocked.hand.arm
+    assert arm is not None and "'wall'" in note and " mm" in note and any(link in note for link in arm.links)
 
 
 @pytest.mark.parametrize(("height", "told"), [(0.70, False), (0.66, True)])

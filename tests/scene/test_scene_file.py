@@ -9,7 +9,8 @@ import pytest
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.core.se3 import pose_from_transform, transform_from_pose
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import list_scenes, load_scene
@@ -116,6 +117,11 @@ def test_in_the_scenes_that_come_with_the_program_the_object_rests_on_something_
         ('[object]\nname = "mug"\nposition = [0, 1]', ("position", "3 numbers", "[0, 1]")),
         ('[object]\nname = "mug"\nposition = [0, 1, nan]', ("position", "nan")),
         ('[object]\nname = "mug"\npose = [0, 0, 0, 1, 1, 0, 0]', ("quaternion", "1.41421")),
+        ('[object]\nname = "mug"\npose = [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]', ("pose", "rotation", "2.0")),
+        ('[object]\nname = "mug"\npose = [[-1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]', ("rotation", "-1.0")),
+        ('[object]\nname = "mug"\npose = [[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,0,0,1]]', ("0, 0, 0, 1",)),
+        ('[object]\nname = "mug"\npose = [[1,0,0,0],[0,1,0,0],[0,0,1],[0,0,0,1]]', ("pose", "4 x 4")),
+        ('[object]\nname = "mug"\npose = [1, 2, 3, 4]', ("pose", "4 numbers", "1")),
         ('[object]\nname = "mug"\npose = [0, 0, 0, 1, 0, 0, 0]\nrpy = [0, 0, 1]', ("pose", "rpy")),
         ('[object]\nname = "mug"\n[[body]]\nname = "x"', ("[[body]] 1", "box", "capsule", "mesh")),
         ('[object]\nname = "mug"\n[[body]]\nbox = [1, 1, 1]\nsphere = 1', ("box and sphere",)),
@@ -141,3 +147,15 @@ def test_wrong_files_are_refused_by_name(tmp_path: Path, text: str, words: tuple
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(GraspRefineError, match=r"none\.toml"):
         load_scene(tmp_path / "none.toml")
+
+
+def test_pose_as_a_matrix_is_that_of_its_quaternion(tmp_path: Path) -> None:
+    """To the digits that are written; the rotation is orthonormal."""
+    given = transform_from_rpy([0.1, -0.2, 0.3, 20.0, -30.0, 110.0])
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[object]\nname = "mug"\npose = {np.round(given, 5).tolist()}\n')
+    T = load_scene(str(file)).T_world_object
+    np.testing.assert_allclose(T, given, atol=1e-5)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-14)
+    file.write_text(f'[object]\nname = "mug"\npose = {pose_from_transform(given).tolist()}\n')
+    np.testing.assert_allclose(T, load_scene(str(file)).T_world_object, atol=1e-5)

@@ -60,6 +60,9 @@ class Output:
     """Length (metres) of the straight approach to the pregrasp, with --way."""
     lift: float = WayOptions.lift
     """Height (metres) of the lift, with --way."""
+    start: Annotated[str | None, arg(name="from", metavar="JOINTS")] = None
+    """Joint values of the arm (radians, or metres of slides) with commas between them, from which it comes to the
+    approach, straight in its joints, with --way. By default the way begins with the approach."""
     overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, even if there are more than 40."""
@@ -188,9 +191,11 @@ class Run:
             for name in ("approach", "lift"):
                 if getattr(out, name) != getattr(WayOptions, name):
                     raise GraspRefineError(f"--{name} needs --way, which plans the way of the grasps")
+            if out.start is not None:
+                raise GraspRefineError(f"--from {out.start}: needs --way, which plans the way of the grasps")
             return None
         check_way_file(out.way)
-        return WayOptions(out.approach, out.lift)
+        return WayOptions(out.approach, out.lift, None if out.start is None else _joint_values(out.start))
 
     def _show_result(self, paths: dict[str, Path]) -> int:
         """Show the result of the first object until interrupted."""
@@ -265,6 +270,20 @@ class Run:
             check_writable(path, overwrite=out.overwrite or again, inside=out.out)
         check_writable(*paths.values(), out.json, overwrite=True, inside=out.out)
         return paths
+
+
+def _joint_values(text: str) -> tuple[float, ...]:
+    """Return the numbers of --from.
+
+    Raises:
+        GraspRefineError: the text is not numbers with commas between them.
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise GraspRefineError(
+            f"--from {text}: must be the joint values of the arm, as in 0,-1.57,1.57,-1.57,-1.57,0"
+        ) from None
 
 
 def _file_digest(file: tuple[Path, float] | None, digests: Digests) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.core.plurals import first_of
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.scene.contact_selection import contact_misses
+from grasp_refine.scene.contact_patches import patch_misses
 from grasp_refine.validation.formulas import COSTLY_M
 from grasp_refine_apps.viewer.contacts import Contacts
 
@@ -58,9 +58,11 @@ def elsewhere_text(found: Sequence[Elsewhere]) -> str:
 
 
 def _elsewhere(contacts: Contacts, regions: ContactRegions) -> tuple[Elsewhere, ...]:
-    misses = contact_misses(regions, contacts.witness)[0]
+    prepared = contacts.prepared
+    given = prepared.bodies, prepared.object.body, contacts.frames.T_world_link, contacts.witness
+    misses = patch_misses(regions, *given)
     found = [
-        Elsewhere(contacts.prepared.chain.links[k], regions.reason(contacts.witness.point_b[0, k]), float(misses[k]))
-        for k in np.flatnonzero(misses > COSTLY_M[0])
+        Elsewhere(prepared.chain.links[k], regions.reason(misses.point[0, k]), float(misses.miss[0, k]))
+        for k in np.flatnonzero(misses.miss[0] > COSTLY_M[0])
     ]
     return tuple(sorted(found, key=lambda one: -one.miss))

@@ -142,13 +142,12 @@ def shown_way(scene: Scene, way: Way, prepared: HandObject) -> ShownWay:
     if not way.legs:
         raise GraspRefineError(f"no way to show: {way.why}")
     hand, timed = scene.hand, trajectory(scene.hand, way)
-    time, place, path, leg = timed.sampled(1.0 / FRAME_RATE_HZ)
-    q = path.q.copy()
+    time, _, path, leg = timed.sampled(1.0 / FRAME_RATE_HZ)
+    q = path.q
     if len(way.legs) > SQUEEZE:
         # Set points press into the object, fingers stay where they touch it.
-        squeeze = way.legs[SQUEEZE].q
-        pressing = np.interp(place, timed.waypoints[SQUEEZE : SQUEEZE + 2], (0.0, 1.0))[:, None]
-        q -= np.where(hand.arm_joints, 0.0, pressing * (squeeze[-1] - squeeze[0]))
+        presses = (leg >= SQUEEZE)[:, None] & ~hand.arm_joints
+        q = np.where(presses, way.legs[SQUEEZE].q[0], q)
     T_palm = palm_poses(hand, path.T_world_root, path.q)
     T_object = np.tile(np.eye(4), (len(time), 1, 1))
     carried = np.flatnonzero(leg == LIFT)

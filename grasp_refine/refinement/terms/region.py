@@ -14,8 +14,9 @@ from grasp_refine.refinement.terms.motion import contact_curvatures, distance_co
 from grasp_refine.refinement.terms.term import Setup, State, Term
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
-INSIDE_M = 1e-3
-"""Distance in metres from the border of the regions at which contacts are inside."""
+INSIDE_M = 3e-3
+"""Distance in metres from the border of the regions at which contacts are inside: about the reach of the patch of a
+fingertip, of which this term moves one point."""
 
 
 class InRegion(Term):

@@ -37,3 +37,13 @@ def test_ways_are_followed_by_protocols_that_lift(
 def test_a_table_of_the_simulation_alone_is_told(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["run", *GIVEN, "--protocol", "tabletop"]) == 0
     assert "give --table" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [(["--from", "0,1"], "--way"), (["--way", "way.json", "--from", "left"], "left")],
+)
+def test_starts_that_make_no_sense_are_refused(given: list[str], named: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """Without a way to plan, and what is no list of joint values."""
+    assert main(["run", "--hand", "franka_hand", "--object", "mug", *given]) == 2
+    assert named in capfd.readouterr().err
