@@ -28,7 +28,7 @@ __all__ = ["Config", "Refinement", "Scene", "refine"]
 
 
 JAW_DEPTH_M = 5e-4
-"""Depth in metres at which jaws that were open are closed into the object first: from jaws that only touch with an edge,
+"""Depth in metres at which jaws that were open are closed into the object first: from jaws that only touch with an edge
 faces hardly turn onto each other."""
 
 

@@ -44,8 +44,8 @@ ROOT_STIFFNESS = (1e6, 1e5)
 """Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
 
 ROOT_ARMATURE = (100.0, 10.0)
-"""Inertia that is added to the root's motion along and about each axis, kg and kg m^2: without it, servos this stiff are
-so ill-conditioned that the solver often does not converge."""
+"""Inertia that is added to the root's motion along and about each axis, kg and kg m^2: without it, servos this stiff
+are so ill-conditioned that the solver often does not converge."""
 
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
