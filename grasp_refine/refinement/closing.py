@@ -82,7 +82,7 @@ def is_open(scene: Scene, prepared: HandObject) -> Bool[np.ndarray, " N"]:
     return posed & (sum(near[:, groups == name].any(axis=1) for name in counted) < 2)
 
 
-def close_hands(scene: Scene, prepared: HandObject) -> ClosedHands:
+def close_hands(scene: Scene, prepared: HandObject, *, gap: float = 0.0) -> ClosedHands:
     """Close the open hands of a scene (`is_open`); the base link stays.
 
     All joints that bend fingers close together, each by an even share of its range, within their limits. A joint stops
@@ -93,6 +93,7 @@ def close_hands(scene: Scene, prepared: HandObject) -> ClosedHands:
     Args:
         scene: Hand, object and grasps; targets are ignored.
         prepared: Geometry of this hand and object.
+        gap: Distance in metres from the object at which fingers stop; below 0: a depth.
     """
     hand, q = scene.hand, scene.q.copy()
     rows = np.flatnonzero(is_open(scene, prepared))
@@ -102,7 +103,7 @@ def close_hands(scene: Scene, prepared: HandObject) -> ClosedHands:
         return ClosedHands(q, moved)
     fingers = _Fingers.of(hand, prepared, closing)
     start = np.clip(q[rows], hand.lower, hand.upper)
-    q[rows], stopped = fingers.close(scene.T_world_root[rows], start)
+    q[rows], stopped = fingers.close(scene.T_world_root[rows], start, gap)
     q[rows] = np.where(stopped, q[rows], scene.q[rows])
     moved[rows] = np.where(stopped.any(axis=1), _distance(hand, scene.q[rows], q[rows]), np.nan)
     return ClosedHands(q, moved)
@@ -139,14 +140,14 @@ class _Fingers:
         return np.where(several, by_finger[..., :2].mean(axis=2), by_finger[..., 0])
 
     def close(
-        self, T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"]
+        self, T_world_root: Float[np.ndarray, "N 4 4"], q: Float[np.ndarray, "N n"], gap: float
     ) -> tuple[Float[np.ndarray, "N n"], Bool[np.ndarray, "N n"]]:
         """Return joint values (N, n) of closed hands, and True (N, n) where a joint was stopped by the object."""
         lower, upper = self.hand.lower, self.hand.upper
         bounded = np.isfinite(upper - lower)
         full = np.where(bounded, upper - lower, np.pi) / NUM_STEPS
         step = np.tile(self.closing * full, (len(q), 1))
-        stopped = self.gaps(T_world_root, q) <= 0.0
+        stopped = self.gaps(T_world_root, q) <= gap
         step[stopped] = 0.0
         # A continuous joint turns once at most.
         for _ in range(2 * NUM_STEPS + NUM_HALVINGS):
@@ -155,7 +156,7 @@ class _Fingers:
                 break
             now, by = q[open_rows], step[open_rows]
             tried = np.clip(now + by, lower, upper)
-            touches = (self.gaps(T_world_root[open_rows], tried) <= 0.0) & (by != 0.0)
+            touches = (self.gaps(T_world_root[open_rows], tried) <= gap) & (by != 0.0)
             stopped[open_rows] |= touches
             ended = (tried == now) & ~touches
             q[open_rows] = np.where(touches, now, tried)

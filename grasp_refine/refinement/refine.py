@@ -27,6 +27,11 @@ from grasp_refine.scene.scene import Scene
 __all__ = ["Config", "Refinement", "Scene", "refine"]
 
 
+JAW_DEPTH_M = 5e-4
+"""Depth in metres at which jaws that were open are closed into the object first: from jaws that only touch with an edge
+faces hardly turn onto each other."""
+
+
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """N refined grasps with status, loss and cost."""
@@ -119,7 +124,7 @@ def refine(
     scene, closed = replace(scene.masked(sound), contact_gap=None), None
     if scene.hand.has_two_fingers and scene.target_link is None:
         # A jaw is brought to the object by closing it; by moving the hand, what is left.
-        closed = close_hands(scene, prepared)
+        closed = close_hands(scene, prepared, gap=-JAW_DEPTH_M)
         scene = replace(scene, q=closed.q)
     if config.holds and scene.target_link is None and not config.nearest:
         held = search(scene, prepared, config, status, progress, on_iteration)

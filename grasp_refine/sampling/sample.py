@@ -77,7 +77,7 @@ MISS_SCALE_M, TRIES_IN_REGIONS, MIN_SEEDS = 0.01, 4, 16
 """Distance in metres of a contact from where it should be that costs a score of 1; factor of the most hands that are
 placed where only some of the object should be touched, and least number of surface points there, else the nearest."""
 
-SCORE_DECIMALS = 5
+SCORE_DECIMALS = 8
 """Decimals of a score that decide the order of hands: scores of other processors differ by less."""
 
 MIN_SPACING_M, MAX_HALVINGS = 0.02, 6
@@ -215,8 +215,7 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
         own = query(prepared.self_collision_pairs, T[:, first], T[:, second], cutoff=0.0)
         deepest = np.minimum(deepest, own.distance.min(axis=1))
     group = np.array(link_groups(prepared.hand, links))
-    # Palms that backed off are exactly there.
-    touching = proximity.witness.distance <= CONTACT_DISTANCE_M + SAME_DISTANCE_M
+    touching = proximity.witness.distance <= CONTACT_DISTANCE_M
     worst = np.zeros(len(touching))
     if closing.regions is not None:
         miss = contact_misses(closing.regions, proximity.witness)
@@ -319,7 +318,8 @@ class _Closing:
             proximity, way = self.proximity(take(hands, busy), CLEARANCE_M), hands.way[busy]
             above[busy] = proximity.table.min(axis=1)
             lack = np.where(proximity.witness.valid, CLEARANCE_M - proximity.witness.distance, 0.0)
-            lack = np.where(lack > SAME_DISTANCE_M, lack, 0.0)
+            # A little farther than required, so that no last bit says whether it is clear, or touches.
+            lack = np.where(lack > 0.0, lack + SAME_DISTANCE_M, 0.0)
             # Where a surface lies along the way, the step is shorter than required: the surface may end sooner.
             back = (lack / np.maximum((proximity.witness.normal * way[:, None]).sum(axis=-1), 0.3)).max(axis=1)
             back = np.where(back > 0, np.maximum(back, 1e-3), 0.0)

@@ -132,7 +132,9 @@ def test_in_the_midst_of_a_simulation(start: Starter, number: signal.Signals):
     process = start(ENDLESS_SIMULATION, "run", "--object", "rounded_box", "--geometry-only", "--validate")
     assert begun(process, "simulating")
     ended(process, number)
-    assert {path.name for path in Path().iterdir()} == {"simulating"}
+    # Results are written before they are simulated.
+    assert {path.name for path in Path().iterdir()} == {"simulating", "grasp-refine-results"}
+    assert [path.suffix for path in Path("grasp-refine-results").iterdir()] == [".npz"]
 
 
 BENCH = """

@@ -13,7 +13,7 @@ from grasp_refine.core.se3 import transform
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.closing import close_hands, closing_notes, is_open
-from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.refine import JAW_DEPTH_M, refine
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -130,4 +130,4 @@ def test_refinement_closes_jaws_before_it_moves_the_hand(franka: Hand, block: Ob
     # A jaw that is brought to the block without closing takes the hand along by 25 mm.
     np.testing.assert_allclose(moved, [0.0, 0.008], atol=5e-4)
     assert refined.closed_m is not None
-    np.testing.assert_allclose(refined.closed_m, 0.04 - WIDTH_M / 2, atol=2e-5)
+    np.testing.assert_allclose(refined.closed_m, 0.04 - WIDTH_M / 2 + JAW_DEPTH_M, atol=2e-5)

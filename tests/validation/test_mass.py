@@ -78,7 +78,7 @@ def test_a_given_mass_replaces_a_density():
     by_density = replace(DEXGRASPBENCH, density=700.0, density_size=0.06, largest_mass=0.5)
     assert weighed(by_density.with_mass(0.2)) == pytest.approx(0.2, rel=1e-12)
     assert by_density.with_mass(None) is by_density
-    assert Simulation(mass=0.2).chosen_protocol() == replace(DEXGRASPBENCH, mass=0.2)
+    assert Simulation(mass=0.2).chosen_protocol() == replace(DEXGRASPBENCH, mass=0.2, palm="rigid")
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,10 @@ default, 1, couplings and servos of light fingers would be softer than their gai
 ROOT_STIFFNESS = (1e6, 1e5)
 """Stiffness with which the hand's root is held on its course, N/m and N m/rad: as good as rigid, by any protocol."""
 
+ROOT_ARMATURE = (100.0, 10.0)
+"""Inertia that is added to the root's motion along and about each axis, kg and kg m^2: without it, servos this stiff
+are so ill-conditioned that the solver often does not converge."""
+
 ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
 
@@ -145,7 +149,9 @@ class _Builder:
             joint = self.plant.AddJoint(kind(f"root {number}", frame, body.body_frame(), np.eye(3)[axis]))
             stiffness = ROOT_STIFFNESS[turns]
             self._root_joints.append(joint)
-            self._root_servos.append(self.actuation.add(joint, stiffness, ROOT_LAG_S * stiffness))
+            self._root_servos.append(
+                self.actuation.add(joint, stiffness, ROOT_LAG_S * stiffness, armature=ROOT_ARMATURE[turns])
+            )
             frame = body.body_frame()
 
     def _add_joints(self, body: int, added: RigidBody, joints: range) -> None:

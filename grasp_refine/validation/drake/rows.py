@@ -62,7 +62,7 @@ class Workspace:
             self._simulator.AdvanceTo((self._steps - 0.5) * self._plant.plant.time_step())
         except RuntimeError:
             self._steps = 0
-            self._context.SetTime(0.0)
+            self._simulator.get_mutable_context().SetTime(0.0)
             self._simulator.Initialize()
             return np.full(self._plant.plant.num_multibody_states(), np.nan)
         return self._plant.plant.GetPositionsAndVelocities(self._context)

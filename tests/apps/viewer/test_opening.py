@@ -34,9 +34,11 @@ T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
 
 @cache
 def present() -> tuple[Scene, Pose]:
-    """The Allegro hand at a ball, above a table, moved from its pose in the scene."""
+    """The Allegro hand at a ball, on a table, moved from its pose in the scene."""
     hand = load_hand("allegro", candidates=16)
-    scene = Scene(hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], table=Plane())
+    scene = Scene(
+        hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], table=Plane(offset=-0.03)
+    )
     return scene, Pose(T, hand.rest + 0.01)
 
 

