@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.json_files import save_json
+from grasp_refine.core.json_files import dumps, save_text
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.plurals import first_of
 from grasp_refine.core.se3 import inverse, pose_from_transform
@@ -109,7 +109,8 @@ class PlannedWays:
         path = Path(path)
         check_way_file(path)
         if path.suffix == ".json":
-            save_json(path, self.document())
+            # On one line: of each number on its own the file would be twice as large.
+            save_text(path, dumps(self.document()) + "\n")
         else:
             save_npz(path, self.arrays())
 
