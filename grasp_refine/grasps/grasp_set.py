@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
@@ -180,12 +180,16 @@ class GraspSet:
         """
         check_kind("hand", hand, Hand)
         try:
-            pose = as_numbers("pose", pose)
+            pose, joints = as_numbers("pose", pose), as_numbers("q", q)
+            factor = as_numbers("scale", scale)
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
         pose = pose_from_transform(pose) if pose.shape[-2:] == (4, 4) else pose
-        thing, factor = cast(np.ndarray, object), cast(np.ndarray, scale)
-        return cls(hand.name, hand.base_link, hand.joint_names, thing, factor, pose, cast(np.ndarray, q))
+        pose, joints = _batched(pose, joints)
+        count = (len(pose),) if pose.ndim else ()
+        thing = np.broadcast_to(np.asarray(object, dtype=str), np.shape(object) or count)
+        factor = np.broadcast_to(factor, factor.shape or count)
+        return cls(hand.name, hand.base_link, hand.joint_names, thing, factor, pose, joints)
 
     @staticmethod
     def join(parts: Iterable[GraspSet]) -> GraspSet:

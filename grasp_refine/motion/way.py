@@ -223,9 +223,12 @@ class _Planner:
                 yield stages
 
     def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp; set points of its squeeze stay within joint limits."""
+        """Return the way through the three stages of a grasp.
+
+        Set points of its squeeze stay within the limits of joints that turn; sliding jaws press beyond theirs.
+        """
         hand = self.scene.hand
-        pressing = np.clip(q[2], hand.lower, hand.upper)
+        pressing = np.where(hand.slides, q[2], np.clip(q[2], hand.lower, hand.upper))
         close, squeeze = HandPath(T[:2], q[:2]), HandPath(T[1:], np.stack([q[1], pressing]))
         allowed = self.sweep.depth_in_object(close) + CLOSING_DEPTH_M
         approach = self._approach(T[0], q[0], q[0] - q[1])

@@ -13,7 +13,7 @@ from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry import cache as disk
 from grasp_refine.geometry import pieces as pieces_module
 from grasp_refine.geometry.cache import default_cache
-from grasp_refine.geometry.decomposition import OutOfTimeError
+from grasp_refine.geometry.decomposition import TIME_LIMIT_S, OutOfTimeError
 from grasp_refine.geometry.mesh import FlatMeshError
 from grasp_refine.geometry.pieces import (
     SHIPPED,
@@ -414,13 +414,13 @@ def endless(monkeypatch):
 def test_beyond_the_time_limit_coarser_pieces_are_used_and_said_to_be_each_time(bracket, endless, tmp_path):
     (cut,) = cut_meshes([("bracket", bracket)], cache=tmp_path)
     assert len(cut.pieces) == 2
-    assert_names(cut.shortfall, "120 s", "2 coarser pieces", "threshold 0.1")
-    assert [(c.threshold, c.time_limit) for c in endless] == [(0.05, 120), (0.1, 60)]
+    assert_names(cut.shortfall, f"{TIME_LIMIT_S:g} s", "2 coarser pieces", "threshold 0.1")
+    assert [(c.threshold, c.time_limit) for c in endless] == [(0.05, TIME_LIMIT_S), (0.1, TIME_LIMIT_S / 2)]
     lines = []
     (again,) = cut_meshes([("bracket", bracket)], cache=tmp_path, progress=lines.append)
     assert len(endless) == 2 and again.shortfall == cut.shortfall and cut.shortfall in lines[0]
     # More time is another request, and what comes of it in time has no note, for any limit.
-    cut_meshes([("bracket", bracket)], Decomposition(time_limit=600), cache=tmp_path)
+    cut_meshes([("bracket", bracket)], Decomposition(time_limit=2 * TIME_LIMIT_S), cache=tmp_path)
     assert len(endless) == 4
     (full,) = cut_meshes([("bracket", bracket)], Decomposition(threshold=0.1), cache=tmp_path)
     assert full.shortfall == ""
@@ -435,7 +435,7 @@ def test_where_coarser_pieces_take_too_long_the_hull_is_used(bracket, monkeypatc
         (cut,) = cut_meshes([("bracket", bracket)], cache=tmp_path)
         (piece,) = cut.pieces
         np.testing.assert_allclose(piece.bounds, bracket.bounds, atol=1e-8)
-        assert_names(cut.shortfall, "120 s", "convex hull")
+        assert_names(cut.shortfall, f"{TIME_LIMIT_S:g} s", "convex hull")
 
 
 def test_the_time_limit_is_no_part_of_the_name_of_an_entry(bracket, slow_cuts, tmp_path):

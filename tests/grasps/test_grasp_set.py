@@ -397,7 +397,7 @@ def test_joints_are_matched_by_name():
 def all_parts(n: int = 3) -> GraspSet:
     pose = entries(n)["hand_pose"]
     q, points = np.arange(2.0 * n).reshape(n, 2), np.arange(6.0 * n).reshape(2, n, 1, 3)
-    grasps = GraspSet("claw", "palm", ("a", "b"), np.array(["mug", "box", "mug"][:n]), np.array(0.1), pose, q)
+    grasps = GraspSet("claw", "palm", ("a", "b"), np.array(["mug", "box", "mug"][:n]), np.full(n, 0.1), pose, q)
     return replace(grasps, targets=Targets(("tip",), *points), squeeze=Stage(pose, q + 1), labels={"success": q[:, 0]})
 
 

@@ -44,12 +44,14 @@ def test_links_that_touch_elsewhere_are_named_with_their_distance(viewer: Contro
     height = dict(zip(contacts.link, contacts.point_object[:, 2] - HEIGHT_M, strict=True))
     near = dict(zip(contacts.link, contacts.distance <= CONTACT_DISTANCE_M, strict=True))
     assert {one.link for one in found} == {link for link, z in height.items() if z > 5e-4 and near[link]} != set()
-    assert [one.miss for one in found] == sorted((height[one.link] for one in found), reverse=True)
+    # Patches reach beyond the witness points, by less than 2 mm here.
+    assert all(height[one.link] <= one.miss < height[one.link] + 2e-3 for one in found)
+    assert [one.miss for one in found] == sorted((one.miss for one in found), reverse=True)
     text = elsewhere_text(found)
     assert found[0].link in text and f"{1e3 * found[0].miss:.1f} mm" in text
 
 
-@pytest.mark.parametrize(("above", "named"), [(3e-4, False), (1e-3, True)])
+@pytest.mark.parametrize(("above", "named"), [(1e-4, False), (1e-3, True)])
 def test_a_contact_at_the_border_is_not_named(viewer: Controller, above: float, named: bool) -> None:
     contacts, obj = viewer.contacts(viewer.state), viewer.state.scene.object
     top = contacts.point_object[contacts.distance <= CONTACT_DISTANCE_M, 2].max()
