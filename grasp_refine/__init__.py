@@ -103,21 +103,21 @@ if TYPE_CHECKING:
     from grasp_refine.motion.way_files import PlannedWays as PlannedWays
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
-    from grasp_refine.pipeline.facade import Evaluation as Evaluation
-    from grasp_refine.pipeline.facade import evaluate as evaluate
-    from grasp_refine.pipeline.facade import margins as margins
-    from grasp_refine.pipeline.facade import problem_of as problem_of
-    from grasp_refine.pipeline.facade import refine as refine
-    from grasp_refine.pipeline.facade import simulate as simulate
-    from grasp_refine.pipeline.facade import view as view
-    from grasp_refine.pipeline.load import load_problem as load_problem
-    from grasp_refine.pipeline.margins import GraspMargins as GraspMargins
-    from grasp_refine.pipeline.problem import Problem as Problem
-    from grasp_refine.pipeline.refine import refine_problem as refine_problem
-    from grasp_refine.pipeline.refined import RefinedGrasps as RefinedGrasps
-    from grasp_refine.pipeline.spec import ProblemSpec as ProblemSpec
-    from grasp_refine.pipeline.ways import follow_ways as follow_ways
-    from grasp_refine.pipeline.ways import plan_ways as plan_ways
+    from grasp_refine.problem.facade import Evaluation as Evaluation
+    from grasp_refine.problem.facade import evaluate as evaluate
+    from grasp_refine.problem.facade import margins as margins
+    from grasp_refine.problem.facade import problem_of as problem_of
+    from grasp_refine.problem.facade import refine as refine
+    from grasp_refine.problem.facade import simulate as simulate
+    from grasp_refine.problem.facade import view as view
+    from grasp_refine.problem.load import load_problem as load_problem
+    from grasp_refine.problem.margins import GraspMargins as GraspMargins
+    from grasp_refine.problem.problem import Problem as Problem
+    from grasp_refine.problem.refine import refine_problem as refine_problem
+    from grasp_refine.problem.refined import RefinedGrasps as RefinedGrasps
+    from grasp_refine.problem.spec import ProblemSpec as ProblemSpec
+    from grasp_refine.problem.ways import follow_ways as follow_ways
+    from grasp_refine.problem.ways import plan_ways as plan_ways
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
     from grasp_refine.scene.environment import Environment as Environment
@@ -137,14 +137,14 @@ _HOMES = {
     "motion.way": ("WayOptions",),
     "motion.way_files": ("PlannedWays",),
     "objects.object": ("Object", "load_object"),
-    "pipeline.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
-    "pipeline.load": ("load_problem",),
-    "pipeline.margins": ("GraspMargins",),
-    "pipeline.problem": ("Problem",),
-    "pipeline.refine": ("refine_problem",),
-    "pipeline.refined": ("RefinedGrasps",),
-    "pipeline.spec": ("ProblemSpec",),
-    "pipeline.ways": ("follow_ways", "plan_ways"),
+    "problem.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
+    "problem.load": ("load_problem",),
+    "problem.margins": ("GraspMargins",),
+    "problem.problem": ("Problem",),
+    "problem.refine": ("refine_problem",),
+    "problem.refined": ("RefinedGrasps",),
+    "problem.spec": ("ProblemSpec",),
+    "problem.ways": ("follow_ways", "plan_ways"),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
     "scene.environment": ("Environment",),

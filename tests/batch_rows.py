@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
@@ -19,7 +20,6 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.result_files import save_results
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.batch.rows import COLUMNS, Rows
 from grasp_refine_apps.batch.shard import Shard
 

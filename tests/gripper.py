@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hands.defaults import Actuator
+from grasp_refine.hands.files.defaults import Actuator
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 
 KP = 500.0
 RADIUS = 0.03

@@ -11,11 +11,11 @@ import numpy as np
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.measures import RECORDED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import fingerprint, save_results
 from grasp_refine.scene.scene import links_of
-from grasp_refine.validation.measures import RECORDED
 
 STATUSES = (Status.CONVERGED, Status.CONVERGED, Status.STALLED, Status.BUDGET)
 """How grasp i ended: entry i modulo 4."""

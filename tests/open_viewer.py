@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings

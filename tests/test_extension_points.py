@@ -15,8 +15,8 @@ import pytest
 from grasp_refine import witness
 from grasp_refine.assets.manifest import read_manifest
 from grasp_refine.grasps.formats.listing import FORMATS, FormatName
+from grasp_refine.hands.files.source import needs_urdf
 from grasp_refine.hands.hand import list_hands
-from grasp_refine.hands.source import needs_urdf
 from grasp_refine.refinement import solvers
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.weights import Weights

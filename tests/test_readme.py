@@ -12,11 +12,11 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import CONTACT_KEYS, OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
+from grasp_refine.hands.files.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.hands.hand_toml import ARM_TOML, HAND_TOML
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.scene_file import load_scene
-from grasp_refine.validation.metrics import metrics
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine_apps.batch.jobs import read_jobs

@@ -36,7 +36,7 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.metrics import metrics
+from grasp_refine.measures.metrics import metrics
 from grasp_refine_apps.cli import main
 
 hand, obj, grasps = load_hand("allegro"), load_object("mug"), load_grasps("grasps.npz")

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import hat
 from grasp_refine.forces.programs import solve_programs
-from grasp_refine.hands.inertia import Inertia
+from grasp_refine.hands.files.inertia import Inertia
 
 if TYPE_CHECKING:
     from grasp_refine.objects.object import Object

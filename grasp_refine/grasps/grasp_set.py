@@ -40,8 +40,8 @@ from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 from grasp_refine.grasps.rows import row_numbers
+from grasp_refine.hands.files.mimics import followed
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.mimics import followed
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

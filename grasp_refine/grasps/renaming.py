@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from grasp_refine.grasps.grasp_set import GraspSet
-from grasp_refine.hands.prefixed_names import prefixed_names
+from grasp_refine.hands.files.prefixed_names import prefixed_names
 
 
 def with_prefixes(grasps: GraspSet, links: Collection[str], joints: Collection[str]) -> GraspSet | None:

@@ -10,10 +10,10 @@ import numpy as np
 
 from grasp_refine.core.array_records import take
 from grasp_refine.core.plurals import count_text
-from grasp_refine.hands.base_link import guess_base
-from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.files.base_link import guess_base
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.link_geometry import HULL_LIMIT
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.link_geometry import HULL_LIMIT
 
 
 def load_arm(

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 
 from grasp_refine.core.plurals import count_text
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.defaults import LEVER_POWERS, SLIDE_LEVER_M
+from grasp_refine.hands.files.defaults import LEVER_POWERS, SLIDE_LEVER_M
+from grasp_refine.hands.files.hand_toml import ACTUATOR
+from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.hands.hand import Hand, Link
-from grasp_refine.hands.hand_toml import ACTUATOR
-from grasp_refine.hands.inertia import Inertia
 
 ARMATURE = 0.1
 """Inertia in kg m^2 of the rotor of a joint that turns, as seen through its gears."""

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.geometry.body import Body
-from grasp_refine.hands.fingertips import PAD_NAMES, branch_ends
-from grasp_refine.hands.mimics import curves, mimic_map
-from grasp_refine.hands.tree import Joint, joints_above, rigid_parts
-from grasp_refine.hands.tree_poses import tree_poses
+from grasp_refine.hands.files.fingertips import PAD_NAMES, branch_ends
+from grasp_refine.hands.files.mimics import curves, mimic_map
+from grasp_refine.hands.files.tree import Joint, joints_above, rigid_parts
+from grasp_refine.hands.files.tree_poses import tree_poses
 
 MIN_SHARE = 0.1
 """Least share of its reach by which the end of a finger is farther out than a link that folds back; none where names of

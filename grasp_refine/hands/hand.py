@@ -19,20 +19,28 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine.hands.arm import Arm
-from grasp_refine.hands.base_link import guess_base
-from grasp_refine.hands.defaults import SLIDE_LEVER_M, Actuator, actuator, contacts, coupled, mjcf_joints, rest_pose
-from grasp_refine.hands.description import read_tree
-from grasp_refine.hands.fingertips import are_two_fingers
+from grasp_refine.hands.files.base_link import guess_base
+from grasp_refine.hands.files.defaults import (
+    SLIDE_LEVER_M,
+    Actuator,
+    actuator,
+    contacts,
+    coupled,
+    mjcf_joints,
+    rest_pose,
+)
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.fingertips import are_two_fingers
+from grasp_refine.hands.files.hand_toml import HAND_TOML, Contact, Coupled
+from grasp_refine.hands.files.inertia import Inertia
+from grasp_refine.hands.files.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
+from grasp_refine.hands.files.mimics import Curves, curves, limit_by_followers, mimic_map
+from grasp_refine.hands.files.mjcf_xml import is_mjcf
+from grasp_refine.hands.files.source import hand_files, list_hands, needs_urdf
+from grasp_refine.hands.files.tree import Joint, LinkEntry, LinkPair, Mimic, rigid_parts
+from grasp_refine.hands.files.visual_collision import with_visual_collision
 from grasp_refine.hands.folded_links import folded_links
-from grasp_refine.hands.hand_toml import HAND_TOML, Contact, Coupled
-from grasp_refine.hands.inertia import Inertia
-from grasp_refine.hands.link_geometry import HULL_LIMIT, LinkMeshes, link_pieces
-from grasp_refine.hands.mimics import Curves, curves, limit_by_followers, mimic_map
-from grasp_refine.hands.mjcf_xml import is_mjcf
-from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
-from grasp_refine.hands.tree import Joint, LinkEntry, LinkPair, Mimic, rigid_parts
-from grasp_refine.hands.visual_collision import with_visual_collision
-from grasp_refine.hands.yielding import YieldingMode
+from grasp_refine.hands.linkages.yielding import YieldingMode
 
 __all__ = ["Actuator", "Contact", "Coupled", "Hand", "Inertia", "Joint", "Link", "Mimic"]
 __all__ += ["list_hands", "load_hand", "needs_urdf"]
@@ -328,8 +336,8 @@ def load_hand(
     couplings = None
     if mjcf_file is not None:
         # These load MuJoCo, which reading a URDF does without.
-        from grasp_refine.hands.alignment import Mechanism
-        from grasp_refine.hands.mjcf_couplings import mjcf_couplings
+        from grasp_refine.hands.files.alignment import Mechanism
+        from grasp_refine.hands.linkages.mjcf_couplings import mjcf_couplings
 
         # Those of the hand's own file count, even where another MJCF is simulated.
         theirs, named = (tree.path, {}) if from_mjcf else (mjcf_file, names_there)
@@ -351,13 +359,13 @@ def load_hand(
         notes += shared
     driven = actuator(toml, independent, outside)
     if from_mjcf:
-        from grasp_refine.hands.servos import own_actuator
+        from grasp_refine.hands.linkages.servos import own_actuator
 
         driven = own_actuator(Mechanism.of(toml.name or name, base, tree, joints), groups, driven)
     closing = () if couplings is None else couplings.ends
     if not toml.contacts and not closing and any(joint.mimic is not None for joint in joints):
         # This loads the collision queries, which most hands do without.
-        from grasp_refine.hands.pins import pinned_links
+        from grasp_refine.hands.linkages.pins import pinned_links
 
         bodies = {link.name: link.body for link in links if link.body is not None}
         closing = pinned_links(base, joints, [joint.name for joint in independent], bodies)

@@ -14,11 +14,11 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.hands.arm import Arm
 from grasp_refine.hands.arm_gains import with_arm_gains
-from grasp_refine.hands.base_link import guess_base
-from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.files.base_link import guess_base
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.source import ON_ARM
+from grasp_refine.hands.files.tree import Joint
 from grasp_refine.hands.hand import Actuator, Hand
-from grasp_refine.hands.source import ON_ARM
-from grasp_refine.hands.tree import Joint
 
 MOUNT_JOINT = "mount"
 """Name of the fixed joint between the arm and the hand; with a number where that is taken."""

@@ -18,8 +18,8 @@ from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.profiling import stage
 from grasp_refine.geometry import cache as disk
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.tree import LinkPair, rigid_parts
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.tree import LinkPair, rigid_parts
 
 SCHEMA = 3
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.description import links_with_visuals
+from grasp_refine.hands.files.description import links_with_visuals
 from grasp_refine.hands.hand import Hand
 
 

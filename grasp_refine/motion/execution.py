@@ -17,9 +17,9 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
 from grasp_refine.motion.way import LEGS, REACH, Way
+from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
+from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
 from grasp_refine.validation.simulation import CHUNK_GRASPS, Course
-from grasp_refine.validation.stepping import Conditions, Rows
-from grasp_refine.validation.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
 
 CLOSE, LIFT = LEGS.index("close"), LEGS.index("lift")
 

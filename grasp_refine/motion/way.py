@@ -14,6 +14,7 @@ from math import inf
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import tangents
@@ -25,7 +26,6 @@ from grasp_refine.motion.paths import HandPath, straight
 from grasp_refine.motion.sweep import TOUCHING_M, Obstruction, Sweep
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
 
 LEGS = ("approach", "close", "squeeze", "lift")
 """Names of the legs of a way: to the pregrasp, to the grasp, to the squeeze, and up."""

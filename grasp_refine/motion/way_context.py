@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.se3 import pose_from_transform
+from grasp_refine.hands.files.mimics import followed
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.mimics import followed
 from grasp_refine.motion.trajectory import PERIOD_S, speed_limits
 from grasp_refine.scene.scene import Scene
 

@@ -10,13 +10,13 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.machine import machine
 from grasp_refine.core.versions import versions
+from grasp_refine.measures.measures import MOVEMENTS, RECORDED, SIDES, Measure
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
 from grasp_refine.results.verdict import advice, should_hold
-from grasp_refine.validation.measures import MOVEMENTS, RECORDED, SIDES, Measure
 
 
 def run_document(

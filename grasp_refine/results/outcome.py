@@ -7,22 +7,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
+from grasp_refine.measures.geometry import contact_errors, measure, movement, worst_over_links
+from grasp_refine.measures.measures import MEASURE, RECORDED
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
-from grasp_refine.validation.geometry import contact_errors, measure, movement, worst_over_links
-from grasp_refine.validation.measures import MEASURE, RECORDED
-from grasp_refine.validation.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)

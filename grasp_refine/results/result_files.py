@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.closing.motion import STAGES
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.npz_files import load_npz
@@ -19,7 +20,6 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, 
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
-from grasp_refine.validation.motion import STAGES
 from grasp_refine.validation.trials import Reason, Trials
 
 

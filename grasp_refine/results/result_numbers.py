@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.core.npz_files import NpzFile, load_npz
-from grasp_refine.validation.measures import RECORDED, SIDES
+from grasp_refine.measures.measures import RECORDED, SIDES
 
 MEASURED = {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
 """Name of a measure, which ends in its unit -> its entry in result files, which older versions may lack."""

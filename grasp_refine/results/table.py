@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.measures.measures import COMPARED, MEASURE, QUALITY, Measure
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
@@ -26,7 +27,6 @@ from grasp_refine.results.verdict import (
     status_advice,
     touches_outside,
 )
-from grasp_refine.validation.measures import COMPARED, MEASURE, QUALITY, Measure
 
 MAX_LISTED_GRASPS = 40
 """Largest number of grasps that are all listed by default; of more, only the worst are."""

@@ -16,10 +16,10 @@ from grasp_refine.core.json_files import SCHEMA, save_bytes, save_text
 from grasp_refine.core.machine import machine
 from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
+from grasp_refine.measures.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 

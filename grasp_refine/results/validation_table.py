@@ -11,6 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.measures.formulas import COSTLY_M
+from grasp_refine.measures.measures import VALIDATED
 from grasp_refine.results.simulated import reason_lines
 from grasp_refine.results.table import (
     MAX_LISTED_GRASPS,
@@ -24,8 +26,6 @@ from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.formulas import COSTLY_M
-from grasp_refine.validation.measures import VALIDATED
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated

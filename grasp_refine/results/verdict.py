@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float
 from rich.text import Text
 
 from grasp_refine.core.plurals import whole
+from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import CLOSE
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
-from grasp_refine.validation.formulas import COSTLY_M
 
 HOLDS = 0.9
 """Quality, the estimated probability of holding, from which on a grasp should hold."""

@@ -11,8 +11,8 @@ from grasp_refine.collision.culling import bounding_sphere
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import tangents, transform_points
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.tree import joints_above
 from grasp_refine.hands.hand import Hand, Joint
-from grasp_refine.hands.tree import joints_above
 from grasp_refine.scene.contact_selection import PALM, link_groups
 
 MIN_PARALLEL_COSINE = 0.7

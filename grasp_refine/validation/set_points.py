@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.plurals import count_text
-from grasp_refine.hands.servos import actuator_name
-from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.world import World
+from grasp_refine.hands.linkages.servos import actuator_name
+from grasp_refine.validation.engines.mujoco.world import World
 
 NEGLIGIBLE_EXCESS = 1e-3
 """Excess of a set point, in rad or m, that is not told."""

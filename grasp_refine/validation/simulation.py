@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from grasp_refine.closing.motion import STAGES, Motion
 from grasp_refine.core import profiling
 from grasp_refine.core.arguments import check_kind, check_shape
 from grasp_refine.core.cores import thread_count
@@ -15,12 +16,11 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.scene.scene import is_out_of_reach
-from grasp_refine.validation.motion import STAGES, Motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows, StepCallback
+from grasp_refine.validation.engines.mujoco.world import World
+from grasp_refine.validation.engines.simulations import Engine, Simulations
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.simulations import Engine, Simulations
-from grasp_refine.validation.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine.validation.world import World
 
 CHUNK_GRASPS = 32
 """Number of grasps that are simulated at once, which bounds the memory and allows progress reports."""

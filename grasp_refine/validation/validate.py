@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.array_records import take
 from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
+from grasp_refine.measures.metrics import Metrics, metrics_of
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.engines import EngineChoice, engine_of
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.metrics import Metrics, metrics_of
-from grasp_refine.validation.mjcf_model import mjcf_model
-from grasp_refine.validation.motion import Motion
-from grasp_refine.validation.mounted_model import mounted_model
+from grasp_refine.validation.engine_choice import EngineChoice, engine_of
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.mounted_model import mounted_model
+from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
+from grasp_refine.validation.engines.mujoco.world import World
+from grasp_refine.validation.engines.simulations import Engine
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
-from grasp_refine.validation.simulations import Engine
 from grasp_refine.validation.trials import Trials
-from grasp_refine.validation.urdf_model import urdf_model
-from grasp_refine.validation.world import World
 
 BARELY = 0.5
 """Share of the limits of a lost object above which a grasp that held is flagged."""

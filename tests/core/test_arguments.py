@@ -42,12 +42,12 @@ from grasp_refine.core.se3 import body_gradient, exp_se3, pose_from_transform, t
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.contact_selection import ContactSelection
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import Motion, closing_motion
+from grasp_refine.measures.metrics import metrics
+from grasp_refine.closing.motion import Motion, closing_motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of, validate
-from grasp_refine.validation.world import build_world
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief, labels, spread, tallied
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
@@ -23,13 +25,11 @@ from grasp_refine.results.outcome import compare
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of, validate
-from grasp_refine.validation.world import build_world
 
 LONGEST = 400
 """Characters that a person reads at a glance."""

@@ -15,7 +15,7 @@ from grasp_refine.forces.wrench import LEVER_M, PLANNING_FRICTION, RIDGE, grasp_
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.pipeline.load import load_problem
+from grasp_refine.problem.load import load_problem
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.solvers.iterate import Point

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from adaptive_gripper import write_adaptive_gripper
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import exp_so3, transform, transform_points
 from grasp_refine.forces.infeasible_torques import LEVER_M, InfeasibleTorques, mode_shares
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
@@ -15,14 +16,13 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.facade import refine
+from grasp_refine.problem.facade import refine
 from grasp_refine.scene.scene import Scene, links_of
-from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import close
-from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ from grasp_refine.forces.squeeze import (
 from grasp_refine.forces.wrench import PLANNING_FRICTION, center_of_mass
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.hand_toml import Coupled
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
-from grasp_refine.hands.hand_toml import Coupled
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene

@@ -18,7 +18,7 @@ from fuzz.urdfs import CUBE
 from grasp_refine.core.errors import MeshError
 from grasp_refine.geometry.mesh import check_solid, convex_bodies, is_convex, load_groups, load_mesh, watertight
 from grasp_refine.geometry.pieces import hull
-from grasp_refine.hands.mesh_files import read_mesh
+from grasp_refine.hands.files.mesh_files import read_mesh
 
 COLLADA = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

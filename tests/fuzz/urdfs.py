@@ -13,9 +13,9 @@ from lxml import etree
 from fuzz.mutations import NUMBERS
 from fuzz.reader import Reader, plain, written
 from grasp_refine.geometry.mesh import SUFFIXES
-from grasp_refine.hands.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.files.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.visuals import load_visuals
 
 CUBE = """v 0 0 0\nv .02 0 0\nv .02 .02 0\nv 0 .02 0\nv 0 0 .02\nv .02 0 .02\nv .02 .02 .02\nv 0 .02 .02
 f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"""

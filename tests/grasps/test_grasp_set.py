@@ -17,8 +17,8 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets, load_grasps, match_joints, save_npz
 from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.hands.files.tree import Joint, Mimic
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
-from grasp_refine.hands.tree import Joint, Mimic
 from refusals import assert_names
 from refusals import refused as expected
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from grasp_refine.hands.base_link import Base, guess_base
-from grasp_refine.hands.description import read_tree
+from grasp_refine.hands.files.base_link import Base, guess_base
+from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.hand import load_hand
 
 SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'

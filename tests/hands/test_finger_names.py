@@ -2,7 +2,7 @@
 
 import pytest
 
-from grasp_refine.hands.finger_names import finger_names
+from grasp_refine.hands.files.finger_names import finger_names
 
 
 @pytest.mark.parametrize(

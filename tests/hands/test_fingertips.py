@@ -7,7 +7,7 @@ import pytest
 
 from bar_gripper import bar_gripper
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.pins import pinned_links
+from grasp_refine.hands.linkages.pins import pinned_links
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 

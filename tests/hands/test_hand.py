@@ -9,8 +9,8 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import AssetError, GraspRefineError, HandError
+from grasp_refine.hands.files.urdf import read_urdf
 from grasp_refine.hands.hand import Contact, Coupled, Hand, load_hand, needs_urdf
-from grasp_refine.hands.urdf import read_urdf
 from grasp_refine_apps.commands.hands import Hands
 from refusals import assert_names, refused
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.hand_toml import Contact, Coupled, HandToml, read_hand_toml
+from grasp_refine.hands.files.hand_toml import Contact, Coupled, HandToml, read_hand_toml
 from refusals import refused
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from grasp_refine.core.se3 import exp_so3, quaternion_from_matrix
 from grasp_refine.geometry.pieces import box, capsule, sphere
-from grasp_refine.hands.inertia import Inertia
+from grasp_refine.hands.files.inertia import Inertia
 
 TURN = exp_so3(np.array([0.3, -0.8, 0.5]))
 T = np.block([[TURN, np.array([[0.1], [0.2], [-0.3]])], [np.zeros((1, 3)), np.ones((1, 1))]])

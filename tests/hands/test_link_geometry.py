@@ -11,12 +11,12 @@ import trimesh
 
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hands import mesh_files
+from grasp_refine.hands.files import mesh_files
+from grasp_refine.hands.files.link_geometry import LinkMeshes, link_pieces
+from grasp_refine.hands.files.mesh_files import read_mesh, resolve_mesh
+from grasp_refine.hands.files.shape import MeshFile
+from grasp_refine.hands.files.urdf_tree import urdf_tree
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.hands.link_geometry import LinkMeshes, link_pieces
-from grasp_refine.hands.mesh_files import read_mesh, resolve_mesh
-from grasp_refine.hands.shape import MeshFile
-from grasp_refine.hands.urdf_tree import urdf_tree
 from refusals import assert_names, refused
 
 WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])

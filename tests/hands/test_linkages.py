@@ -13,10 +13,10 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
-from grasp_refine.hands.linkages import linkages
-from grasp_refine.hands.yielding import YieldingMode
+from grasp_refine.hands.linkages.linkages import linkages
+from grasp_refine.hands.linkages.yielding import YieldingMode
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.facade import refine, simulate
+from grasp_refine.problem.facade import refine, simulate
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps

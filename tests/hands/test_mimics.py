@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.mimics import followed, limit_by_followers
-from grasp_refine.hands.tree import Joint, Mimic
+from grasp_refine.hands.files.mimics import followed, limit_by_followers
+from grasp_refine.hands.files.tree import Joint, Mimic
 from refusals import assert_names, refused
 
 URDF = Path("hand.urdf")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.hands.hand import Coupled, Hand, Mimic, load_hand
-from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from refusals import assert_names
 
 URDF = """<robot name="r"><link name="palm"/><link name="a1"/><link name="a2"/><link name="a3"/><link name="b1"/>

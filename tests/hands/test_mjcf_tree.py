@@ -12,14 +12,14 @@ from grasp_refine.core.se3 import inverse, transform
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import candidate_pairs, touching_pairs
-from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import load_object
-from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 from refusals import assert_names, refused
 
 PUBLISHED = {
@@ -351,7 +351,7 @@ def test_comments_with_two_hyphens_are_read(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_model_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies of what is copied elsewhere, each fewer than a hand may have, are a million."""
-    monkeypatch.setattr("grasp_refine.hands.mjcf_trial.MAX_PROCESSOR_S", 2.0)
+    monkeypatch.setattr("grasp_refine.hands.files.mjcf_trial.MAX_PROCESSOR_S", 2.0)
     many = '<replicate count="900"><body><geom size="0.01"/></body></replicate>'
     (tmp_path / "inner.xml").write_text(BODY.format("", many, ""))
     attach = '<replicate count="900"><attach model="m" body="p" prefix="x"/></replicate>'

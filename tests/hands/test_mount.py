@@ -105,7 +105,7 @@ def test_jacobian_of_a_hand_on_an_arm_is_its_finite_difference(arm: Hand, hand: 
 def test_mujoco_places_the_links_of_a_hand_on_an_arm_where_we_do(arm: Hand, hand: Hand) -> None:
     """The model that is simulated, by another implementation of kinematics."""
     mujoco = pytest.importorskip("mujoco")
-    from grasp_refine.validation.urdf_model import urdf_model
+    from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 
     whole = mount(arm, hand, "tool0", T_MOUNT)
     made = urdf_model(whole)

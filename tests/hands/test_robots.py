@@ -15,11 +15,13 @@ from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, trans
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.hand_toml import read_hand_toml
+from grasp_refine.hands.files.source import needs_urdf
+from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand, list_hands, load_hand
-from grasp_refine.hands.hand_toml import read_hand_toml
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
-from grasp_refine.hands.source import needs_urdf
-from grasp_refine.hands.visuals import load_visuals
+from grasp_refine.measures.geometry import measure
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
@@ -27,9 +29,7 @@ from grasp_refine.results.verdict import HOLDS
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.urdf_model import urdf_model
+from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine_apps.report.hand_facts import licence
 
 WHOLE = tuple(name for name in list_hands() if not needs_urdf(name))

@@ -8,9 +8,9 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import AssetError, HandError
+from grasp_refine.hands.files.hand_toml import HAND_TOML
+from grasp_refine.hands.files.source import hand_files, list_hands, needs_urdf
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.source import hand_files, list_hands, needs_urdf
 from refusals import assert_names, refused
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from refusals import assert_names
 
 HAND = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.02"/>

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.description import read_tree
-from grasp_refine.hands.tree import Tree
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.tree import Tree
 from refusals import refused
 
 LIMIT = '<limit lower="-1" upper="2" effort="3"/>'

@@ -11,22 +11,22 @@ import pytest
 
 import spread_gripper as gripper_of_three
 import underactuated as hand_of_five
+from grasp_refine.closing.motion import Motion, closing_motion
 from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.mimics import followed
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.mimics import followed
 from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Config, Refinement, Scene, refine
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import Motion, closing_motion
+from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
-from grasp_refine.validation.urdf_model import urdf_model
-from grasp_refine.validation.world import World, build_world
 from spread_gripper import spread_gripper
 from underactuated import underactuated
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.urdf import read_urdf
+from grasp_refine.hands.files.urdf import read_urdf
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from grasp_refine.core.errors import HandError
-from grasp_refine.hands.visuals import Visual, load_visuals
+from grasp_refine.hands.files.visuals import Visual, load_visuals
 from refusals import assert_names, refused
 
 ROBOT = """<robot name="r">

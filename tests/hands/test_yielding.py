@@ -8,8 +8,8 @@ import pytest
 
 from adaptive_gripper import BAR_M, PIVOT_M, SPRING_NM_PER_RAD, SPRING_RAD, adaptive_gripper, write_adaptive_gripper
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.linkages import CLOSED_M, Linkage, linkages
-from grasp_refine.hands.transmission import transmission_compliance
+from grasp_refine.hands.linkages.linkages import CLOSED_M, Linkage, linkages
+from grasp_refine.hands.linkages.transmission import transmission_compliance
 
 DRIVER = "right_driver"
 

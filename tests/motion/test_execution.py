@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import grasp_refine as gr
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.geometry.body import build_body
@@ -22,12 +23,11 @@ from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 
 THING = load_object("box:0.05,0.05,0.12")
 T_BASE = transform_from_rpy([-0.5, 0.0, -0.06])

@@ -9,6 +9,7 @@ import pytest
 import yourdfpy
 
 import grasp_refine as gr
+from grasp_refine.closing.motion import Motion
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.rpy_poses import transform_from_rpy
@@ -27,11 +28,10 @@ from grasp_refine.motion.trajectory import PALM_SPEED, SPEED_SHARE, speed_limits
 from grasp_refine.motion.way import LEGS, WAYPOINTS, Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.pipeline.arms import arm_clearance
+from grasp_refine.problem.arms import arm_clearance
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
 
 T_BASE = transform_from_rpy([-0.5, 0.0, -0.06])
 OPEN_M = 0.036

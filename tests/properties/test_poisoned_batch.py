@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from boxed_example import FILE, boxed_example
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.json_files import dumps
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
@@ -29,7 +30,6 @@ from grasp_refine.results.outcome import compare
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.cli import main
 
 GEOMETRY = Weights(wrench=0.0)

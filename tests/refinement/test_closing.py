@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import transform
 from grasp_refine.hands.hand import Hand, load_hand
@@ -17,11 +18,10 @@ from grasp_refine.refinement.refine import JAW_DEPTH_M, refine
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 
 TIP_M = 0.105
 """Distance of the middle between the tips of the Franka hand from its base link, along z, metres."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boxed_example import boxed_example
+from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.forces.quality import quality
@@ -15,7 +16,6 @@ from grasp_refine.geometry.sampling import Candidates
 from grasp_refine.objects.object import Object
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene

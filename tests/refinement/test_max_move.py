@@ -11,7 +11,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, exp_so3, log_so3, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import integrate
-from grasp_refine.hands.defaults import SLIDE_LEVER_M
+from grasp_refine.hands.files.defaults import SLIDE_LEVER_M
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
+from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.measures.geometry import measure, movement
 from grasp_refine.objects.object import load_object
-from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure, movement
-from grasp_refine.validation.motion import closing_motion
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'

@@ -15,6 +15,7 @@ from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.self_collision import touching_pairs
+from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.clearance import OTHER_MODEL_CLEARANCE_M, clearances
 from grasp_refine.refinement.config import Config
@@ -32,7 +33,6 @@ from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
 from grasp_refine.witness import autograd
 from grasp_refine.witness.distance import Distance
 from refusals import refused

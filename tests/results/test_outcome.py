@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.json_files import dumps
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.measures.measures import SIDES
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Config, Scene, refine
 from grasp_refine.refinement.solvers.descent import Descent
@@ -18,9 +21,6 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.scene.contact_selection import ContactSelection
-from grasp_refine.validation.measures import SIDES
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import closing_motion
 from made_results import error_in_millimetres, with_measures, with_status
 
 

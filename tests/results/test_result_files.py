@@ -14,8 +14,8 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import Stage, load_grasps
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.results.result_files import (
     fingerprint,
     is_same_refinement,

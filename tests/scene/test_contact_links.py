@@ -10,11 +10,11 @@ import pytest
 
 from grasp_refine.collision.query import Witness, query
 from grasp_refine.grasps.grasp_set import ContactLinks, GraspSet, load_grasps, save_npz
+from grasp_refine.measures.metrics import metrics_of
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.metrics import metrics_of
 from sliding_gripper import around_object, sliding_gripper
 
 

@@ -19,8 +19,8 @@ from boxed_example import FILE, boxed_example
 from grasp_refine.core.errors import ConventionError
 from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.convention_check import convention_notes, joint_notes, position_notes
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.batch.progress import Progress

@@ -7,10 +7,10 @@ import pytest
 
 from boxed_example import boxed_example
 from grasp_refine.core.se3 import transform_points
+from grasp_refine.measures.geometry import measure
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.engines import engine_of
+from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.world import World, build_world
 from gripper import ball, gripper
 
 
@@ -19,7 +19,7 @@ def world() -> World:
 
 
 def test_without_drake_its_engine_says_how_to_install_it(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [name for name in sys.modules if name.startswith("grasp_refine.validation.drake")]:
+    for name in [name for name in sys.modules if name.startswith("grasp_refine.validation.engines.drake")]:
         monkeypatch.delitem(sys.modules, name)
     for name in {"pydrake", *(name for name in sys.modules if name.startswith("pydrake"))}:
         monkeypatch.setitem(sys.modules, name, None)

@@ -7,8 +7,8 @@ import pytest
 
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.geometry import Geometry, measure, movement
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.validation.geometry import Geometry, measure, movement
 
 RADIUS, OBJECT = 0.01, 0.05
 """Of the links' balls and of the object, in metres."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from grasp_refine.measures.formulas import MeasuredRefinement
+from grasp_refine.measures.geometry import movement
+from grasp_refine.measures.measures import COMPARED, MEASURE, MEASURES, MOVEMENTS, RECORDED, VALIDATED, Measure
 from grasp_refine.refinement.refine import Refinement
-from grasp_refine.validation.formulas import MeasuredRefinement
-from grasp_refine.validation.geometry import movement
-from grasp_refine.validation.measures import COMPARED, MEASURE, MEASURES, MOVEMENTS, RECORDED, VALIDATED, Measure
 
 LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration", "region_miss", "arm_dexterity")
 

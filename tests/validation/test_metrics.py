@@ -13,9 +13,9 @@ from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.quality import quality
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.metrics import Metrics, metrics
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.metrics import Metrics, metrics
 
 PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'

@@ -13,12 +13,12 @@ import torch
 from grasp_refine.core.errors import HandError
 from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.forces.torques import torque_bounds
+from grasp_refine.hands.files.prefixed_names import prefixed_names
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
-from grasp_refine.hands.prefixed_names import prefixed_names
-from grasp_refine.hands.servos import moments
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.hands.linkages.servos import moments
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from refusals import assert_names, refused
 
 NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}

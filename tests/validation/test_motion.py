@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import STAGES, closing_motion, motion_of
+from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.facade import problem_of
-from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.problem.facade import problem_of
+from grasp_refine.problem.refine import refine_problem
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.pregrasp import open_hand
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import STAGES, closing_motion, motion_of
 from refusals import refused
 
 

@@ -10,7 +10,7 @@ from grasp_refine.core.se3 import exp_so3, transform
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
-from grasp_refine.validation.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.validate import model_of
 
 MJCF = """

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.se3 import distances, exp_so3, transform_from_pose
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.get_a_grip import GET_A_GRIP
 from grasp_refine.validation.protocols.graspqp import GRASPQP
@@ -22,9 +24,7 @@ from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import close, push, simulate
-from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.world import World, build_world
 from gripper import RADIUS, around, ball, gripper, lifted, weighing
 from validation.test_protocol import critical_force, lever
 from validation.test_rules import gripper_with_palm

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.scene.environment import Environment, EnvironmentBody
-from grasp_refine.validation.engines import engine_of
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.world import World, build_world
 from gripper import RADIUS, around, ball, gripper
 
 TURN = exp_se3(np.array([0.3, -0.1, 0.7, 0.5, -0.8, 1.2]))

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.set_points import clipping_note, set_point_excess
 from grasp_refine.validation.simulation import simulate
-from grasp_refine.validation.world import World, build_world
 from gripper import KP, RADIUS, XML, around, ball, gripper
 
 FORCE_N = 4.0

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.se3 import distances, exp_so3, log_so3
 from grasp_refine.results.simulated import reason_lines
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.strict import STRICT
@@ -18,9 +20,7 @@ from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, noise_score
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
-from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine.validation.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, lifted, two_balls
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration

@@ -13,10 +13,10 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece, box
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.hands.linkages.servos import servo_settings
 from grasp_refine.hands.self_collision import touching_pairs
-from grasp_refine.hands.servos import servo_settings
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.urdf_model import Parts, excluded_pairs, urdf_model
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.urdf_model import Parts, excluded_pairs, urdf_model
 
 SHARED = ("allegro", "robotiq3f", "shadow", "leap", "barrett")
 """Hands in the shared assets."""

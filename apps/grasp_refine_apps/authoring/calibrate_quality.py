@@ -20,26 +20,26 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.forces.calibration import Calibration
 from grasp_refine.forces.quality import Quality
 from grasp_refine.forces.squeeze import squeezed
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.refine import refine_group
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.measures.formulas import MeasuredGrasps
+from grasp_refine.measures.geometry import measure
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.refine import refine_group
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.formulas import MeasuredGrasps
-from grasp_refine.validation.geometry import measure
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 
 RIDGE = 1e-2
 """Weight of the squared coefficients, of standardised shortcomings."""

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import exp_se3, exp_so3, pose_from_transform, transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, save_npz
@@ -37,11 +38,10 @@ from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import World, build_world
 
 HANDS = ("allegro", "franka_hand", "leap", "shadow", "shadow_palm")
 """Hands of robots/ that ship with example grasps."""

@@ -18,8 +18,8 @@ from jaxtyping import Float
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import tangents
-from grasp_refine.hands.description import read_tree
-from grasp_refine.hands.shape import Primitive
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.shape import Primitive
 
 Placed = tuple[Primitive, Float[np.ndarray, "4 4"]]
 """A shape and its pose (4, 4) in the link."""

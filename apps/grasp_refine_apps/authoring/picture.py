@@ -17,9 +17,9 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.measures.geometry import Geometry, measure
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Scene, refine
-from grasp_refine.validation.geometry import Geometry, measure
 from grasp_refine_apps.report.drawing import BAD, GOOD, INK, font, photograph, write
 from grasp_refine_apps.report.rasterizer import Camera
 from grasp_refine_apps.report.skeleton import Skeleton, object_model

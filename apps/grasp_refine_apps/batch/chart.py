@@ -9,8 +9,8 @@ from math import floor, log10
 
 import numpy as np
 
+from grasp_refine.measures.measures import COMPARED, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine.results.verdict import HOLDS
-from grasp_refine.validation.measures import COMPARED, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.histogram import LINEAR, Histogram
 

@@ -11,12 +11,12 @@ from typing import Any
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.versions import own_version
-from grasp_refine.hands.mesh_files import resolve_mesh
-from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
-from grasp_refine.hands.source import ON_ARM, hand_files
+from grasp_refine.hands.files.mesh_files import resolve_mesh
+from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES
+from grasp_refine.hands.files.source import ON_ARM, hand_files
 from grasp_refine.objects.region_spec import VERBS, spec_digest
 from grasp_refine.objects.source import ObjectSource
-from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
+from grasp_refine.problem.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 

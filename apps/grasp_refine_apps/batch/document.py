@@ -11,8 +11,8 @@ from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.npz_files import load_npz
 from grasp_refine.forces.squeeze_forces import ContactForces
+from grasp_refine.measures.measures import SIDES
 from grasp_refine.results.document import measure_entries
-from grasp_refine.validation.measures import SIDES
 from grasp_refine_apps.batch.shard import Shard
 
 SIMULATED = ("success", "reason", "direction", "displacement_m", "angle_rad")

@@ -7,7 +7,7 @@ from math import fsum, inf, log10, nan
 
 import numpy as np
 
-from grasp_refine.validation.measures import Unit
+from grasp_refine.measures.measures import Unit
 
 LINEAR, LOGARITHMIC = "linear", "logarithmic"
 

@@ -20,7 +20,7 @@ from grasp_refine.grasps.formats.content import SUFFIXES
 from grasp_refine.grasps.formats.folders import disambiguate, natural
 from grasp_refine.grasps.formats.reading import is_other, may_be_other
 from grasp_refine.objects.region_spec import VERBS, resolve_spec
-from grasp_refine.pipeline.spec import NAMES_OR_PATHS, SAMPLE, ProblemSpec
+from grasp_refine.problem.spec import NAMES_OR_PATHS, SAMPLE, ProblemSpec
 
 LISTS = (".toml", ".csv")
 """Suffixes of job lists."""

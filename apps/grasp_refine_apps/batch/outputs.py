@@ -15,7 +15,7 @@ from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.pipeline.input_cache import InputCache
+from grasp_refine.problem.input_cache import InputCache
 from grasp_refine_apps.batch.document import save_batch
 from grasp_refine_apps.batch.index import index_writer
 from grasp_refine_apps.batch.page import page

@@ -11,9 +11,9 @@ from typing import Any
 from urllib.parse import quote
 
 from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.measures.measures import COMPARED, Measure
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import BAR
-from grasp_refine.validation.measures import COMPARED, Measure
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.chart import CHARTED, chart, hint, statistics_row
 from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_text

@@ -15,12 +15,12 @@ from grasp_refine.core.errors import GraspRefineError, visible
 from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.rows import choose_rows
-from grasp_refine.hands.source import check_known
+from grasp_refine.hands.files.source import check_known
 from grasp_refine.objects.source import ObjectSource, chosen_object
-from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.sampled import check_sampled
-from grasp_refine.pipeline.spec import SAMPLE, ProblemSpec
+from grasp_refine.problem.input_cache import InputCache
+from grasp_refine.problem.load import Loader
+from grasp_refine.problem.sampled import check_sampled
+from grasp_refine.problem.spec import SAMPLE, ProblemSpec
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.jobs import Job
 from grasp_refine_apps.batch.record import is_result

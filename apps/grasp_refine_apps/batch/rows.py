@@ -12,9 +12,9 @@ import numpy as np
 
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
+from grasp_refine.measures.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
 from grasp_refine.results.result_numbers import ENTRIES, HELD, numbers_of
 from grasp_refine.results.verdict import should_hold
-from grasp_refine.validation.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
 

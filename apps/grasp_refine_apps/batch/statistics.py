@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.refinement.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import Agreement
-from grasp_refine.validation.measures import RECORDED, SIDES
 from grasp_refine_apps.batch.histogram import Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.worst import Case, Worst

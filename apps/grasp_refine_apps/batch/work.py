@@ -14,12 +14,12 @@ from typing import Any
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.profiling import Stopwatch
-from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.problem import Group, Problem
-from grasp_refine.pipeline.refine import Listener, refine_problem
-from grasp_refine.pipeline.refined import RefinedGrasps
-from grasp_refine.pipeline.spec import AUTO, NEAREST, ProblemSpec
+from grasp_refine.problem.input_cache import InputCache
+from grasp_refine.problem.load import Loader
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.refine import Listener, refine_problem
+from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.spec import AUTO, NEAREST, ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress

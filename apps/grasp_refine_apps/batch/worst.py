@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grasp_refine.validation.measures import COMPARED
+from grasp_refine.measures.measures import COMPARED
 from grasp_refine_apps.batch.rows import Rows
 
 NUM_CASES = 12

@@ -16,19 +16,19 @@ import numpy as np
 import torch
 from rich.console import Console
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.json_files import save_json
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform_from_pose
+from grasp_refine.hands.files.mujoco_messages import unlogged
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.mujoco_messages import unlogged
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.report import Column, Table
 

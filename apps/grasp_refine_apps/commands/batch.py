@@ -24,7 +24,7 @@ from grasp_refine.core.machine import machine
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
-from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
+from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table

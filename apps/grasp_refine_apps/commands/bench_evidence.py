@@ -20,9 +20,9 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_json, save_text
 from grasp_refine.core.plurals import count_text
-from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.engines import EngineName, check_engine
+from grasp_refine.problem.input_cache import InputCache
+from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.validation.engine_choice import EngineName, check_engine
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.jobs import read_jobs

@@ -12,8 +12,8 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.hands.hand import list_hands, needs_urdf
-from grasp_refine.pipeline.example import EXAMPLE_HAND
-from grasp_refine.pipeline.spec import AUTO, SAMPLE
+from grasp_refine.problem.example import EXAMPLE_HAND
+from grasp_refine.problem.spec import AUTO, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine_apps.bench.grasp.presets import BATCHES, EVERY_HAND, PLACES, PRESETS
 from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy

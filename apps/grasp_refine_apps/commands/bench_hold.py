@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.pipeline.spec import AUTO
+from grasp_refine.problem.spec import AUTO
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy

@@ -26,11 +26,11 @@ from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.rows import best_rows, rows_where
+from grasp_refine.hands.files.source import check_known, is_known
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.source import check_known, is_known
+from grasp_refine.measures.measures import QUALITY
 from grasp_refine.results.result_numbers import result_numbers
 from grasp_refine.scene.convention_check import joint_notes, position_notes, refuse_conventions
-from grasp_refine.validation.measures import QUALITY
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen

@@ -12,10 +12,10 @@ from tyro.conf import DisallowNone, Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_text
+from grasp_refine.hands.files.hand_toml import HAND_TOML
+from grasp_refine.hands.files.link_geometry import HULL_LIMIT
 from grasp_refine.hands.hand import Hand, list_hands, load_hand, needs_urdf
-from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.link_geometry import HULL_LIMIT
-from grasp_refine.pipeline.spec import check_hull_limit
+from grasp_refine.problem.spec import check_hull_limit
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine_apps.report.hand_table import bullets, list_table, show_hand

@@ -1,4 +1,4 @@
-"""Options for hand, object and grasps; `pipeline.load` reads them."""
+"""Options for hand, object and grasps; `problem.load` reads them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tyro.conf import DisallowNone, UseAppendAction, arg
 
 from grasp_refine.geometry.units import Unit
 from grasp_refine.grasps.formats.listing import FormatName
-from grasp_refine.pipeline.spec import ProblemSpec, SourceSpec
+from grasp_refine.problem.spec import ProblemSpec, SourceSpec
 from grasp_refine_apps.commands.options import INDICES
 
 

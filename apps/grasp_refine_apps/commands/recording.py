@@ -11,18 +11,18 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import DisallowNone, arg
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.grasps.formats.folders import UNUSUAL, disambiguate
-from grasp_refine.pipeline.problem import Draft, Group, UncutGroup
-from grasp_refine.validation.motion import Motion
+from grasp_refine.problem.problem import Draft, Group, UncutGroup
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, save_replay
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Trials
-from grasp_refine.validation.world import World
 
 MAX_RECORDED = 20
 """Maximum number of grasps recorded at once: each takes some megabytes."""

@@ -18,13 +18,13 @@ from grasp_refine.core.profiling import Stopwatch, cpu_seconds
 from grasp_refine.motion.way import WayOptions
 from grasp_refine.motion.way_files import check_way_file
 from grasp_refine.objects.region_spec import is_of_file
-from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.problem import Draft, Problem, UncutGroup
-from grasp_refine.pipeline.recorded_objects import pieces_digest, surface_digest
-from grasp_refine.pipeline.refine import refine_problem
-from grasp_refine.pipeline.refined import RefinedGrasps
-from grasp_refine.pipeline.spec import NEAREST, NO_SCENE, SAMPLE
-from grasp_refine.pipeline.ways import follow_ways, plan_ways
+from grasp_refine.problem.load import Loader
+from grasp_refine.problem.problem import Draft, Problem, UncutGroup
+from grasp_refine.problem.recorded_objects import pieces_digest, surface_digest
+from grasp_refine.problem.refine import refine_problem
+from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
+from grasp_refine.problem.ways import follow_ways, plan_ways
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.terms.weights import Weights

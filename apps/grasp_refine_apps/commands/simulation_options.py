@@ -9,8 +9,8 @@ from typing import Annotated
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.pipeline.problem import StageSource
-from grasp_refine.validation.engines import EngineChoice
+from grasp_refine.problem.problem import StageSource
+from grasp_refine.validation.engine_choice import EngineChoice
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.protocol_file import load_protocol

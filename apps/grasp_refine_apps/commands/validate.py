@@ -12,25 +12,25 @@ import numpy as np
 from rich.markup import escape
 from tyro.conf import DisallowNone, Positional, arg
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json, save_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.hands.self_collision import ignored_overlaps
-from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.problem import Draft, Group, Problem
+from grasp_refine.problem.load import Loader
+from grasp_refine.problem.problem import Draft, Group, Problem
 from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
 from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.results.validation_table import comparison_table, validation_table
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
-from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.set_points import clipping_note
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate
-from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.commands.margins_options import (
     MarginsOptions,

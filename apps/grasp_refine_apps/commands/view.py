@@ -26,8 +26,8 @@ from grasp_refine.grasps.formats.listing import OURS
 from grasp_refine.grasps.formats.reading import Reading
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
-from grasp_refine.pipeline.load import Loader
-from grasp_refine.pipeline.refined import RefinedGrasps
+from grasp_refine.problem.load import Loader
+from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
@@ -37,7 +37,7 @@ from grasp_refine_apps.report.progress import Reporter
 from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
-    from grasp_refine.pipeline.problem import Problem
+    from grasp_refine.problem.problem import Problem
     from grasp_refine_apps.viewer.collection import Collection
     from grasp_refine_apps.viewer.controller import Controller
     from grasp_refine_apps.viewer.panels.app import Viewer

@@ -13,14 +13,14 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.files.description import joints_fixed_and_mimicking, links_with_visuals
+from grasp_refine.hands.files.mujoco_messages import compiled, one_line
 from grasp_refine.hands.hand import Hand, Joint
-from grasp_refine.hands.mujoco_messages import compiled, one_line
 from grasp_refine.hands.self_collision import PairClasses, classify_pairs
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
-from grasp_refine.validation.mjcf_model import mjcf_model
-from grasp_refine.validation.urdf_model import urdf_model
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine.validation.validate import model_of
 
 MAX_TURN_RAD, MAX_SLIDE_M = 4 * np.pi, 1.0

@@ -8,9 +8,9 @@ from typing import Any
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.hands.files.hand_toml import HAND_TOML
+from grasp_refine.hands.files.mimics import followed
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.mimics import followed
 
 _LICENCE = re.compile(r"\b(Apache-2\.0|BSD-[23]-Clause|MIT|GPL-[23]\.0|CC-BY[-A-Z0-9.]*)\b")
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)

@@ -12,10 +12,10 @@ from rich.table import Table
 
 from grasp_refine.core.plurals import count_text
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.hands.files.hand_toml import Contact
+from grasp_refine.hands.files.mimics import followed
+from grasp_refine.hands.files.tree import Joint
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.hand_toml import Contact
-from grasp_refine.hands.mimics import followed
-from grasp_refine.hands.tree import Joint
 from grasp_refine.results.table import plain_table
 from grasp_refine_apps.report.hand_facts import examples, licence
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from grasp_refine.core.rpy_poses import rpy_from_transform
+from grasp_refine.hands.files.hand_toml import ACTUATOR
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.hand_toml import ACTUATOR
 from grasp_refine_apps.report.hand_table import show_value
 
 

@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from grasp_refine.core.plurals import count_text
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.refine import Listener
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.refine import Listener
 
 
 class Reporter(Listener):

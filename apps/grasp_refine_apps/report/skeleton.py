@@ -16,8 +16,8 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.report.drawing import CONTACT_COLOR, LINK_COLOR, OBJECT_COLOR
 from grasp_refine_apps.report.rasterizer import Model

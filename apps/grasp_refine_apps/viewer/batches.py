@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.refine import refine_group
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.results.outcome import Outcome

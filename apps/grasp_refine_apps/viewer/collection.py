@@ -14,8 +14,8 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.pipeline.problem import Group, Problem
-from grasp_refine.pipeline.refined import RefinedGrasps
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
-from grasp_refine.validation.measures import MEASURES, VALIDATED, Better, Measure
+from grasp_refine.measures.measures import MEASURES, VALIDATED, Better, Measure
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from math import degrees
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances
-from grasp_refine.validation.measures import MEASURE
+from grasp_refine.measures.measures import MEASURE
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.contacts import distances_text
 from grasp_refine_apps.viewer.meter import ContactMeter

@@ -14,9 +14,9 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Frames
+from grasp_refine.measures.measures import MEASURE
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.measures import MEASURE
 from grasp_refine_apps.viewer.pose import Target
 
 DEFAULT_SELECTION = ContactSelection()

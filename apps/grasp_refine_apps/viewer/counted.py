@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.validation.measures import MEASURE
+from grasp_refine.measures.measures import MEASURE
 
 REMAINING = "remaining gap"
 """Name of the largest gap of the links that an iteration of a refinement closes, which are not those of the input."""

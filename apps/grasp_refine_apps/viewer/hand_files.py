@@ -12,9 +12,9 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.core.names import is_file
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
-from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.mesh_files import resolve_mesh
-from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES, is_mjcf
+from grasp_refine.hands.files.hand_toml import HAND_TOML
+from grasp_refine.hands.files.mesh_files import resolve_mesh
+from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES, is_mjcf
 from grasp_refine_apps.viewer.mesh_bounds import check_faces, check_mesh_file, safe_xml
 from grasp_refine_apps.viewer.unpacking import UploadError
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Bool, Int
 
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.validation.metrics import Metrics, metrics_of
+from grasp_refine.measures.metrics import Metrics, metrics_of
+from grasp_refine.problem.problem import Group
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import MEASURED, NUMBERS, Column
 

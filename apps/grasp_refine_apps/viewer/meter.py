@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.collision.query import query
+from grasp_refine.measures.measures import MEASURE
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.measures import MEASURE
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.pose import Pose, posed_scene

@@ -16,13 +16,13 @@ from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
+from grasp_refine.hands.files.source import list_hands
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.source import list_hands
 from grasp_refine.objects.object import Object, UncutObject, cut_objects, load_object, read_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
-from grasp_refine.pipeline.problem import Group, Problem, aim, recorded_gaps
-from grasp_refine.pipeline.recorded_objects import check_objects
+from grasp_refine.problem.problem import Group, Problem, aim, recorded_gaps
+from grasp_refine.problem.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.scene import Scene

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.grasps.grasp_set import Targets
-from grasp_refine.pipeline.problem import aim
+from grasp_refine.problem.problem import aim
 from grasp_refine.scene.scene import Scene
 
 

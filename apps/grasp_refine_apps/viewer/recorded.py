@@ -12,7 +12,7 @@ from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
 from grasp_refine.grasps.poses import unit_poses
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.columns import NUMBERS, STATUS
 
 BEFORE = ("hand_pose_before", "q_before")

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.refine import refine_group
+from grasp_refine.measures.geometry import measure, worst_over_links
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.iteration_state import IterationState
@@ -18,7 +19,6 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure, worst_over_links
 from grasp_refine_apps.viewer.counted import Counted
 from grasp_refine_apps.viewer.pose import Pose, Target, posed_scene, targets_of
 from grasp_refine_apps.viewer.trace import Recorder, Trace

@@ -9,9 +9,9 @@ from threading import Lock
 import numpy as np
 
 from grasp_refine.core.plurals import first_of
+from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_patches import patch_misses
-from grasp_refine.validation.formulas import COSTLY_M
 from grasp_refine_apps.viewer.contacts import Contacts
 
 MAX_NAMED = 2

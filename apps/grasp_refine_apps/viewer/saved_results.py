@@ -14,7 +14,7 @@ from grasp_refine.core.machine import machine
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.formats.listing import OURS
-from grasp_refine.pipeline.recorded_objects import object_entries, regions_entry
+from grasp_refine.problem.recorded_objects import object_entries, regions_entry
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import result_entries

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from grasp_refine.closing.motion import Motion, closing_motion, motion_of
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.grasps.formats.agreement import DisagreementError, check_agreement
@@ -25,7 +26,6 @@ from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, 
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene, links_of
-from grasp_refine.validation.motion import Motion, closing_motion, motion_of
 from grasp_refine_apps.viewer.batches import batches
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.counted import Counted

@@ -12,8 +12,8 @@ from jaxtyping import Float, Float32, Int, UInt32
 from grasp_refine.core.errors import HandError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand
-from grasp_refine.hands.visuals import load_visuals
 from grasp_refine.objects.object import Object
 from grasp_refine_apps.viewer.colors import Color
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.grasps.formats.content import SUFFIXES
-from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES
+from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES
 
 MAX_FILES = 2000
 """Maximum files in a zip: a hand has about a hundred, a folder of grasps one per grasp."""

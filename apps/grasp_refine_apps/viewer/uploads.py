@@ -18,8 +18,8 @@ from typing import Literal
 
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
-from grasp_refine.hands.hand_toml import HAND_TOML
-from grasp_refine.hands.mjcf_xml import MJCF_SUFFIXES, is_mjcf
+from grasp_refine.hands.files.hand_toml import HAND_TOML
+from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES, is_mjcf
 from grasp_refine_apps.viewer.hand_files import check_hand
 from grasp_refine_apps.viewer.mesh_bounds import check_mesh_file
 from grasp_refine_apps.viewer.names import MAX_FILE_BYTES

@@ -8,8 +8,8 @@ from math import degrees, isnan
 
 import numpy as np
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.results.simulated import closing_line
-from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 from grasp_refine.validation.validate import BARELY

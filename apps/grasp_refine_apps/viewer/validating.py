@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from mujoco.batch import Batch
 
+from grasp_refine.closing.motion import Motion, closing_motion, motion_of
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
 from grasp_refine.hands.hand import Hand
@@ -17,15 +18,14 @@ from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion, closing_motion, motion_of
+from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.robustness import offset_labels
 from grasp_refine.validation.simulation import close, push
-from grasp_refine.validation.stepping import Conditions, StepCallback
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.viewer.pose import Pose
 from grasp_refine_apps.viewer.shown_motion import ShownMotion, shown_motion
 from grasp_refine_apps.viewer.validated import TrialResult

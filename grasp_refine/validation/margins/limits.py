@@ -9,13 +9,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.short_repr import brief
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
-from grasp_refine.validation.stepping import Conditions
-from grasp_refine.validation.world import World
 
 STEPS = 5
 """Number of bisections; the result lies within the 32nd part of the searched range, in its logarithm."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.errors import GraspRefineError
@@ -16,18 +17,17 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.validation.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.margins.draws import Draws
 from grasp_refine.validation.margins.factors import FIELDS, JOINT, PUSH
 from grasp_refine.validation.margins.intervals import mean_interval, wilson
 from grasp_refine.validation.margins.limits import Limits, limits
-from grasp_refine.validation.mjcf_model import mjcf_model
-from grasp_refine.validation.motion import Motion
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
-from grasp_refine.validation.stepping import Conditions
-from grasp_refine.validation.urdf_model import urdf_model
-from grasp_refine.validation.world import World, build_world
 
 Progress = Callable[[str, float], None]
 """Called with the name of the present simulation, and the number of finished grasps, in fractions."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.hands.mujoco_messages import compiled, one_line, unlogged
+from grasp_refine.hands.files.mujoco_messages import compiled, one_line, unlogged
 from grasp_refine.validation.replay.replay import OBJECT, Replay, Stage, check_replay
 
 PUSH = "push"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from mujoco.batch import Batch
 
-from grasp_refine.validation.motion import Motion
+from grasp_refine.closing.motion import Motion
+from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.simulation import LIFT, close, push
-from grasp_refine.validation.stepping import Conditions, StepCallback
 from grasp_refine.validation.trials import Reason
-from grasp_refine.validation.world import World
 
 STEPS_PER_FRAME = 5
 """Simulation steps per recorded frame: 50 frames in a second."""

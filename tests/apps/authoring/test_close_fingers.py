@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
-from grasp_refine.validation.geometry import measure
-from grasp_refine.validation.motion import closing_motion
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 from grasp_refine_apps.authoring.close_fingers import (
     CLEARANCE_M,
     CLOSING_JOINTS,

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from batch_rows import document, failure, made_up_rows
+from grasp_refine.measures.measures import COMPARED, MEASURE
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.validation.measures import COMPARED, MEASURE
 from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture

@@ -10,7 +10,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, save_npz
-from grasp_refine.pipeline.load import Loader
+from grasp_refine.problem.load import Loader
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.shard import Shard

@@ -13,7 +13,7 @@ import pytest
 
 from batch_rows import made_up_rows
 from command_line import subprocess_environment
-from grasp_refine.validation.measures import METRE
+from grasp_refine.measures.measures import METRE
 from grasp_refine_apps.batch import statistics as module
 from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
 from grasp_refine_apps.batch.rows import Rows

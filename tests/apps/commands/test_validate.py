@@ -15,7 +15,7 @@ import pytest
 from command_line import refused
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
-from grasp_refine.hands.inertia import Inertia
+from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.object import load_object
 from grasp_refine.results.validation_document import save_table
 from grasp_refine.results.verdict import HOLDS

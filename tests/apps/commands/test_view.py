@@ -23,7 +23,7 @@ from grasp_refine.core.interruption import INTERRUPTED
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import Object, UncutObject, cut_objects
-from grasp_refine.pipeline import load
+from grasp_refine.problem import load
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine_apps.cli import main

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, Stage
-from grasp_refine.validation.world import build_world
 from grasp_refine_apps.report.film import Shapes, film, geom_mesh
 from gripper import RADIUS, around, ball, gripper
 from recorded_gripper import Recorded, recorded_gripper

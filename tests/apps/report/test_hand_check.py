@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from command_line import refused
+from grasp_refine.hands.files.hand_toml import KEYS
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.hand_toml import KEYS
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.report.hand_check import check_hand
 from grasp_refine_apps.report.hand_toml_text import hand_toml_text

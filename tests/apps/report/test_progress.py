@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.report.progress import Reporter
 from refusals import assert_names
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from open_viewer import example
 from viewer_process import Viewer, start_viewer_process
 

@@ -15,8 +15,8 @@ import viser
 
 from browser import ViserPage, until
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import STATUS

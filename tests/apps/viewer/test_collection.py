@@ -14,9 +14,9 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.refine import refine_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.refine import refine_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.validation.trials import Reason

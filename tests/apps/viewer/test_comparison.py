@@ -10,7 +10,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.comparison import compared_pose, compared_text

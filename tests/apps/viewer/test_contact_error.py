@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from grasp_refine.hands.hand import list_hands
-from grasp_refine.pipeline.facade import evaluate
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Problem
-from grasp_refine.pipeline.refine import refine_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.facade import evaluate
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.refine import refine_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.meter import title_of

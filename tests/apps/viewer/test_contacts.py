@@ -14,12 +14,12 @@ from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
+from grasp_refine.hands.files.hand_toml import Contact
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.hand_toml import Contact
+from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
 from grasp_refine_apps.viewer.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.glyphs import patch_area, patch_outline
 from grasp_refine_apps.viewer.pose import Target

@@ -14,8 +14,8 @@ import pytest
 
 from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
 from grasp_refine.hands.chain import Chain
-from grasp_refine.pipeline.problem import Problem
-from grasp_refine.pipeline.refine import refine_problem
+from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.refine import refine_problem
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine

@@ -12,8 +12,8 @@ import pytest
 
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.viewer import editing
 from grasp_refine_apps.viewer.collection import Collection

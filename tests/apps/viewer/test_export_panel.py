@@ -21,9 +21,9 @@ from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Group, Problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.commands.settings import Settings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.se3 import transform
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer import editing
 from grasp_refine_apps.viewer.controller import Controller
 from open_viewer import controller, settled

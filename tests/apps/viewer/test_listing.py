@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
-from grasp_refine.validation.metrics import metrics
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.viewer import measuring
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.measuring import MEASURED, unmeasured, with_measures

@@ -11,7 +11,7 @@ import pytest
 from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_from_pose, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane

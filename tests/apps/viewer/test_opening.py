@@ -14,7 +14,7 @@ from grasp_refine.core.se3 import exp_se3, pose_from_transform
 from grasp_refine.grasps.grasp_set import GraspSet, Targets
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer import opening

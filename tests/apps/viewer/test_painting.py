@@ -13,7 +13,7 @@ from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
 from grasp_refine_apps.viewer.painting import Camera, PaintedFaces, seen_faces

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_refine.pipeline.problem import Problem
-from grasp_refine.validation.measures import COMPARED
+from grasp_refine.measures.measures import COMPARED
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.plots import MAX_POINTS, MIN_LENGTH_MM, curves

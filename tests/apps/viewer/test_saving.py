@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.grasps.formats import agreement
@@ -21,7 +22,6 @@ from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
 from grasp_refine_apps.viewer.pose import Pose, Target
 from grasp_refine_apps.viewer.saving import MAX_STEM_BYTES, Saved, grasp_file, grasp_set
 from refusals import refused

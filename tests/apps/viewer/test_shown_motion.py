@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_se3, pose_from_transform, transform_from_pose
 from grasp_refine.geometry.body import build_body
@@ -17,15 +18,14 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.world import HAND, World, build_world
+from grasp_refine.validation.engines.mujoco.world import SCENE as SCENE_PREFIX
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import HAND, World, build_world
-from grasp_refine.validation.world import SCENE as SCENE_PREFIX
 from grasp_refine_apps.viewer.shown_motion import (
     FRAME_RATE_HZ,
     MAX_DISPLACEMENT_M,

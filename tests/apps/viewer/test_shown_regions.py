@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import build_body
@@ -15,12 +16,11 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.motion.sweep import SPACING_M
 from grasp_refine.motion.way import LEGS, WayStatus, ways
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import Motion
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.shown_way import LIFT, SQUEEZE, ShownWay, shown_way
 from open_viewer import controller, settled

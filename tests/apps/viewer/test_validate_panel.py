@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.panels.play_bar import PLAY
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel

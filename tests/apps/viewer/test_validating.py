@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, pose_from_transform
 from grasp_refine.grasps.grasp_set import Stage
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.problem import Group
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.problem import Group
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.motion import closing_motion
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.protocols.strict import STRICT

@@ -13,8 +13,8 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.results.margins_document import margins_entry
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.cli import main

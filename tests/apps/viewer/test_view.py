@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, transform_points
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.page import close_server, open_server
 from grasp_refine_apps.viewer.pose import Pose

@@ -7,24 +7,24 @@ import mujoco
 import numpy as np
 import pytest
 
+from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
-from grasp_refine.hands.defaults import Actuator
+from grasp_refine.hands.files.defaults import Actuator
 from grasp_refine.validation import simulation
-from grasp_refine.validation.drake.build import build_plant
-from grasp_refine.validation.drake.contacts import touching_pairs
-from grasp_refine.validation.drake.plant import Parameters
-from grasp_refine.validation.drake.rows import Plants, Rows
-from grasp_refine.validation.engines import engine_of
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.motion import Motion
+from grasp_refine.validation.engine_choice import engine_of
+from grasp_refine.validation.engines.drake.build import build_plant
+from grasp_refine.validation.engines.drake.contacts import touching_pairs
+from grasp_refine.validation.engines.drake.plant import Parameters
+from grasp_refine.validation.engines.drake.rows import Plants, Rows
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine.validation.protocols.tabletop import TABLETOP
-from grasp_refine.validation.stepping import Conditions
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine.validation.world import World, build_world
 from gripper import KP, RADIUS, around, ball, gripper, lifted, weighing
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration

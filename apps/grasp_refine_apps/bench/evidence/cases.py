@@ -29,8 +29,8 @@ from grasp_refine.core.json_files import save_text
 from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
-from grasp_refine.hands.source import list_hands, needs_urdf
-from grasp_refine.pipeline.spec import SAMPLE
+from grasp_refine.hands.files.source import list_hands, needs_urdf
+from grasp_refine.problem.spec import SAMPLE
 
 _Value = TypeVar("_Value")
 

@@ -11,20 +11,20 @@ from typing import ClassVar
 
 import numpy as np
 
+from grasp_refine.closing.motion import Motion, motion_of
 from grasp_refine.core.json_files import dumps
 from grasp_refine.core.short_repr import labels
 from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
-from grasp_refine.pipeline.input_cache import InputCache
-from grasp_refine.pipeline.problem import Problem
+from grasp_refine.problem.input_cache import InputCache
+from grasp_refine.problem.problem import Problem
 from grasp_refine.results.document import settings
-from grasp_refine.validation.engines import EngineName, engine_of
-from grasp_refine.validation.motion import Motion, motion_of
+from grasp_refine.validation.engine_choice import EngineName, engine_of
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 from grasp_refine_apps.batch.digests import sha256_of
 from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard

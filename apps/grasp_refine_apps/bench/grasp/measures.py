@@ -8,8 +8,8 @@ import numpy as np
 
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.measures.geometry import measure
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from grasp_refine.core.profiling import Stopwatch
+from grasp_refine.measures.geometry import Movement, movement
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.geometry import Movement, movement
 from grasp_refine_apps.bench.grasp.measures import Measures, measure_grasps
 from grasp_refine_apps.bench.grasp.tasks import Tasks
 from grasp_refine_apps.bench.grasp.together import run_together

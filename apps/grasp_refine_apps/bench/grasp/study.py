@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.bench.chart import Axis, Chart, Row

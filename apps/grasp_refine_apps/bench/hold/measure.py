@@ -9,20 +9,20 @@ from typing import Literal
 
 import numpy as np
 
+from grasp_refine.closing.motion import Motion, closing_motion
 from grasp_refine.core.plurals import count_text
 from grasp_refine.forces.squeeze import CONTACTS
+from grasp_refine.measures.geometry import measure, movement
+from grasp_refine.measures.metrics import metrics
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import measure, movement
-from grasp_refine.validation.hand_model import HandModel
-from grasp_refine.validation.metrics import metrics
-from grasp_refine.validation.motion import Motion, closing_motion
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
-from grasp_refine.validation.world import World, build_world
 from grasp_refine_apps.bench.jobs import Progress, part_of
 from grasp_refine_apps.bench.timing import one_thread, warmed_up
 

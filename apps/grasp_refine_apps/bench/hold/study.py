@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from grasp_refine.core.array_records import join
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.trials import Reason

@@ -11,8 +11,8 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs
 from grasp_refine.hands.self_collision import candidate_pairs, classify_pairs
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.hand_object import HandObject

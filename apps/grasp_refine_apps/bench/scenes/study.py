@@ -16,15 +16,15 @@ from grasp_refine.hands.mount import mount
 from grasp_refine.motion.execution import follow
 from grasp_refine.motion.way import ways
 from grasp_refine.objects.object import load_object
-from grasp_refine.pipeline.facade import problem_of
-from grasp_refine.pipeline.refine import refine_group
+from grasp_refine.problem.facade import problem_of
+from grasp_refine.problem.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import list_scenes, load_scene
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.validate import model_of
-from grasp_refine.validation.world import build_world
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job, Progress, part_of
 from grasp_refine_apps.bench.report import Column, Report, Table

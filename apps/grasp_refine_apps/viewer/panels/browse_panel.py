@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.validation.measures import COMPARED, Measure
+from grasp_refine.measures.measures import COMPARED, Measure
 from grasp_refine_apps.viewer.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.collection import Collection
 from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS

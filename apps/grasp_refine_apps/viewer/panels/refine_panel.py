@@ -8,11 +8,11 @@ import numpy as np
 import viser
 
 from grasp_refine.core.plurals import count_text
+from grasp_refine.measures.measures import COMPARED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.table import measure_text
 from grasp_refine.results.verdict import HOLDS, should_hold
-from grasp_refine.validation.measures import COMPARED
 from grasp_refine_apps.viewer.controller import Controller
 from grasp_refine_apps.viewer.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot

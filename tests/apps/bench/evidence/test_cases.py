@@ -12,7 +12,7 @@ import pytest
 from evidence_assets import OBJECTS, write_assets
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import load_grasps
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.bench.evidence.cases import (
     SAMPLED,

@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from grasp_refine.core.json_files import dumps
+from grasp_refine.measures.geometry import Movement
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.geometry import Movement
 from grasp_refine_apps.bench.chart import Chart
 from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.rows import contact_errors, rows

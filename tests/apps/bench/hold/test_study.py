@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from grasp_refine.core.json_files import dumps
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.bench.hold.measure import GroupResult, Method
 from grasp_refine_apps.bench.hold.study import HoldStudy, auc, rows

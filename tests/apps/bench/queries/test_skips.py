@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.hands.self_collision import classify_pairs
-from grasp_refine.pipeline.load import load_problem
-from grasp_refine.pipeline.spec import ProblemSpec
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.scene import Scene

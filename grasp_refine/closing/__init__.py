@@ -1,0 +1,1 @@
+"""How a hand closes on an object: pregrasp, squeeze, the motion between."""

@@ -1,0 +1,1 @@
+"""Mechanisms of hands: coupled joints, tendons, linkages with springs, servos."""

@@ -1,0 +1,1 @@
+"""Measures of grasps, from their geometry alone."""

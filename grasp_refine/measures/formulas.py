@@ -1,0 +1,164 @@
+"""Formulas of the measures that `measures` lists: functions of grasps at given poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.forces.quality import Quality, quality
+from grasp_refine.forces.squeeze import contacts, grasp_forces
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.inverse_kinematics import ArmKinematics
+from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from grasp_refine.measures.geometry import Geometry, Movement
+from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.scene.contact_patches import PatchMisses, patch_misses
+from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.hand_object import moving_links
+from grasp_refine.scene.surroundings import SceneDepths, scene_depths
+
+if TYPE_CHECKING:
+    from grasp_refine.refinement.refine import Refinement
+
+COSTLY_M = (0.0005, 0.0025)
+"""Depth in metres of a link in a body of the scene, or distance of a contact from where it may be, up to which it costs
+no quality, and from which on it costs all."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredGrasps:
+    """N grasps on one object at the world's origin, with the one plain query that all formulas share."""
+
+    hand: Hand
+    """The hand."""
+    object: Object
+    """The object."""
+    links: tuple[str, ...]
+    """Names of its L links with collision geometry."""
+    T_world_root: Float[np.ndarray, "N 4 4"]
+    """Poses of the base link in the object's frame (N, 4, 4), metres."""
+    q: Float[np.ndarray, "N n"]
+    """Joint values (N, n)."""
+    geometry: Geometry
+    """Distances, witness points and poses of the links."""
+    environment: Environment | None = None
+    """Bodies around the object; None: there are none."""
+    regions: ContactRegions | None = None
+    """Regions of the object in which links should touch it; None: everywhere."""
+
+    @property
+    def known(self) -> Bool[np.ndarray, " N"]:
+        """True for grasps (N,) that are finite, and all of whose queries succeeded."""
+        return self.geometry.witness.valid.all(axis=1)
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Shortcomings of the grasps, with arbitrary numbers for those that are not `known`."""
+        known = self.known
+        T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
+        q = np.where(known[:, None], self.q, 0.0)
+        chain = Chain(self.hand, self.links)
+        return quality(self.hand, self.object, chain, chain(T, q), self.geometry.witness)
+
+    @cached_property
+    def scene_depths(self) -> SceneDepths | None:
+        """Penetration of the bodies around the object; None: there are none."""
+        if self.environment is None:
+            return None
+        bodies = tuple(self.hand.links_by_name[name].solid for name in self.links)
+        return scene_depths(self.environment, bodies, self.geometry.T_world_link, moving_links(self.hand, self.links))
+
+    @cached_property
+    def contact_misses(self) -> PatchMisses | None:
+        """Distances of contact patches from the regions; None: there are none."""
+        if self.regions is None:
+            return None
+        bodies = [self.hand.links_by_name[name].solid for name in self.links]
+        geometry = self.geometry
+        return patch_misses(self.regions, bodies, self.object.body, geometry.T_world_link, geometry.witness)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRefinement:
+    """Refinement of N grasps, and how far it moved them."""
+
+    refinement: Refinement
+    """Refined grasps, with status and cost."""
+    movement: Movement
+    """Movement of the base link and the joints."""
+
+    @property
+    def final_loss(self) -> Float[np.ndarray, " N"]:
+        """Loss after refinement (N,), m^2; NaN where it is not finite."""
+        return np.where(np.isfinite(self.refinement.loss[:, 1]), self.refinement.loss[:, 1], np.nan)
+
+
+def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the deepest penetration of links in each other (N,), metres; see `self_penetration`."""
+    return self_penetration(grasps.hand, touching_pairs(grasps.hand), grasps.q)
+
+
+def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the deepest penetration of links in bodies around the object (N,), metres; NaN without a scene."""
+    found = grasps.scene_depths
+    return np.full(len(grasps.q), np.nan) if found is None else found.depth
+
+
+def region_miss(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the largest distance (N,) of a contact patch from where hands may touch, metres; NaN without regions."""
+    found = grasps.contact_misses
+    return np.full(len(grasps.q), np.nan) if found is None else np.where(grasps.known, found.miss.max(axis=1), np.nan)
+
+
+def arm_dexterity(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Smallest singular value (N,) of the palm's Jacobian in the arm's joints, m/rad; NaN without an arm."""
+    if grasps.hand.arm is None:
+        return np.full(len(grasps.q), np.nan)
+    return ArmKinematics(grasps.hand).dexterity(grasps.T_world_root, grasps.q)
+
+
+def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the wrench (N,) that the best contact forces leave unbalanced, as `ContactForces.residual`."""
+    T = np.where(grasps.known[:, None, None], grasps.T_world_root, np.eye(4))
+    geometry = grasps.geometry
+    points = contacts(grasps.hand, grasps.object, grasps.links, geometry.witness, geometry.T_world_link)
+    return grasp_forces(points, grasps.object, T[:, :3, :3]).residual
+
+
+def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return `Quality.value` (N,), less where links are in a body of the scene or touch where they should not.
+
+    Up to `COSTLY_M[0]` that costs nothing, from `COSTLY_M[1]` on the quality is 0; NaN where it is not `known`.
+    """
+    value, (least, most) = np.where(grasps.known, grasps.quality.value, np.nan), COSTLY_M
+    wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]
+    wrong += [] if grasps.regions is None else [region_miss(grasps)]
+    for metres in wrong:
+        value = value * np.clip((most - metres) / (most - least), 0.0, 1.0)
+    return value
+
+
+def contact_distance(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the mean distance (N,) of the fingers in metres, NaN for a hand without fingers.
+
+    The distance of a finger is that of its nearest contact link, at least 0.
+    """
+    distance, fingers = grasps.geometry.distance, dict[str, set[int]]()
+    for contact in grasps.hand.contacts:
+        fingers.setdefault(contact.group, set()).add(grasps.links.index(contact.link))
+    if not fingers:
+        return np.full(len(distance), np.nan)
+    nearest = np.stack([distance[:, sorted(columns)].min(axis=1) for columns in fingers.values()])
+    return np.maximum(nearest, 0.0).mean(axis=0)
+
+
+def contact_number(grasps: MeasuredGrasps) -> Int[np.ndarray, " N"]:
+    """Return the number of links (N,) within `CONTACT_DISTANCE_M` of the object."""
+    return (grasps.geometry.distance <= CONTACT_DISTANCE_M).sum(axis=1)

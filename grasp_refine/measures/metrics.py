@@ -1,0 +1,112 @@
+"""Measures of grasps by geometry and statics alone, at the given poses, without any motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from grasp_refine.core.array_records import join, take
+from grasp_refine.core.plurals import count_text
+from grasp_refine.core.short_repr import spread
+from grasp_refine.hands.hand import Hand
+from grasp_refine.measures.formulas import MeasuredGrasps
+from grasp_refine.measures.geometry import contact_errors, measure, worst_over_links
+from grasp_refine.measures.measures import VALIDATED, Measure
+from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.scene.contact_links import contact_gaps
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Metrics:
+    """Measures `VALIDATED` of N grasps, as attributes; NaN where a grasp is not finite, or a query failed.
+
+    Attributes have the names of the measures, with their unit: `quality`, `penetration_m`, `contact_number`.
+    """
+
+    values: Mapping[str, Float[np.ndarray, " N"]]
+    """Name of a measure -> its values (N,), SI units."""
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        """Return the values of a measure (N,).
+
+        Raises:
+            AttributeError: there is no such measure.
+        """
+        known = self.__dict__.get("values", {})
+        if name not in known:
+            raise AttributeError(f"no measure {name!r}, only {', '.join(known)}")
+        return known[name]
+
+    def __repr__(self) -> str:
+        quality, depth = spread(self.quality), spread(self.penetration_m)
+        return f"Metrics({count_text(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.quality)
+
+    def select(self, rows: np.ndarray) -> Metrics:
+        """Return the grasps `rows`, in that order."""
+        return take(self, rows)
+
+    @staticmethod
+    def join(parts: Sequence[Metrics]) -> Metrics:
+        """Return the grasps of all parts, in that order."""
+        return join(*parts)
+
+
+def metrics(
+    hand: Hand,
+    obj: Object,
+    T_world_root: np.ndarray,
+    q: np.ndarray,
+    environment: Environment | None = None,
+    regions: ContactRegions | None = None,
+) -> Metrics:
+    """Measure penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the origin.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        T_world_root: Poses (N, 4, 4) of the base link in the object's frame; otherwise as in `Scene`.
+        q: Joint values (N, n).
+        environment: Bodies around the object.
+        regions: Regions of the object in which links should touch it.
+
+    Returns:
+        Measures, NaN for invalid poses (`Scene.posed`).
+
+    Raises:
+        GraspRefineError: an argument of another type or shape.
+    """
+    return metrics_of(Scene(hand, obj, T_world_root, q, environment=environment, regions=regions))
+
+
+def metrics_of(scene: Scene) -> Metrics:
+    """Measure the grasps of a scene as `metrics`, contact errors with its targets and recorded contact links."""
+    scene = scene.masked(scene.posed)
+    hand, obj, T, q, links = scene.hand, scene.object, scene.T_world_root, scene.q, scene.links
+    target_link, target_object = (
+        np.full((len(q), len(links), 3), np.nan) if one is None else one
+        for one in (scene.target_link, scene.target_object)
+    )
+    geometry = measure(hand, obj, links, T, q, target_link, target_object)
+    gap, where = contact_gaps(scene, geometry.witness), (geometry.distance, geometry.witness, geometry.T_world_link)
+    error = worst_over_links(contact_errors(*where, gap, target_link, target_object))
+    # A link with several contact points appears several times, and counts once in all other measures.
+    first = [column for column, link in enumerate(links) if links.index(link) == column]
+    geometry = replace(geometry.columns(first), contact_error=error[:, None])
+    names = tuple(links[column] for column in first)
+    grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.environment, scene.regions)
+
+    def values(one: Measure) -> np.ndarray:
+        found = one.formula(grasps)
+        return np.where(grasps.known, worst_over_links(found) if one.per_link else found, np.nan)
+
+    return Metrics({one.name: values(one) for one in VALIDATED})

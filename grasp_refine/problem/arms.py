@@ -1,0 +1,281 @@
+"""Problems on arms: grasps of a hand become those of the hand on an arm, whose base stands in the object's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from grasp_refine.collision.query import Pairs, query
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.plurals import count_text, first_of
+from grasp_refine.core.rpy_poses import read_pose
+from grasp_refine.core.se3 import inverse, transform_from_pose
+from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.grasps.on_arm import ROOM_M, ArmClearance, on_arm
+from grasp_refine.hands.chain import Chain
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.hand import Hand
+from grasp_refine.hands.inverse_kinematics import ArmKinematics
+from grasp_refine.hands.mount import mount, standing
+from grasp_refine.hands.self_collision import self_penetration
+from grasp_refine.objects.object import Object
+from grasp_refine.problem.problem import Group, Problem, aim, recorded_gaps
+from grasp_refine.problem.spec import SourceSpec
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.surroundings import Surroundings, scene_depths
+
+BLOCK_ARMS = 64
+"""Number of arms that are measured at a time, which bounds the memory."""
+
+MAX_REASONS = 5
+"""Number of grasps out of reach whose reasons are noted; the others are counted."""
+
+MAX_SUNK_M = 0.02
+"""Depth of the base in a body of the scene, in metres, from which on it is told: bases stand on tables, not in them."""
+
+
+def check_arm(spec: SourceSpec) -> None:
+    """Refuse options of an arm that have no meaning alone.
+
+    Raises:
+        GraspRefineError: names them.
+    """
+    for name, value in (("mount", spec.mount), ("mount-pose", spec.mount_pose)):
+        if value is not None and spec.arm is None:
+            raise GraspRefineError(f"--{name} {value}: needs the arm that carries the hand, --arm")
+    for name, value in (("base", spec.base), ("mount-pose", spec.mount_pose)):
+        if value is not None:
+            read_pose(value, f"--{name}")
+
+
+def whole_hand(
+    spec: SourceSpec,
+    source: str,
+    hand: Hand,
+    load_hand: Callable[[str, str | None], Hand],
+    load_arm: Callable[[str], Hand],
+) -> Hand:
+    """Return a hand on the arm of a specification, `--arm`, or on that of its own file; itself where there is none.
+
+    A file with both is read from the base of the arm on: `--base-link`, or the root of the file.
+
+    Args:
+        spec: Names of the arm and of the link that carries the hand.
+        source: The hand, or its file.
+        hand: The hand alone.
+        load_hand: Loads a hand below a base link.
+        load_arm: Loads an arm.
+
+    Raises:
+        GraspRefineError: the arm cannot be loaded, the hand not be mounted, or its file has no arm.
+    """
+    if hand.arm is not None:
+        return hand
+    if spec.stands:
+        base = spec.base_link or read_tree(hand.urdf).root
+        return standing(load_hand(source, base), hand.base_link)
+    if spec.arm is None:
+        return hand
+    pose = None if spec.mount_pose is None else read_pose(spec.mount_pose, "--mount-pose")
+    return mount(load_arm(spec.arm), hand, spec.mount, pose)
+
+
+def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int = 0) -> Problem:
+    """Return the grasps of a hand as those of the hand on an arm, with their arms by inverse kinematics.
+
+    Args:
+        problem: Grasps of the hand alone, or such as begin at the base of the arm already.
+        hand: The hand on its arm; without one, the problem is returned as it is.
+        spec: Tells where the base stands.
+        seed: Seed of the starts of the inverse kinematics.
+
+    Raises:
+        GraspRefineError: the place of the base is needed, and not given.
+    """
+    if hand.arm is None:
+        return problem
+    if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
+        raise GraspRefineError(
+            f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or "
+            "the world of the scene: --base x,y,z,roll,pitch,yaw (metres, degrees), as in --base -0.5,0,0,0,0,0"
+        )
+    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
+    groups, notes, beyond, count = [], [*hand.notes], 0, 0
+    for group in problem.groups:
+        placed, some_notes = group_on_arm(group, hand, T_base, seed=seed)
+        notes += some_notes
+        groups.append(placed)
+        beyond, count = beyond + int(placed.scene.out_of_reach.sum()), count + len(placed.rows)
+    if beyond:
+        notes.append(f"{beyond} of {count_text(count, 'grasp')} out of reach of the arm")
+        notes += first_of(out_of_reach_texts(problem.groups, groups, seed), MAX_REASONS)
+    return replace(problem, hand=hand, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, *notes))))
+
+
+def group_on_arm(
+    group: Group, hand: Hand, T_object_base: Float[np.ndarray, "4 4"], *, seed: int = 0
+) -> tuple[Group, tuple[str, ...]]:
+    """Return the grasps of a group on an arm, and notes."""
+    scene = group.scene
+    if scene.environment is not None:
+        T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
+    clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
+    grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
+    notes = (*notes, *_sunk_notes(hand, T_object_base, scene))
+    columns = [grasps.joint_names.index(name) for name in hand.joint_names]
+    targets = aim(hand, grasps.targets, np.arange(len(grasps)))
+    moved = Scene(
+        hand,
+        scene.object,
+        transform_from_pose(grasps.hand_pose),
+        grasps.q[:, columns],
+        *targets,
+        contact_gap=recorded_gaps(hand, grasps),
+        table=scene.table,
+        environment=scene.environment,
+        regions=scene.regions,
+    )
+    return replace(group, scene=moved, grasps=grasps), notes
+
+
+def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], scene: Scene) -> tuple[str, ...]:
+    """Return notes where the standing links of an arm are deep in the object, the table or a body of the scene."""
+    assert hand.arm is not None
+    names = [link.name for link in hand.links if link.body is not None and link.name in hand.arm.standing]
+    if not names:
+        return ()
+    return tuple(
+        f"link '{link}', on which the arm stands, is {1e3 * depth:.0f} mm inside {what}: move the base (--base)"
+        for what, depth, link in deepest(hand, names, T_object_base, hand.rest, scene)
+        if depth > MAX_SUNK_M
+    )
+
+
+def deepest(
+    hand: Hand, names: Sequence[str], T_object_base: np.ndarray, q: np.ndarray, scene: Scene
+) -> list[tuple[str, float, str]]:
+    """Return how deep some links are in the object, the table and the bodies of a scene, which is negative outside.
+
+    Args:
+        hand: The hand on its arm.
+        names: Links with collision geometry, at least one.
+        T_object_base: Pose (4, 4) of the base in the object's frame.
+        q: Joint values (n,).
+        scene: Object, table and bodies.
+
+    Returns:
+        Name of each, the largest depth in metres, and the link that has it.
+    """
+    T_link = Chain(hand, tuple(names))(T_object_base[None], q[None]).T_world_link
+    bodies, found = tuple(hand.links_by_name[name].solid for name in names), list[tuple[str, float, str]]()
+    witness = query(Pairs.against(bodies, scene.object.body), T_link, np.broadcast_to(np.eye(4), T_link.shape))
+    distance = np.where(witness.valid, witness.distance, np.inf)[0]
+    found.append((scene.object.name, -float(distance.min()), names[int(distance.argmin())]))
+    if scene.table is not None:
+        height = scene.table.heights(bodies, T_link)[0][0]
+        found.append(("the table", -float(height.min()), names[int(height.argmin())]))
+    if scene.environment is not None and scene.environment.bodies:
+        depths = scene_depths(scene.environment, bodies, T_link)
+        name = scene.environment.bodies[depths.body[0]].name
+        found.append((f"body '{name}' of the scene", float(depths.depth[0]), names[int(depths.link[0])]))
+    return found
+
+
+def out_of_reach_texts(alone: Sequence[Group], placed: Sequence[Group], seed: int = 0) -> list[str]:
+    """Return why grasps are out of reach, a text for each: how far the palm stays away, or which link meets what.
+
+    Args:
+        alone: Grasps of the hand alone.
+        placed: The same grasps on the arm.
+        seed: Seed of the starts of the inverse kinematics.
+    """
+    texts = []
+    for given, group in zip(alone, placed, strict=True):
+        scene, rows = group.scene, np.flatnonzero(group.scene.out_of_reach)
+        if given.grasps.base_link == scene.hand.base_link:
+            continue
+        label = f"{group.object} " if len(placed) > 1 else ""
+        T_palm = transform_from_pose(given.grasps.hand_pose)
+        for row in rows[:MAX_REASONS].tolist():
+            why = _why_out_of_reach(scene, scene.T_world_root[row], scene.q[row], T_palm[row], seed)
+            texts.append(f"grasp {label}{group.index[row]} out of reach: {why}")
+        texts += [f"grasp {label}{group.index[row]} out of reach" for row in rows[MAX_REASONS:].tolist()]
+    return texts
+
+
+def _why_out_of_reach(scene: Scene, T_base: np.ndarray, q: np.ndarray, T_palm: np.ndarray, seed: int) -> str:
+    hand, kinematics = scene.hand, ArmKinematics(scene.hand)
+    own = q[None, ~hand.arm_joints]
+    found = kinematics.solve(T_base, own, T_palm[None], seed=seed)
+    ways = found.q[0][np.isfinite(found.q[0]).all(axis=1)]
+    if not len(ways):
+        metres, radians = kinematics.shortfall(T_base[None], own, T_palm[None], seed=seed)[0]
+        return f"the palm stays {1e3 * metres:.0f} mm and {np.degrees(radians):.0f} degrees away"
+    arm = hand.arm
+    assert arm is not None
+    moving = [link.name for link in hand.links if link.body is not None and link.name in arm.links - arm.standing]
+    met = []
+    for values in ways:
+        # A way is as bad as the worst that it meets.
+        own_depths = [(float(self_penetration(hand, (pair,), values[None])[0]), *pair) for pair in kinematics.pairs]
+        around = deepest(hand, moving, T_base, values, scene) if moving else []
+        met.append(max([*own_depths, *((depth, link, what) for what, depth, link in around)], default=(0.0, "", "")))
+    depth, first, second = min(met)
+    return (
+        f"{first} and {second} would be {1e3 * depth:.1f} mm in each other, in the best of "
+        f"{count_text(len(ways), 'way')} of the arm"
+    )
+
+
+def within_reach(
+    grasps: GraspSet, hand: Hand, spec: SourceSpec, scene: Scene, *, seed: int = 0
+) -> Bool[np.ndarray, " N"]:
+    """Return a mask (N,) of grasps of a hand alone that the hand on an arm reaches.
+
+    Args:
+        grasps: Poses of the palm.
+        hand: The hand on its arm.
+        spec: Tells where the base stands.
+        scene: Object, table and bodies.
+        seed: Seed of the starts of the inverse kinematics.
+    """
+    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
+    if scene.environment is not None:
+        T_base = inverse(scene.environment.T_world_object) @ T_base
+    clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
+    placed, _ = on_arm(grasps, hand, T_base, clearance=clearance, seed=seed)
+    return np.isfinite(placed.q).all(axis=1)
+
+
+def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:
+    """Return the function that tells how far the moving links of the arm are from object, table and other bodies."""
+    arm = hand.arm
+    assert arm is not None
+    moving = arm.links - arm.standing
+    links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
+    bodies = tuple(hand.links_by_name[name].solid for name in links)
+    chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
+    around = None if environment is None else Surroundings.measured(environment, bodies)
+
+    def clearance(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Float[np.ndarray, " M"]:
+        room = np.full(len(q), ROOM_M)
+        if pairs is None:
+            return room
+        T_link = chain(T, q).T_world_link
+        found = query(pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape), cutoff=ROOM_M)
+        room = np.minimum(room, np.where(found.valid, found.distance, ROOM_M).min(axis=1))
+        if table is not None:
+            room = np.minimum(room, table.heights(bodies, T_link)[0].min(axis=1))
+        if around is not None:
+            for rows in np.split(np.arange(len(q)), range(BLOCK_ARMS, len(q), BLOCK_ARMS)):
+                near = around.near(T_link[rows], ROOM_M, most=1)
+                nearest = np.where(near.column >= 0, near.witness.distance, ROOM_M).min(axis=1)
+                room[rows] = np.minimum(room[rows], nearest)
+        return room
+
+    return clearance

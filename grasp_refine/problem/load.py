@@ -1,0 +1,440 @@
+"""Problems from specifications: hands, objects and grasps are read and checked, then objects are decomposed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
+from grasp_refine.core.profiling import stage
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.grasps.formats.reading import Reading, reading
+from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
+from grasp_refine.grasps.rebase import rebased
+from grasp_refine.grasps.renaming import with_prefixes
+from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.hands.arm_file import load_arm
+from grasp_refine.hands.files.description import read_tree
+from grasp_refine.hands.files.source import check_known
+from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.solid_links import check_collides
+from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
+from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
+from grasp_refine.problem.arms import check_arm, problem_on_arm, whole_hand, within_reach
+from grasp_refine.problem.example import example_grasps
+from grasp_refine.problem.frame_check import frame_notes
+from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.named_inputs import in_scene, on_disk, other_urdf, with_actuators
+from grasp_refine.problem.problem import Draft, Group, Problem, UncutGroup, aim, recorded_gaps
+from grasp_refine.problem.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
+from grasp_refine.problem.sampled import check_sampled, sample_group, sampled_problem
+from grasp_refine.problem.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
+from grasp_refine.scene.contact_regions import regions_of
+from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
+from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.scene_check import surroundings_notes
+from grasp_refine.scene.scene_file import load_scene
+
+
+def _ignore(message: str) -> None:
+    """Drop a message."""
+
+
+def load_problem(
+    spec: ProblemSpec,
+    cache: InputCache | None = None,
+    *,
+    seed: int = 0,
+    on_message: Callable[[str], None] = _ignore,
+    on_wait: Callable[[str], None] = _ignore,
+) -> Problem:
+    """Return the grasps of a specification with their hand and objects.
+
+    Args:
+        spec: Names and files.
+        cache: Keeps files, hands and objects for the next problem; None: nothing is kept.
+        seed: Seed of decompositions and of sampled grasps.
+        on_message: Called when something is fetched, and when a decomposition starts and ends.
+        on_wait: Called with the name of a step that takes long.
+
+    Raises:
+        ConventionError: the grasps are most likely in another convention; with `as_is` this is a warning.
+        GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+    """
+    loader = Loader(spec, seed, on_message, on_wait, cache or NoCache())
+    problem = loader.cut(loader.draft())
+    for note in problem.convention_notes:
+        warnings.warn(note, stacklevel=2)
+    return problem
+
+
+@dataclass(frozen=True)
+class Loader:
+    """Loads a specification in two halves: `draft` reads and checks everything, `cut` decomposes the objects."""
+
+    spec: ProblemSpec
+    """Names and files."""
+    seed: int = 0
+    """Seed of decompositions and of sampled grasps."""
+    on_message: Callable[[str], None] = _ignore
+    """Called when something is fetched, and when a decomposition starts and ends."""
+    on_wait: Callable[[str], None] = _ignore
+    """Called with the name of a step that takes long."""
+    cache: InputCache = field(default_factory=NoCache)
+    """Cache of files, hands and objects for the next problem."""
+
+    def __post_init__(self) -> None:
+        """Take the object of the scene where none is specified.
+
+        Raises:
+            GraspRefineError: there is no such scene, or it has another object than the specification.
+        """
+        object.__setattr__(self, "spec", in_scene(self.spec))
+
+    @stage("loading")
+    def draft(self) -> Draft:
+        """Read and check everything that the specification names; no object is decomposed yet.
+
+        Raises:
+            GraspRefineError: something is missing, cannot be used, or does not fit the rest.
+        """
+        spec = self.spec
+        if str(spec.grasps).startswith(SAMPLE):
+            return self.draft_sampled(check_sampled(spec))
+        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec)
+        return self.draft_read(self._read_file(path), path)
+
+    def grasp_path(self) -> Path:
+        """Return the path of the grasp file, fetched where it is an asset."""
+        assert self.spec.grasps is not None
+        return on_disk(self.spec.grasps, self.on_message)
+
+    def draft_read(self, read: Reading, path: Path) -> Draft:
+        """Return the draft of grasps that were read from `path` already."""
+        spec, of_files = self.spec, recorded_scene(read.files)
+        spec.check()
+        check_arm(spec)
+        if spec.scene is None and of_files is not None:
+            return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
+        regions_notes: tuple[str, ...] = ()
+        if not (spec.touch or spec.avoid):
+            touch, avoid, regions_notes = recorded_regions(read.files)
+            spec = replace(spec, touch=touch, avoid=avoid)
+        environment = self.environment()
+        if of_files is not None and spec.scene != NO_SCENE:
+            check_scene(of_files, environment, other=spec.other_object)
+        grasps = read.grasps
+        names = self._names(grasps, path)
+        chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
+        sources = {name: self._source(name, path) for name in names}
+        grasps = replace(grasps, targets=self._targets(grasps, path))
+        hand, grasps, resting = self._hand(grasps, path)
+        whole = self._whole(spec.hand or grasps.hand, hand)
+        targets = grasps.targets
+        q, notes = match_joints(grasps, hand)
+        check_collides(hand)
+        notes = (
+            *read.notes,
+            *regions_notes,
+            *hand.notes,
+            *resting,
+            *notes,
+            *other_urdf(path, hand, chosen=bool(spec.hand)),
+        )
+        groups: list[UncutGroup] = []
+        count = 0
+        for name, rows in chosen.items():
+            index = np.asarray(spec.index) if spec.index else np.arange(len(rows))
+            place, count = np.arange(count, count + len(rows)), count + len(rows)
+            scales = self.scales(grasps, rows)
+            for scale in np.unique(scales):
+                at = np.flatnonzero(scales == scale)
+                uncut = self.read_object(sources[name], float(scale))
+                notes += tuple(f"{name}: {note}" for note in uncut.notes)
+                file_scale = float(grasps.scale[rows[at[0]]])
+                groups.append(UncutGroup(name, spec.metres(scale), uncut, file_scale, rows[at], index[at], place[at]))
+        aims = [aim(hand, targets, group.rows) for group in groups]
+        notes += check_objects(read.files, {group.key: group.uncut for group in groups}, other=spec.other_object)
+        files, table = self._files(path, read), spec.plane
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            found = []
+            for group, obj, points in zip(groups, objects, aims, strict=True):
+                some = grasps.select(group.rows)
+                scene = Scene(
+                    hand,
+                    obj,
+                    transform_from_pose(some.hand_pose),
+                    q[group.rows],
+                    *points,
+                    contact_gap=recorded_gaps(hand, some),
+                    table=table,
+                    environment=environment,
+                    regions=regions_of(obj, spec.touch, spec.avoid, environment),
+                )
+                found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
+            cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
+            scenes = [group.scene for group in found]
+            doubts = convention_notes(scenes)
+            if not spec.as_is:
+                refuse_conventions(doubts, str(path))
+            frames = () if doubts else frame_notes(scenes)
+            of_pieces = (f"{group.object}: {note}" for group in found for note in group.scene.object.notes)
+            checked = (*of_pieces, *check_objects(read.files, cut, other=True), *surroundings_notes(scenes))
+            all_notes = dict.fromkeys((*notes, *checked, *doubts, *frames))
+            alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
+            return problem_on_arm(alone, whole, spec, seed=self.seed)
+
+        names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
+        return Draft(whole, files, names_of_grasps, targets is not None, tuple(groups), finish, environment=environment)
+
+    def draft_sampled(self, count: int, draw: int = 0) -> Draft:
+        """Return the draft of `count` new grasps of the hand on the object, which are sampled once it is decomposed.
+
+        Args:
+            count: Number of grasps.
+            draw: Number of the draw, of several with one seed; each returns other grasps.
+
+        Raises:
+            GraspRefineError: hand or object cannot be used.
+        """
+        spec = self.spec
+        spec.check()
+        check_arm(spec)
+        assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
+        hand = self._simulated(self.load_hand(spec.hand, None if spec.stands else spec.base_link))
+        check_collides(hand)
+        whole = self._whole(spec.hand, hand)
+        source = chosen_object(spec.object, self.on_message)
+        scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
+        uncut = self.read_object(source, scale)
+        seed = (self.seed, draw) if draw else self.seed
+
+        environment = self.environment()
+
+        def finish(objects: Sequence[Object]) -> Problem:
+            def reaches(grasps: GraspSet, scene: Scene) -> Bool[np.ndarray, " N"]:
+                return within_reach(grasps, whole, spec, scene, seed=self.seed)
+
+            needed = None if whole.arm is None or spec.base is None else reaches
+            alone = sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment, needed)
+            return problem_on_arm(alone, whole, spec, seed=self.seed)
+
+        group = sample_group(uncut, spec.metres(scale))
+        return Draft(whole, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}", environment)
+
+    @stage("loading")
+    def cut(self, draft: Draft, rough: Collection[int] = ()) -> Problem:
+        """Decompose the objects of a draft into convex pieces, several at a time, and return the problem.
+
+        Args:
+            draft: The draft.
+            rough: Groups whose objects are not decomposed yet, see `UncutObject.rough`.
+        """
+        uncut = [group.uncut for group in draft.groups]
+        cut = iter(self._cut([one for at, one in enumerate(uncut) if at not in rough]))
+        return draft.finish([one.rough() if at in rough else next(cut) for at, one in enumerate(uncut)])
+
+    def cut_object(self, uncut: UncutObject) -> Object:
+        """Decompose one object."""
+        (found,) = self._cut([uncut])
+        return found
+
+    def read(self, path: Path) -> Reading:
+        """Return all grasps of the file `path`, with the targets of the specification.
+
+        Raises:
+            GraspFileError: it cannot be read, or the targets cannot.
+        """
+
+        def with_targets() -> Reading:
+            read = self._read_file(path)
+            return replace(read, grasps=replace(read.grasps, targets=self._targets(read.grasps, path)))
+
+        spec = self.spec
+        return self.cache.get("file", (path, spec.format, spec.hand, spec.urdf, spec.targets), with_targets)
+
+    def named_objects(self, grasps: GraspSet, path: Path) -> dict[str, ObjectSource]:
+        """Return the sources of the selected objects of the grasps, in the order of the file.
+
+        Raises:
+            GraspRefineError: an object is not known, or ambiguous.
+        """
+        return {name: self._source(name, path) for name in self._names(grasps, path)}
+
+    def scales(self, grasps: GraspSet, rows: np.ndarray) -> np.ndarray:
+        """Return the scales of the objects of some grasps of a file (N,), to the unit of the specification.
+
+        The factor of a scene's own object is not applied twice, where the file has it already as results have.
+        """
+        scales, environment = grasps.scale[rows], self.environment()
+        if environment is not None and environment.object is not None:
+            scales = np.where(np.isclose(scales, environment.scale, rtol=1e-9), 1.0, scales)
+        return scales * self.spec.scale
+
+    def load_arm(self, source: str) -> Hand:
+        """Return an arm."""
+        load = partial(load_arm, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
+        return self.cache.get("hand", (source, "arm", self.spec.hull_limit), load)
+
+    def load_hand(self, source: str, base_link: str | None) -> Hand:
+        """Return a hand, from the files of the specification."""
+        spec = self.spec
+        options = {name: getattr(spec, name) for name in ("urdf", "mjcf", "collision", "follower_limits", "hull_limit")}
+
+        load = partial(load_hand, source, base_link=base_link, **options, progress=self.on_message)
+        return self.cache.get("hand", (source, base_link, *options.values()), load)
+
+    def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
+        """Return an object of the specified size, still to be decomposed.
+
+        Raises:
+            GraspRefineError: it cannot be read or used.
+        """
+        spec = self.spec
+
+        def read() -> UncutObject:
+            found = read_object(source.source, scale=scale, unit=spec.unit, holes=spec.holes)
+            return found if source.asset is None else replace(found, name=source.asset.name)
+
+        return self.cache.get("uncut", (source.source, scale, spec.unit, spec.holes), read)
+
+    def environment(self) -> Environment | None:
+        """Return the bodies around the object of the specified scene; None: there is none.
+
+        Raises:
+            GraspRefineError: the scene cannot be read or used.
+        """
+        source = self.spec.scene
+        if source in (None, NO_SCENE):
+            return None
+        return self.cache.get("scene", source, lambda: load_scene(source, on_message=self.on_message))
+
+    def _cut(self, objects: Sequence[UncutObject]) -> Sequence[Object]:
+        settings = Decomposition(threshold=self.spec.threshold)
+
+        def cut(uncut: Sequence[UncutObject]) -> Sequence[Object]:
+            return cut_objects(uncut, settings, seed=self.seed, progress=self.on_message)
+
+        if isinstance(self.cache, NoCache):
+            return cut(objects)
+
+        def one(uncut: UncutObject) -> Object:
+            return self.cache.get("object", (uncut, settings.threshold, self.seed), lambda: cut([uncut])[0])
+
+        return [one(uncut) for uncut in objects]
+
+    def _read_file(self, path: Path) -> Reading:
+        """Return the grasps of a file, or of a folder, of any format."""
+        spec = self.spec
+        # Our files name their joints; for others the columns may follow from the hand.
+        hand = None if spec.hand is None or path.suffix == ".npz" else self.load_hand(spec.hand, None)
+        return reading(path, format=spec.format, hand=hand)
+
+    def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
+        """Return the given path, the files in it if it is a folder, and the file of targets."""
+        files = tuple(dict.fromkeys((path, *read.files)))
+        return files if self.spec.targets in (AUTO, NEAREST) else (*files, Path(self.spec.targets))
+
+    def _targets(self, grasps: GraspSet, path: Path) -> Targets | None:
+        """Return the targets of all rows of the grasp file; None: contacts are selected by distance."""
+        wanted = self.spec.targets
+        if wanted in (AUTO, NEAREST):
+            return grasps.targets if wanted == AUTO else None
+        other = load_grasps(wanted)
+        if other.targets is None:
+            raise GraspFileError(f"{wanted}: has no targets (target_link, target_point_link, target_point_object)")
+        if len(other) != len(grasps) or (other.object != grasps.object).any():
+            raise GraspFileError(
+                f"{wanted}: its rows must be those of {path}: {len(other)} against {len(grasps)} grasps"
+                + ("" if len(other) != len(grasps) else ", of other objects")
+            )
+        return other.targets
+
+    def _hand(self, grasps: GraspSet, path: Path) -> tuple[Hand, GraspSet, list[str]]:
+        """Return the hand below the requested base link, the grasps expressed in its frame, and notes."""
+        spec = self.spec
+        source = spec.hand or grasps.hand
+        if spec.hand is None:
+            check_known(source, path)
+        load = cache(partial(self.load_hand, source))
+        if spec.arm is not None or spec.stands:
+            # Results begin at the base of the arm.
+            whole = self._whole(source, self._simulated(load(None if spec.stands else spec.base_link)))
+            if grasps.base_link == whole.base_link:
+                return whole, grasps, []
+        notes = []
+        try:
+            hand = load(grasps.base_link)
+        except HandError:
+            full = load(None)
+            tree = read_tree(full.urdf)
+            if grasps.base_link in tree.links:
+                raise
+            renamed = with_prefixes(grasps, tree.links, tree.joints)
+            if renamed is None:
+                raise GraspFileError(
+                    f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
+                    f"is no link of hand '{full.name}'; its links are {', '.join(tree.links)}"
+                ) from None
+            notes.append(
+                f"{path}: base_link '{grasps.base_link}' and the joints of the grasps are found with a prefix, as "
+                f"'{renamed.base_link}', in {full.urdf.name}"
+            )
+            grasps, hand = renamed, load(renamed.base_link)
+        if spec.base_link is not None and not spec.stands:
+            moved, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
+            resting = [name for name in moved.joint_names if name not in grasps.joint_names]
+            notes += [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
+            grasps = moved
+        if not any(link.body is not None for link in hand.links):
+            raise GraspFileError(
+                f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
+                f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
+            )
+        return self._simulated(hand), grasps, notes
+
+    def _whole(self, source: str, hand: Hand) -> Hand:
+        """Return a hand on the arm of the specification; the hand itself where there is none."""
+        spec = self.spec
+        key = (hand, spec.arm, spec.mount, spec.mount_pose, spec.stands)
+        return self.cache.get("whole", key, partial(whole_hand, spec, source, hand, self.load_hand, self.load_arm))
+
+    def _simulated(self, hand: Hand) -> Hand:
+        """Return the hand as it will be simulated."""
+        # An MJCF of the specification takes precedence.
+        hand = hand if self.spec.mjcf is None else replace(hand, collision="mjcf")
+        return self.cache.get("simulated", (hand, self.spec.mjcf), partial(with_actuators, hand))
+
+    def _names(self, grasps: GraspSet, path: Path) -> list[str]:
+        """Return the names of the objects whose grasps are selected, in the order of the file."""
+        spec = self.spec
+        if spec.object is not None and spec.objects is not None:
+            raise GraspRefineError("--object and --objects exclude each other: give one of them")
+        if spec.object_name is not None:
+            return [spec.object_name]
+        names = list(dict.fromkeys(grasps.object.tolist()))
+        if len(names) > 1 and spec.objects is None and not (spec.object is None and all(map(is_known, names))):
+            listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
+            raise GraspFileError(
+                f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
+                f"meshes with --objects: {listing}"
+            )
+        return names
+
+    def _source(self, name: str, path: Path) -> ObjectSource:
+        """Return the source of the object `name` of the grasp file."""
+        spec = self.spec
+        if spec.object is not None:
+            return chosen_object(spec.object, self.on_message)
+        return named_object(
+            name, None if spec.objects is None else on_disk(spec.objects, self.on_message), path, self.on_message
+        )

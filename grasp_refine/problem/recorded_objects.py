@@ -1,0 +1,229 @@
+"""Objects of refined grasps in their provenance, and a check that the present ones are the same."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from grasp_refine.core.errors import GraspFileError
+from grasp_refine.geometry.pieces import Piece
+from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.objects.region_spec import VERBS, is_spec, resolve_spec
+from grasp_refine.problem.problem import Group
+from grasp_refine.results.result_files import read_provenance
+from grasp_refine.scene.environment import Environment
+
+if TYPE_CHECKING:
+    import trimesh
+
+GRID_M = 1e-9
+"""Grid in metres on which coordinates are compared: far below any mesh, far above rounding."""
+
+MESH_TOLERANCE_SHARE = 1e-5
+"""Share of the diagonal by which bounds, centroid, area and volume may differ after a mesh was exported anew."""
+
+
+def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
+    """Return entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
+
+    Hashes depend on the geometry that was used, not on paths, units or the order of vertices.
+    """
+    return [
+        {
+            "name": group.object,
+            "scale": float(group.scale),
+            **_digests(group.scene.object),
+            "measures_m": _measures(group.scene.object.mesh),
+        }
+        for group in groups
+    ]
+
+
+@dataclass(frozen=True)
+class RecordedScene:
+    """Scene in which grasps of a file were refined."""
+
+    file: Path
+    """File of the grasps."""
+    name: str
+    """Name of the scene."""
+    source: str
+    """File of the scene, or name of one that comes with the program; empty: it was made in memory."""
+    digest: str
+    """Its `Environment.digest`."""
+
+
+def scene_entry(environment: Environment) -> dict[str, str]:
+    """Return the entry for provenance of the bodies around the object."""
+    return {"name": environment.name, "source": environment.source, "sha256": environment.digest}
+
+
+def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
+    """Return the entry for provenance of the regions in which hands should touch an object, or not.
+
+    Files of specifications have their whole path, so that they are found from other folders, too.
+    """
+    specs = {verb: [region.spec for region in getattr(regions, verb)] for verb in VERBS}
+    return {
+        verb: [resolve_spec(spec, Path(), verb) if is_spec(spec) else spec for spec in several]
+        for verb, several in specs.items()
+    }
+
+
+def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return the regions, wanted and to avoid, of the refinement of grasps in result files, and notes on others.
+
+    Those that cannot be read any more, or were made in Python, are left out, and all of them where files differ.
+    """
+    found: dict[str, list[str]] | None = None
+    for file in files:
+        entry = read_provenance(file).get("regions")
+        lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in VERBS]
+        specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
+        if found not in (None, specs):
+            return (
+                (),
+                (),
+                ("the files were refined with different regions, which do not count: give --touch or --avoid",),
+            )
+        found = specs
+    touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in VERBS)
+    lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
+    notes = tuple(
+        f"refined with {one}, which cannot be read and does not count: give --touch or --avoid" for one in lost
+    )
+    return touch, avoid, notes
+
+
+def recorded_scene(files: Iterable[Path]) -> RecordedScene | None:
+    """Return the scene in which the grasps of result files were refined; None: in none.
+
+    Raises:
+        GraspFileError: they were refined in different scenes.
+    """
+    found: RecordedScene | None = None
+    for file in files:
+        entry = read_provenance(file).get("scene")
+        if not (isinstance(entry, dict) and all(isinstance(entry.get(k), str) for k in ("name", "source", "sha256"))):
+            continue
+        one = RecordedScene(file, entry["name"], entry["source"], entry["sha256"])
+        if found is not None and found.digest != one.digest:
+            raise GraspFileError(
+                f"{found.file} was refined in scene '{found.name}', {file} in '{one.name}': give them one by one"
+            )
+        found = found or one
+    return found
+
+
+def check_scene(recorded: RecordedScene, present: Environment | None, *, other: bool) -> None:
+    """Refuse grasps that were refined in another scene than the present one, unless another one is accepted.
+
+    Raises:
+        GraspFileError: names both scenes.
+    """
+    if other or (present is not None and present.digest == recorded.digest):
+        return
+    now = "no scene" if present is None else f"scene '{present.name}'"
+    same = present is not None and present.name == recorded.name
+    raise GraspFileError(
+        f"{recorded.file}: its grasps were refined in scene '{recorded.name}', this is {now}"
+        f"{', with other bodies or poses' if same else ''}: give that one with --scene"
+        f"{f' {recorded.source}' if recorded.source and not same else ''}, --scene none for the object alone, or "
+        "--other-object if this one is meant"
+    )
+
+
+def surface_digest(mesh: trimesh.Trimesh) -> str:
+    """Return the sha256 of the oriented triangles of a mesh on the grid, independent of the order of its elements."""
+    corners = _on_grid(mesh.triangles)
+    # Each triangle begins with its least corner, which keeps its orientation.
+    first = np.lexsort(corners.transpose(2, 0, 1)[::-1])[:, 0]
+    turned = corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3]
+    return _digest(turned.reshape(-1, 9))
+
+
+def pieces_digest(pieces: Sequence[Piece]) -> str:
+    """Return the sha256 of the vertices and radii of convex pieces on the grid, independent of their order."""
+    digests = sorted(_digest(_on_grid(piece.vertices), _on_grid(np.array([piece.radius]))) for piece in pieces)
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def check_objects(
+    files: Iterable[Path], present: Mapping[tuple[str, float], UncutObject | Object], *, other: bool
+) -> tuple[str, ...]:
+    """Return notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
+
+    Args:
+        files: The grasp files; other files than results, and results without recorded objects, are skipped.
+        present: (name, scale) as in the files -> the present object; if it is not decomposed yet, pieces are not
+            compared.
+        other: Whether another object is accepted.
+
+    Raises:
+        GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
+            that is not accepted.
+    """
+    notes = []
+    for file in files:
+        entries = read_provenance(file).get("objects")
+        for entry in entries if isinstance(entries, list) else ():
+            try:
+                key, recorded = (entry["name"], entry["scale"]), {name: entry[name] for name in ("mesh", "pieces")}
+                measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
+            except (LookupError, TypeError, ValueError, ArithmeticError):
+                continue
+            if not known or recorded | (digests := _digests(present[key])) == recorded:
+                continue
+            made = f"{file}: its grasps of '{entry['name']}' were refined on"
+            now = present[key]
+            if recorded["mesh"] == digests["mesh"]:
+                notes.append(f"{made} other convex pieces of the same mesh")
+                continue
+            if np.allclose(
+                measures,
+                _measures(now.mesh),
+                rtol=0.0,
+                atol=MESH_TOLERANCE_SHARE * float(np.linalg.norm(now.mesh.extents)),
+            ):
+                notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
+                continue
+            made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
+            if not other:
+                raise GraspFileError(
+                    f"{made}: give that one with --object or --objects, in its size, or --other-object if this one is "
+                    "meant"
+                )
+            notes.append(made)
+    return tuple(dict.fromkeys(notes))
+
+
+def _digests(obj: UncutObject | Object) -> dict[str, str]:
+    pieces = {"pieces": pieces_digest(obj.body.pieces)} if isinstance(obj, Object) and not obj.rough else {}
+    return {"mesh": surface_digest(obj.mesh), **pieces}
+
+
+def _measures(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Return lengths (11,) in metres that identify meshes: bounds, centroid, roots of area and of volume."""
+    return np.concatenate([mesh.bounds.ravel(), mesh.centroid, [np.sqrt(mesh.area), np.cbrt(mesh.volume)]])
+
+
+def _size(measures: np.ndarray) -> str:
+    return "{:.3g} x {:.3g} x {:.3g} mm".format(*(1e3 * (measures[3:6] - measures[:3])))
+
+
+def _on_grid(metres: np.ndarray) -> np.ndarray:
+    return np.round(np.asarray(metres, dtype=np.float64) / GRID_M).astype(np.int64)
+
+
+def _digest(rows: np.ndarray, *more: np.ndarray) -> str:
+    """Return the sha256 of rows of integers, independent of their order, and of further arrays."""
+    ordered = rows[np.lexsort(rows.T[::-1])]
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(part, dtype="<i8").tobytes() for part in (ordered, *more))
+    ).hexdigest()

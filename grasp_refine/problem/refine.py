@@ -1,0 +1,206 @@
+"""Refinement of a problem: each group of grasps is refined and measured and, on request, simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from grasp_refine.closing.motion import Motion, closing_motion
+from grasp_refine.hands.self_collision import ignored_overlaps
+from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.refinement.clearance import clearances
+from grasp_refine.refinement.closing import closing_notes
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.iteration_state import IterationCallback
+from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.iterate import Progress
+from grasp_refine.results.outcome import Outcome, compare
+from grasp_refine.results.simulated import SimulatedGrasps
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.validation.engine_choice import EngineName
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.trials import Trials
+
+if TYPE_CHECKING:
+    from grasp_refine.validation.engines.mujoco.world import World
+
+
+class Listener:
+    """Callbacks of the progress of `refine_problem`; a subclass overrides the ones that it needs."""
+
+    def refining(self, group: Group) -> Progress | None:
+        """Return the progress callback of the refinement of a group, which begins now."""
+        return None
+
+    def note(self, line: str) -> None:
+        """Receive a note for the user on the refined grasps, or on the hand that is refined or simulated."""
+
+    def simulating(self, group: Group) -> Callable[[str, float], None]:
+        """Return the callback of the simulation of a group: name of the simulation, number of finished grasps."""
+        return lambda what, done: None
+
+
+def refine_problem(
+    problem: Problem,
+    config: Config | None = None,
+    protocol: Protocol | None = None,
+    *,
+    listener: Listener | None = None,
+    cache: InputCache | None = None,
+    threads: int | None = None,
+    on_refined: Callable[[RefinedGrasps], None] = lambda refined: None,
+) -> RefinedGrasps:
+    """Refine and measure all grasps of a problem, and simulate them before and after.
+
+    Simulated worlds are built first, so that a hand that MuJoCo refuses costs no refinement.
+
+    Args:
+        problem: Hand, objects and grasps.
+        config: All settings of the refinement; the defaults when None.
+        protocol: Protocol of the simulation; None: nothing is simulated.
+        listener: Callbacks of the progress.
+        cache: Keeps prepared hands and objects for the next problem.
+        threads: CPU threads of the simulation; by default as many as there are.
+        on_refined: Called with the refined grasps before they are simulated.
+
+    Raises:
+        GraspRefineError: a link that should touch does not exist, or MuJoCo cannot compile the hand or the world.
+    """
+    config, listener, cache = config or Config(), listener or Listener(), cache or NoCache()
+
+    def prepared(group: Group) -> HandObject:
+        return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
+
+    worlds = None if protocol is None else _worlds(problem, protocol, listener, cache)
+    parts = [
+        refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
+        for group in problem.groups
+    ]
+    outcome = Outcome.join(parts).select(problem.order)
+    if ignored := ignored_overlaps(problem.hand, outcome.q):
+        listener.note(ignored)
+    refined = RefinedGrasps(problem, config, outcome)
+    on_refined(refined)
+    if protocol is None or worlds is None:
+        return refined
+    return replace(refined, simulated=_simulate(problem, parts, protocol, worlds, listener, threads))
+
+
+def refine_group(
+    group: Group,
+    config: Config,
+    *,
+    prepared: HandObject | None = None,
+    progress: Progress | None = None,
+    on_iteration: IterationCallback | None = None,
+    on_opening: Progress | None = None,
+    on_note: Callable[[str], None] = lambda line: None,
+) -> Outcome:
+    """Refine the grasps of one object, give them pregrasps and squeezes, and measure them before and after.
+
+    Args:
+        group: The grasps.
+        config: All settings of the refinement.
+        prepared: Geometry of their hand and object; None: built here.
+        progress: As for `refine`.
+        on_iteration: As the `on_iteration` of `refine`.
+        on_opening: As the `progress` of `closing_motion`.
+        on_note: Called with notes for the user on open jaws.
+
+    Raises:
+        GraspRefineError: a link that should touch does not exist.
+    """
+    scene, prepared = group.scene, prepared or HandObject.of(group.scene)
+    refinement = refine(scene, config, progress, on_iteration, prepared=prepared)
+    for note in () if refinement.closed_m is None else closing_notes(refinement.closed_m, jaws=True):
+        on_note(note)
+    after = replace(scene, T_world_root=refinement.T_world_root, q=refinement.q)
+    outcome = compare(
+        scene,
+        refinement,
+        closing_motion(after, prepared, on_opening, pressure=config.pressure),
+        margin=config.margin,
+        clearance=clearances(config, scene.hand, prepared.chain),
+        selection=config.contact_selection,
+        name=group.object,
+        scale=group.scale,
+        row=group.rows,
+        index=group.index,
+    )
+    return replace(outcome, labels=group.grasps.labels)
+
+
+def simulate_refined(
+    refined: RefinedGrasps,
+    protocol: Protocol,
+    *,
+    listener: Listener | None = None,
+    cache: InputCache | None = None,
+    threads: int | None = None,
+    engine: EngineName = "mujoco",
+) -> SimulatedGrasps:
+    """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
+
+    Raises:
+        GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.
+    """
+    problem, listener = refined.problem, listener or Listener()
+    worlds = _worlds(problem, protocol, listener, cache or NoCache())
+    parts = [refined.outcome.select(group.place) for group in problem.groups]
+    return _simulate(problem, parts, protocol, worlds, listener, threads, engine)
+
+
+def _worlds(problem: Problem, protocol: Protocol, listener: Listener, cache: InputCache) -> list[World]:
+    """Build the simulated world of each group."""
+    from grasp_refine.validation.engines.mujoco.world import build_world
+    from grasp_refine.validation.validate import model_of
+
+    hand = problem.hand
+    model = cache.get("model", hand, partial(model_of, hand))
+    for note in model.notes:
+        listener.note(note)
+    worlds = []
+    for group in problem.groups:
+        given = group.scene.object, protocol, group.scene.table, group.scene.environment
+        worlds.append(cache.get("world", (hand, *given), partial(build_world, model, *given)))
+    return worlds
+
+
+def _simulate(
+    problem: Problem,
+    parts: Sequence[Outcome],
+    protocol: Protocol,
+    worlds: Sequence[World],
+    listener: Listener,
+    threads: int | None,
+    engine: EngineName = "mujoco",
+) -> SimulatedGrasps:
+    """Simulate the grasps of each group in its world, before and after; `parts` are the outcomes of the groups."""
+    from grasp_refine.validation.engine_choice import engine_of
+    from grasp_refine.validation.robustness import judge
+    from grasp_refine.validation.set_points import clipping_note
+
+    protocol = protocol.for_contacts(problem.hand.patches)
+    before: list[Trials] = []
+    after: list[Trials] = []
+    motions: list[Motion] = []
+    for group, part, world in zip(problem.groups, parts, worlds, strict=True):
+        simulations = engine_of(engine, world)
+        tell = listener.simulating(group)
+        refined = part.motion
+        motions.append(refined)
+        for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
+            progress = partial(tell, f"simulating, {when}")
+            trials.append(
+                judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=simulations)
+            )
+    if clipped := clipping_note(worlds, motions):
+        listener.note(clipped)
+    order = problem.order
+    return SimulatedGrasps(
+        protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)
+    )

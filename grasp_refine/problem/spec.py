@@ -1,0 +1,176 @@
+"""Specification of a problem: hand, object and grasps, by names and files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.geometry.decomposition import Decomposition
+from grasp_refine.geometry.mesh import Holes
+from grasp_refine.geometry.units import UNITS, Unit
+from grasp_refine.grasps.formats.listing import FormatName
+from grasp_refine.hands.files.link_geometry import HULL_LIMIT
+from grasp_refine.objects.region_spec import check_specs
+from grasp_refine.scene.plane import Plane
+
+AUTO, NEAREST = "auto", "nearest"
+"""Values of `targets`: targets of the grasp file, if any; or the points where links are nearest to the object."""
+
+NO_SCENE = "none"
+"""Value of `scene` for no scene."""
+
+SAMPLE = "sample:"
+"""Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
+
+PATHS = ("urdf", "mjcf", "objects", "grasps")
+"""Fields that are kept as `Path`."""
+
+NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
+"""Fields that are names, or paths if they cannot be names; kept as text."""
+
+
+@dataclass(frozen=True)
+class SourceSpec:
+    """Hand and objects of grasps whose file is given elsewhere."""
+
+    hand: str | None = None
+    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
+    an asset such as hands/leap, or robot_descriptions/NAME."""
+    urdf: Path | None = None
+    """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
+    mjcf: Path | None = None
+    """The hand as another MJCF file, or an asset such as shadow_mjcf, which is then simulated."""
+    collision: Literal["visual"] | None = None
+    """Geometry with which links of a URDF collide: visual, the geometry that they show, where they have no other. By
+    default their collision geometry, or what the hand.toml says."""
+    follower_limits: Literal["own", "leader"] | None = None
+    """Limits of joints that follow others (mimic): their own, or leader, the ones that follow from the other joint, for
+    files whose signs contradict the limits. By default what the hand.toml says, else their own."""
+    base_link: str | None = None
+    """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
+    palm of a hand on an arm, else the root."""
+    arm: str | None = None
+    """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
+    Where the hand's own file has the arm, --base alone."""
+    mount: str | None = None
+    """Link of the arm that the hand is mounted on. By default that of its arm.toml, else its last link."""
+    mount_pose: str | None = None
+    """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default that of the hand's
+    hand.toml (flange), else the same frame."""
+    base: str | None = None
+    """Pose of the arm's base link in the object's frame, or in the world of --scene: x,y,z,roll,pitch,yaw (metres,
+    degrees)."""
+    object: str | None = None
+    """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
+    folder of convex pieces, or an asset such as ycb/011_banana."""
+    object_name: str | None = None
+    """Name of the object in the grasp file; needed when it holds several."""
+    objects: Path | None = None
+    """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
+    lines name = "path"."""
+    scale: float = 1.0
+    """Factor on the scale of the mesh in the grasp file, which is 1 for sampled grasps."""
+    unit: Unit | None = None
+    """Unit of the object's mesh after scaling."""
+    holes: Holes = "refuse"
+    """Treatment of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
+    format: FormatName | None = None
+    """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
+    index: tuple[int, ...] = ()
+    """Numbers of the grasps of each object; 0 is its first one in the file."""
+    table: float | None = None
+    """Height (metres) of a table in the object's frame, z up, that no link may go through."""
+    scene: str | None = None
+    """Scene in which the object is grasped: a name that `refine-grasp scenes` lists, or a TOML file; none: the object
+    alone, also for results that were refined in a scene."""
+    touch: tuple[str, ...] = ()
+    """Region of the object that links should touch, in its frame and metres; again for several: box:x0,y0,z0,x1,y1,z1,
+    above:z=0.05, below:z=0.05, plane:x,y,z,nx,ny,nz (the side to which the normal points), faces:FILE (numbers of faces
+    of the mesh), color:#ff0000 (of its faces or vertices). By default that of the scene, else everywhere."""
+    avoid: tuple[str, ...] = ()
+    """Region of the object that no link should touch, as --touch."""
+    hull_limit: float = HULL_LIMIT
+    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
+    split into its bodies, or cut. inf: hulls only."""
+    threshold: float = Decomposition.threshold
+    """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
+    other_object: bool = False
+    """Whether to accept results that were refined on another object, or on the same one in another size, or in another
+    scene."""
+    as_is: bool = False
+    """Whether to accept grasps that are most likely in other units, quaternions or frames than those of their format,
+    such as joint values in degrees."""
+
+    def __post_init__(self) -> None:
+        """Take names and paths as text or as `Path`, and lists for tuples.
+
+        Raises:
+            GraspRefineError: a field of another type.
+        """
+        for name in PATHS:
+            if isinstance(value := getattr(self, name, None), str):
+                object.__setattr__(self, name, Path(value))
+        for name in NAMES_OR_PATHS:
+            if isinstance(value := getattr(self, name, None), Path):
+                object.__setattr__(self, name, str(value))
+        check_fields(self)
+
+    def check(self) -> None:
+        """Refuse an invalid scale, table or hull limit.
+
+        Raises:
+            GraspRefineError: names the option.
+        """
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+        if self.table is not None and not np.isfinite(self.table):
+            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+        if self.table is not None and self.scene not in (None, NO_SCENE):
+            raise GraspRefineError("--table and --scene exclude each other: a scene has its own tables")
+        check_hull_limit(self.hull_limit)
+        check_specs(self.touch, self.avoid)
+
+    @property
+    def plane(self) -> Plane | None:
+        """Plane of the table, if there is one."""
+        return None if self.table is None else Plane(offset=self.table)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the hand's own file has the arm, from whose base on it is read."""
+        return self.base is not None and self.arm is None
+
+    def metres(self, scale: float) -> float:
+        """Return the factor that takes a mesh to metres, where `scale` takes it to its unit."""
+        return float(scale) * UNITS[self.unit or "m"]
+
+    def of(self, grasps: Path) -> ProblemSpec:
+        """Return the specification of the grasps in a file."""
+        return ProblemSpec(**{name: getattr(self, name) for name in SourceSpec.__dataclass_fields__}, grasps=grasps)
+
+
+@dataclass(frozen=True)
+class ProblemSpec(SourceSpec):
+    """Hand, object and grasps to refine."""
+
+    grasps: Path | None = None
+    """Grasp file, or a folder of them: ours (.npz), or of another program (see --format); or sample:N, as in sample:32,
+    for N new grasps of --hand on --object, which --seed varies."""
+    targets: str = AUTO
+    """Target points of links: a grasp file with targets; auto: those of --grasps, else anywhere; or nearest: the points
+    where they are nearest to the object at first."""
+
+
+def check_hull_limit(metres: float) -> None:
+    """Refuse a hull limit in metres that is not above 0; infinite: no limit.
+
+    Raises:
+        GraspRefineError: it is not above 0.
+    """
+    if not metres > 0:
+        raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {metres:g}")

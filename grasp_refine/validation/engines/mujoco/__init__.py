@@ -1,0 +1,1 @@
+"""Grasps simulated by MuJoCo."""

@@ -1,0 +1,247 @@
+"""`import grasp_refine as gr`: the names of the vocabulary refine, evaluate, simulate, save and show."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+import grasp_refine as gr
+from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import Motion
+from grasp_refine.core.npz_files import save_npz
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.forces.wrench import LEVER_M, center_of_mass
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.results.document import run_document
+from grasp_refine.validation.engines.mujoco.world import World
+from grasp_refine.validation.trials import Trials
+from plate_gripper import URDF
+from refusals import refused
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory: pytest.TempPathFactory) -> gr.Hand:
+    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
+    path.write_text(URDF)
+    return gr.load_hand(path, candidates=64)
+
+
+@pytest.fixture(scope="module")
+def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
+    box = gr.load_object("box:0.05,0.06,0.07")
+    grasps = replace(gr.sample_grasps(gripper, box, 3), labels={"confidence": np.array([0.5, np.nan, 1.0])})
+    return gr.refine(gripper, box, grasps)
+
+
+def test_what_is_saved_is_what_is_told(refined: gr.RefinedGrasps, workplace: Path):
+    refined.save("refined.npz")
+    assert "gripper on box" in str(refined) and "3 of 3 grasps converged" in str(refined)
+    saved = gr.load_grasps("refined.npz")
+    np.testing.assert_array_equal(saved.labels["confidence"], [0.5, np.nan, 1.0])
+    # Reading divides quaternions by their length, which is 1 up to rounding.
+    stages = (refined.after.grasp, saved.grasp), (refined.pregrasp, saved.pregrasp), (refined.squeeze, saved.squeeze)
+    for was, found in stages:
+        np.testing.assert_allclose(found.pose, was.pose, rtol=0.0, atol=1e-15)
+        np.testing.assert_array_equal(found.q, was.q)
+
+
+def test_the_forces_of_the_squeeze_are_in_every_result_under_one_name(refined: gr.RefinedGrasps, workplace: Path):
+    """They balance on the object within the stated residual: no result had any."""
+    forces, center = refined.forces, center_of_mass(refined.problem.groups[0].scene.object)
+    residual = refined.outcome["wrench_residual"][:, 1]
+    for i in range(3):
+        f, r = (values[forces.grasp == i] for values in (forces.vector, forces.point - center))
+        pressure = (f * forces.normal[forces.grasp == i]).sum()
+        left = np.concatenate([f.sum(axis=0), np.cross(r, f).sum(axis=0) / LEVER_M])
+        assert len(f) >= 2 and pressure > 10.0
+        assert np.linalg.norm(left) / pressure < residual[i] + 1e-4
+    refined.save("refined.npz")
+    with np.load("refined.npz", allow_pickle=False) as file:
+        for name in ("grasp", "link", "point", "normal", "vector"):
+            np.testing.assert_array_equal(file[f"forces_{name}"], getattr(forces, name))
+    document = run_document(refined.outcome, refined.config, config={}, wall_s=0.0, cpu_s=0.0)
+    entries = document["grasps"][2]["forces"]
+    np.testing.assert_array_equal([entry["vector"] for entry in entries], forces.vector[forces.grasp == 2])
+
+
+def test_the_way_of_the_command_line_gives_the_same(workplace: Path):
+    """`load_problem` of names and files, and arrays in memory, refine to the same bits."""
+    config = gr.Config(LevenbergMarquardt(iterations=10), starts=1)
+    spec = gr.ProblemSpec(hand="allegro", object="rounded_box", index=(0, 2))
+    from_files = gr.refine(gr.load_problem(spec), config=config)
+    (group,) = from_files.problem.groups
+    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
+    grasps = gr.GraspSet.of(hand, group.scene.T_world_root, group.scene.q, object="rounded_box")
+    in_memory = gr.refine(hand, obj, replace(grasps, hand_pose=group.grasps.hand_pose), config)
+    for name in ("hand_pose", "q"):
+        np.testing.assert_array_equal(getattr(in_memory.after, name), getattr(from_files.after, name))
+        np.testing.assert_allclose(getattr(in_memory.before, name), getattr(grasps, name), atol=1e-12)
+    assert (in_memory.status == from_files.status).all() and (in_memory.quality == from_files.quality).all()
+
+
+def test_poses_may_be_matrices_or_seven_numbers(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    pose, q = refined.after.hand_pose, refined.after.q
+    of_matrices = gr.GraspSet.of(gripper, transform_from_pose(pose), q)
+    np.testing.assert_allclose(of_matrices.hand_pose, gr.GraspSet.of(gripper, pose.tolist(), q).hand_pose, atol=1e-12)
+
+
+def test_what_is_refined_is_measured_and_simulated_as_one(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box = refined.problem.groups[0].scene.object
+    evaluation = gr.evaluate(gripper, box, refined.after, "dexgraspbench")
+    # Poses are written as quaternions: a last bit moves the contacts of faces that lie flat on each other.
+    np.testing.assert_allclose(evaluation.quality, refined.quality[:, 1], atol=1e-5)
+    trials = gr.simulate(refined)
+    np.testing.assert_array_equal(evaluation.held, trials.held[:, 1])
+    assert f"{trials.held[:, 1].sum()} of 3" in str(evaluation)
+    in_drake = gr.simulate(refined, engine="drake")
+    # Flat jaws touch in several points in MuJoCo, and in one in Drake.
+    assert in_drake.held.shape == trials.held.shape and not (in_drake.held & ~trials.held).any()
+    assert (in_drake.after.closing_m != trials.after.closing_m).all()
+    with refused(gr.GraspRefineError, "protocol"):
+        _ = gr.evaluate(gripper, box, refined.after).held
+    with refused(gr.GraspRefineError, "forceclosure", "dexgraspbench", "strict", "tabletop"):
+        gr.simulate(refined, "forceclosure")
+
+
+def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Grasps on boxes of two sizes take turns; of each, the place of the hand stands for what was simulated."""
+    grasps = gr.load_grasps(resource_dir("robots") / "allegro" / "example_rounded_box.npz")
+    save_npz(tmp_path / "two.npz", replace(grasps, scale=np.where(np.arange(len(grasps)) % 2, 1.1, 1.0)).arrays())
+
+    numbered: list[np.ndarray] = []
+
+    def place(world: World, motion: Motion, *, numbers: np.ndarray, **others: object) -> Trials:
+        numbered.append(numbers)
+        x, number = motion.T_world_root[:, 1, 0, 3], np.zeros((len(motion), 1))
+        none = np.zeros((len(motion), 0), dtype=bool)
+        return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x, x == x)
+
+    monkeypatch.setattr("grasp_refine.validation.robustness.judge", place)
+    problem = gr.load_problem(gr.ProblemSpec(grasps=tmp_path / "two.npz", index=(0, 1, 2)))
+    assert len(problem.groups) == 2
+    refined = gr.refine(problem, config=gr.Config(starts=1, solver=LevenbergMarquardt(iterations=1)))
+    trials = gr.simulate(refined)
+    # Offsets of a protocol depend on the row of the file, before and after alike.
+    assert [rows.tolist() for rows in numbered] == [[0, 2], [0, 2], [1], [1]]
+    for found, wanted in ((trials.before, refined.before), (trials.after, refined.after)):
+        np.testing.assert_allclose(found.closing_m, wanted.hand_pose[:, 0], atol=1e-12)
+
+
+def test_a_notebook_shows_the_same_table(refined: gr.RefinedGrasps):
+    plain, page = str(refined), refined._repr_html_()
+    assert page.startswith("<pre")
+    assert all(word in page for word in plain.split() if word.isalnum())
+
+
+def test_no_grasps_are_refined_to_none(gripper: gr.Hand, refined: gr.RefinedGrasps, workplace: Path):
+    box, grasps = refined.problem.groups[0].scene.object, refined.before
+    none = gr.refine(gripper, box, grasps.select(np.zeros(0, dtype=int)))
+    assert len(none.after) == len(none.quality) == 0 and "0 of 0 grasps" in str(none)
+    with refused(gr.GraspRefineError, "none.npz", "no grasps"):
+        none.save("none.npz")
+    assert not (workplace / "none.npz").exists()
+
+
+def test_a_file_that_exists_is_kept(refined: gr.RefinedGrasps, workplace: Path):
+    (path,) = refined.save("mine.npz")
+    content = path.read_bytes()
+    with refused(gr.GraspRefineError, "mine.npz"):
+        refined.save("mine.npz")
+    assert path.read_bytes() == content
+    assert refined.save("mine.npz", overwrite=True) == (path,)
+    with refused(gr.GraspRefineError, "nowhere"):
+        refined.save("nowhere/mine.npz")
+
+
+def test_the_suffix_says_what_is_written(refined: gr.RefinedGrasps, workplace: Path):
+    """`save("x.csv")` wrote a zip."""
+    assert refined.save("mine.csv") == (Path("mine.csv"),)
+    with open("mine.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = refined.columns()
+    assert list(rows[0]) == list(columns) and [row["status"] for row in rows] == refined.status.tolist()
+    np.testing.assert_array_equal([float(row["quality_after"]) for row in rows], refined.quality[:, 1])
+    np.testing.assert_array_equal([float(row["qw"]) for row in rows], refined.after.hand_pose[:, 3])
+    for name in ("mine.zip", "mine", "mine.json"):
+        with refused(gr.GraspRefineError, name, ".npz", ".csv", ".parquet"):
+            refined.save(name)
+        assert not Path(name).exists()
+    with refused(gr.GraspRefineError, "mine.csv"):
+        refined.save("mine.csv")
+
+
+def test_a_mesh_in_memory_is_an_object(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    mesh = refined.problem.groups[0].scene.object.mesh
+    config = gr.Config(LevenbergMarquardt(iterations=3), starts=1)
+    found = gr.refine(gripper, mesh, refined.before, config)
+    again = gr.refine(gripper, (mesh.vertices, mesh.faces), refined.before, config)
+    np.testing.assert_array_equal(found.after.q, again.after.q)
+    assert len(gr.sample_grasps(gripper, mesh, 1)) == 1
+    np.testing.assert_allclose(gr.evaluate(gripper, mesh, refined.after).quality, refined.quality[:, 1], atol=0.02)
+
+
+def test_a_specification_takes_text_and_paths(workplace: Path):
+    """`ProblemSpec(grasps="dir")` was an AttributeError."""
+    example = resource_dir("robots") / "allegro" / "example_mug.npz"
+    as_text = gr.load_problem(gr.ProblemSpec(grasps=str(example), object="mug", index=[1]))
+    as_path = gr.load_problem(gr.ProblemSpec(grasps=example, object="mug", index=(1,)))
+    np.testing.assert_array_equal(as_text.groups[0].scene.q, as_path.groups[0].scene.q)
+    spec = gr.ProblemSpec(hand=Path("my.urdf"), urdf="other.urdf", mjcf="my.xml", objects="meshes", grasps="sample:3")
+    assert spec.hand == "my.urdf" and spec.grasps == Path("sample:3")
+    assert (spec.urdf, spec.mjcf, spec.objects) == (Path("other.urdf"), Path("my.xml"), Path("meshes"))
+    with refused(gr.GraspRefineError, "ProblemSpec: table", "'high'"):
+        gr.ProblemSpec(table="high")
+
+
+def test_bad_arguments_are_refused_by_name(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box, grasps = refined.problem.groups[0].scene.object, refined.after
+    with refused(gr.GraspRefineError, "object", "grasps"):
+        gr.refine(gripper, box)
+    with refused(gr.GraspRefineError, "several", "box (2)", "mug (1)"):
+        gr.refine(gripper, box, replace(grasps, object=np.array(["box", "mug", "box"])))
+    with refused(gr.GraspRefineError, "elsewhere", gripper.base_link):
+        gr.refine(gripper, box, replace(grasps, base_link="elsewhere"))
+    with refused(gr.GraspRefineError, "alone"):
+        gr.refine(refined.problem, box, grasps)
+
+
+def test_the_viewer_shows_refined_grasps(refined: gr.RefinedGrasps):
+    viewer = gr.view(refined)
+    try:
+        assert urlopen(viewer.address).status == 200
+        state = viewer.controller.state
+        np.testing.assert_allclose(state.pose.q, refined.after.q[0], atol=1e-12)
+        np.testing.assert_allclose(state.collection.initial(1)[1], refined.before.q[1], atol=1e-12)
+        assert state.collection.columns["status"].values.tolist() == refined.status.tolist()
+    finally:
+        viewer.close()
+
+
+def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
+    for name in gr.__all__:
+        assert name == "__version__" or getattr(gr, name).__doc__, name
+    assert set(gr.__all__) <= set(dir(gr))
+    with pytest.raises(AttributeError, match="nonsense"):
+        gr.nonsense  # noqa: B018
+
+
+def test_margins_are_those_of_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    box = gr.load_object("box:0.05,0.06,0.07")
+    protocol, factors = gr.Protocol(checks=1), gr.Factors(friction=(0.5, 0.9))
+    found = gr.margins(gripper, box, refined.after, protocol, factors=factors, draws=4, seed=2, with_limits=False)
+    assert len(found) == 3 and found.margins.limits is None and found.margins.draws == 4
+    assert found.draws.friction.min() >= 0.5 and found.draws.friction.max() <= 0.9
+    np.testing.assert_array_equal(found.probability, found.margins.held["all"].mean(axis=1))
+    assert "3 grasps in 4 drawn worlds" in str(found) and "friction" in found._repr_html_()
+    assert "GraspMargins(3 grasps of gripper" in repr(found)
+    turned = gr.margins(
+        gripper, box, refined.after.select([2, 0]), protocol, factors=factors, draws=4, seed=2, with_limits=False
+    )
+    np.testing.assert_array_equal(turned.margins.held["all"], found.margins.held["all"][[2, 0]])
+    with refused(gr.GraspRefineError, "tabletop"):
+        gr.margins(gripper, box, refined.after, "tabletop")
