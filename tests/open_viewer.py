@@ -13,10 +13,10 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
-from grasp_refine_apps.viewer.worker import Control, Stopped
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from running_processes import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def shown_panel(kind: type, made: Controller) -> Iterator[tuple[Any, Page]]:
     # The controller's tests need no viser.
     import viser
 
-    from grasp_refine_apps.viewer.page import Drawer
+    from grasp_refine_apps.viewer.server.page import Drawer
     from websocket_page import Page
 
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)

@@ -18,7 +18,7 @@ from fuzz.reader import Reader
 from grasp_refine.geometry.mesh import load_mesh
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.hands.hand import load_hand
-from grasp_refine_apps.viewer.uploads import store_upload
+from grasp_refine_apps.viewer.files.uploads import store_upload
 
 NAMES = ("../outside/x.obj", "/etc/x.obj", "a\\..\\b.obj", "C:/x.obj", "a/../b.obj", "\x1b.obj", "a\0.obj", "x" * 300)
 NAMES += ("claw/meshes/CUBE.OBJ", "claw/hand.toml", "claw/claw.urdf", "a/" * 30 + "b.obj", ".obj", "link.obj")

@@ -12,7 +12,7 @@ from fuzz.mutations import changed_value
 from fuzz.reader import Reader
 from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.validation_file import read_validation
+from grasp_refine_apps.viewer.files.validation_file import read_validation
 
 DIRECTION = {"direction": "+x", "reason": Reason.HELD.label, "contacts": ["tip"], "time_s": 1.0}
 DIRECTION |= {"displacement_m": 0.01, "angle_rad": 0.1, "peak_m": 0.02, "peak_rad": 0.2}

@@ -19,7 +19,7 @@ from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.model.validated import TrialResult
 from gripper import RADIUS, around, ball, gripper
 from refusals import assert_names, refused
 from validation.test_protocol import lever

@@ -16,7 +16,7 @@ from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine_apps.viewer.validated import TrialResult
+from grasp_refine_apps.viewer.model.validated import TrialResult
 from gripper import RADIUS, around, ball, gripper
 from refusals import assert_names, refused
 

@@ -38,11 +38,11 @@ from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
     from grasp_refine.problem.problem import Problem
-    from grasp_refine_apps.viewer.collection import Collection
-    from grasp_refine_apps.viewer.controller import Controller
+    from grasp_refine_apps.viewer.files.validation_file import ValidationFile
+    from grasp_refine_apps.viewer.jobs.controller import Controller
+    from grasp_refine_apps.viewer.model.collection import Collection
+    from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
     from grasp_refine_apps.viewer.panels.app import Viewer
-    from grasp_refine_apps.viewer.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.validation_file import ValidationFile
 
 
 SIGNAL_POLL_S = 0.2
@@ -93,9 +93,9 @@ class View:
         Raises:
             GraspRefineError: a file cannot be used, or the port is taken.
         """
-        from grasp_refine_apps.viewer.access import PUBLIC_WARNING
-        from grasp_refine_apps.viewer.page import close_server, open_server
         from grasp_refine_apps.viewer.panels.banner import Banner
+        from grasp_refine_apps.viewer.server.access import PUBLIC_WARNING
+        from grasp_refine_apps.viewer.server.page import close_server, open_server
 
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
         # Refused before anything is shown.
@@ -128,9 +128,9 @@ class View:
     def _controller(self, tell: Callable[[str], None] = lambda what: None) -> Controller:
         """Load the grasps of the files, with the results of documents about them; `tell` is called with each step."""
         tell("reading the grasps")
-        from grasp_refine_apps.viewer.controller import Controller
-        from grasp_refine_apps.viewer.shown_motion import is_replay
-        from grasp_refine_apps.viewer.validation_file import read_validation
+        from grasp_refine_apps.viewer.files.validation_file import read_validation
+        from grasp_refine_apps.viewer.jobs.controller import Controller
+        from grasp_refine_apps.viewer.model.shown_motion import is_replay
 
         documents = [read_validation(path) for path in self.files if path.suffix.lower() == ".json"]
         grasps = [path for path in self.files if path.suffix.lower() != ".json"]
@@ -171,7 +171,7 @@ class View:
         self, inputs: Inputs, say: Callable[[str], None], wait: Callable[[str], None], *, shown: bool = True
     ) -> Collection:
         """Load grasps; of the objects, all of which are read and checked, only that of the shown grasp is cut."""
-        from grasp_refine_apps.viewer.collection import Collection
+        from grasp_refine_apps.viewer.model.collection import Collection
 
         # A suspected convention is seen best.
         inputs = replace(inputs, as_is=True)
@@ -189,9 +189,9 @@ class View:
         """Load the grasp of a replay, with its motion."""
         from grasp_refine.validation.replay.replay import load_replay
         from grasp_refine.validation.validate import model_of
-        from grasp_refine_apps.viewer.collection import Collection
-        from grasp_refine_apps.viewer.controller import Controller
-        from grasp_refine_apps.viewer.shown_motion import shown_motion
+        from grasp_refine_apps.viewer.jobs.controller import Controller
+        from grasp_refine_apps.viewer.model.collection import Collection
+        from grasp_refine_apps.viewer.model.shown_motion import shown_motion
 
         replay = load_replay(path)
         loader = Loader(self.inputs, self.settings.seed, reporter.say)
@@ -210,10 +210,10 @@ class View:
 
 def show(grasps: RefinedGrasps | Problem) -> Viewer:
     """Show grasps in a browser, and return the viewer: the entry point of `grasp_refine.view`."""
-    from grasp_refine_apps.viewer.collection import Collection
-    from grasp_refine_apps.viewer.controller import Controller
-    from grasp_refine_apps.viewer.page import open_server
+    from grasp_refine_apps.viewer.jobs.controller import Controller
+    from grasp_refine_apps.viewer.model.collection import Collection
     from grasp_refine_apps.viewer.panels.app import Viewer
+    from grasp_refine_apps.viewer.server.page import open_server
 
     collection = Collection.of_refined(grasps) if isinstance(grasps, RefinedGrasps) else Collection.of(grasps)
     viewer = Viewer(open_server(Serving.host, 0), Controller(collection, Settings()))

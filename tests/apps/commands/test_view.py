@@ -31,7 +31,7 @@ from grasp_refine_apps.commands import view
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.view import View
-from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.jobs.controller import Controller
 from open_viewer import settled
 from refusals import assert_names, refused
 from running_processes import PATIENCE_S, soon

@@ -18,11 +18,11 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.columns import STATUS
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.listing import NO_MARK
-from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.measuring import unmeasured
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.columns import STATUS
+from grasp_refine_apps.viewer.model.listing import NO_MARK
 from grasp_refine_apps.viewer.panels.browse_panel import BrowsePanel
 from made_results import save_example_results
 

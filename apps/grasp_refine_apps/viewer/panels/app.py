@@ -10,14 +10,16 @@ from typing import Any
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.hands.hand import Hand
-from grasp_refine_apps.viewer.colors import distance_legend
-from grasp_refine_apps.viewer.comparison import compared_text
-from grasp_refine_apps.viewer.contacts import distances_text
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.glyphs import newtons_per_centimetre
-from grasp_refine_apps.viewer.meter import title_of
-from grasp_refine_apps.viewer.obstacles import overlaps_text
-from grasp_refine_apps.viewer.page import SLOW_PERIOD_S, Drawer, Page, close_server
+from grasp_refine_apps.viewer.drawing.colors import distance_legend
+from grasp_refine_apps.viewer.drawing.glyphs import newtons_per_centimetre
+from grasp_refine_apps.viewer.drawing.view import View
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.meters.comparison import compared_text
+from grasp_refine_apps.viewer.meters.meter import title_of
+from grasp_refine_apps.viewer.meters.obstacles import overlaps_text
+from grasp_refine_apps.viewer.meters.region_meter import elsewhere_text
+from grasp_refine_apps.viewer.model.contacts import distances_text
+from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.panels.banner import Banner
 from grasp_refine_apps.viewer.panels.browse_panel import NEXT, PREVIOUS, BrowsePanel
 from grasp_refine_apps.viewer.panels.display_panel import DisplayPanel
@@ -26,9 +28,7 @@ from grasp_refine_apps.viewer.panels.export_panel import ExportPanel
 from grasp_refine_apps.viewer.panels.habits import Habits
 from grasp_refine_apps.viewer.panels.refine_panel import RefinePanel
 from grasp_refine_apps.viewer.panels.validate_panel import ValidatePanel
-from grasp_refine_apps.viewer.region_meter import elsewhere_text
-from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.view import View
+from grasp_refine_apps.viewer.server.page import SLOW_PERIOD_S, Drawer, Page, close_server
 
 BACKGROUND_DELAY_S = 4.0
 """Seconds until background work starts: browsers load the page first, with the same processor."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import viser
 
 if TYPE_CHECKING:
-    from grasp_refine_apps.viewer.state import State
+    from grasp_refine_apps.viewer.model.state import State
 
 STYLE = (
     "position:fixed;left:16px;bottom:16px;max-width:min(34em,60vw);z-index:3;padding:.5em .9em;border-radius:6px;"

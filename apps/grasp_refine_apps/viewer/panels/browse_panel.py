@@ -14,21 +14,30 @@ import numpy as np
 import viser
 
 from grasp_refine.measures.measures import COMPARED, Measure
-from grasp_refine_apps.viewer.choice import CHOICES, chosen
-from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.histogram import brushed_range, histogram_html
-from grasp_refine_apps.viewer.listing import MARK, NO_MARK, NUMBER, Listing, first_descending, random_other, step, worst
-from grasp_refine_apps.viewer.marks import MARKS, Mark
-from grasp_refine_apps.viewer.measuring import unmeasured
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.measuring import unmeasured
+from grasp_refine_apps.viewer.model.choice import CHOICES, chosen
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS
+from grasp_refine_apps.viewer.model.listing import (
+    MARK,
+    NO_MARK,
+    NUMBER,
+    Listing,
+    first_descending,
+    random_other,
+    step,
+    worst,
+)
+from grasp_refine_apps.viewer.model.marks import MARKS, Mark
+from grasp_refine_apps.viewer.model.present import here_text, present, signature
+from grasp_refine_apps.viewer.model.state import Job, State
+from grasp_refine_apps.viewer.model.work import Work
 from grasp_refine_apps.viewer.panels.export_panel import shelf_titles
+from grasp_refine_apps.viewer.panels.histogram import brushed_range, histogram_html
+from grasp_refine_apps.viewer.panels.table import page_of, pages, table_html
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_choice, on_click
-from grasp_refine_apps.viewer.present import here_text, present, signature
-from grasp_refine_apps.viewer.state import Job, State
-from grasp_refine_apps.viewer.table import page_of, pages, table_html
-from grasp_refine_apps.viewer.viser_private import click_script
-from grasp_refine_apps.viewer.work import Work
+from grasp_refine_apps.viewer.server.viser_private import click_script
 
 PREVIOUS, NEXT, RANDOM, WORST = "◀ Previous", "Next ▶", "Random", "Worst"
 NOTHING = "nothing"

@@ -6,12 +6,18 @@ from dataclasses import fields
 
 import viser
 
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.form import Form
-from grasp_refine_apps.viewer.grasp_nodes import COMPARED_COLOR, DEEP_COLOR, FORCE_COLOR, GHOST_COLOR, TARGET_COLOR
+from grasp_refine_apps.viewer.drawing.grasp_nodes import (
+    COMPARED_COLOR,
+    DEEP_COLOR,
+    FORCE_COLOR,
+    GHOST_COLOR,
+    TARGET_COLOR,
+)
+from grasp_refine_apps.viewer.drawing.region_nodes import AVOID_COLOR, TOUCH_COLOR
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.state import DisplayOptions, State
+from grasp_refine_apps.viewer.panels.form import Form
 from grasp_refine_apps.viewer.panels.habits import keys_html
-from grasp_refine_apps.viewer.region_nodes import AVOID_COLOR, TOUCH_COLOR
-from grasp_refine_apps.viewer.state import DisplayOptions, State
 
 
 class DisplayPanel:

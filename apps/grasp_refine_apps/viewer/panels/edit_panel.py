@@ -8,12 +8,12 @@ import numpy as np
 import viser
 
 from grasp_refine.core.se3 import exp_so3, log_so3
-from grasp_refine_apps.viewer.contacts import Contacts
-from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.contacts import Contacts
+from grasp_refine_apps.viewer.model.state import Gizmo, State
 from grasp_refine_apps.viewer.panels.joints import Joints
 from grasp_refine_apps.viewer.panels.region_panel import RegionPanel
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, in_a_row, on_choice, on_click
-from grasp_refine_apps.viewer.state import Gizmo, State
 
 
 class EditPanel:

@@ -18,24 +18,24 @@ from grasp_refine.core.se3 import inverse, transform_points
 from grasp_refine.geometry.units import NAMES
 from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.objects.region import ContactRegions, Faces
-from grasp_refine_apps.viewer.animation import animation_html, film_of
-from grasp_refine_apps.viewer.camera import FirstCamera
-from grasp_refine_apps.viewer.choice import CHOICES, chosen
-from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.gif import RENDER_TIMEOUT_S, recorded_gif
-from grasp_refine_apps.viewer.names import file_stem, shortened
-from grasp_refine_apps.viewer.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
-from grasp_refine_apps.viewer.painting import faces_file
+from grasp_refine_apps.viewer.drawing.camera import FirstCamera
+from grasp_refine_apps.viewer.files.animation import animation_html, film_of
+from grasp_refine_apps.viewer.files.gif import RENDER_TIMEOUT_S, recorded_gif
+from grasp_refine_apps.viewer.files.opening import HOLE_LABELS, MeshOptions, Opened, open_upload
+from grasp_refine_apps.viewer.files.saved_results import with_results
+from grasp_refine_apps.viewer.files.saving import Saved, grasp_file, grasp_set, grasp_sets
+from grasp_refine_apps.viewer.files.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.store import BUSY_MESSAGE
+from grasp_refine_apps.viewer.jobs.worker import Control
+from grasp_refine_apps.viewer.model.choice import CHOICES, chosen
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.names import file_stem, shortened
+from grasp_refine_apps.viewer.model.painting import faces_file
+from grasp_refine_apps.viewer.model.present import present
+from grasp_refine_apps.viewer.model.state import JobKind, State
 from grasp_refine_apps.viewer.panels.widgets import on_change, on_click
-from grasp_refine_apps.viewer.present import present
-from grasp_refine_apps.viewer.saved_results import with_results
-from grasp_refine_apps.viewer.saving import Saved, grasp_file, grasp_set, grasp_sets
-from grasp_refine_apps.viewer.state import JobKind, State
-from grasp_refine_apps.viewer.store import BUSY_MESSAGE
-from grasp_refine_apps.viewer.uploads import MAX_UPLOAD_BYTES, UPLOAD_SUFFIXES, Uploads, shown_name, too_large
-from grasp_refine_apps.viewer.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
-from grasp_refine_apps.viewer.worker import Control
+from grasp_refine_apps.viewer.server.viser_private import MAX_CONCURRENT_UPLOADS, limit_uploads
 
 UNSPECIFIED_UNIT = "ask me"
 """Label of a unit that is not specified."""

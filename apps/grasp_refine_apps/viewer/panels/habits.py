@@ -13,12 +13,12 @@ from typing import Any
 
 import viser
 
-from grasp_refine_apps.viewer.collection import Collection
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.page import TITLE, set_theme
-from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.view import ASPECT_RATIO
-from grasp_refine_apps.viewer.viser_private import widget_id
+from grasp_refine_apps.viewer.drawing.view import ASPECT_RATIO
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.server.page import TITLE, set_theme
+from grasp_refine_apps.viewer.server.viser_private import widget_id
 
 KEYS: Mapping[str, tuple[str, str, str]] = {
     "next": ("→", "ArrowRight", "Next grasp of the list in Browse"),

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from grasp_refine.hands.hand import Hand
 from grasp_refine.scene.contact_selection import link_groups
-from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.panels.widgets import LiveInput
 
 SLIDER_STEP = 0.1

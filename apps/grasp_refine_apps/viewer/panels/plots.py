@@ -8,9 +8,9 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from grasp_refine_apps.viewer.counted import REMAINING
-from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.trace import Trace, subsample
+from grasp_refine_apps.viewer.model.counted import REMAINING
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.model.trace import Trace, subsample
 
 MAX_POINTS = 400
 """Maximum points of a curve."""

@@ -13,14 +13,14 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.table import measure_text
 from grasp_refine.results.verdict import HOLDS, should_hold
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.form import Form, plain
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.pose import targets_of
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.panels.form import Form, plain
 from grasp_refine_apps.viewer.panels.plots import Plot
 from grasp_refine_apps.viewer.panels.timeline import Timeline
+from grasp_refine_apps.viewer.panels.units import SETTING_UNITS
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_click
-from grasp_refine_apps.viewer.pose import targets_of
-from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.units import SETTING_UNITS
 
 FIRST_SETTINGS = (
     "solver",

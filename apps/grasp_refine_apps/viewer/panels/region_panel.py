@@ -8,10 +8,10 @@ import viser
 
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import FORMS
-from grasp_refine_apps.viewer.controller import Controller
-from grasp_refine_apps.viewer.painting import SEPARATOR, Brush, specs_text
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.painting import SEPARATOR, Brush, specs_text
+from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change
-from grasp_refine_apps.viewer.state import State
 
 HINT = f"Several with {SEPARATOR} between them: {FORMS}; in the object's frame and metres"
 """Hint of the lines of specifications."""

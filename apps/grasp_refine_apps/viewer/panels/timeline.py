@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.panels.play_bar import FRAME_RATE_HZ, PlayBar
-from grasp_refine_apps.viewer.state import State
-from grasp_refine_apps.viewer.trace import Trace
 
 MAX_PLAY_S = 10.0
 """Maximum seconds of playing: where there are more iterations, some are left out."""

@@ -12,14 +12,14 @@ import viser
 
 from grasp_refine.motion.way import WayStatus
 from grasp_refine.validation.protocols.registry import PROTOCOLS
-from grasp_refine_apps.viewer.controller import Controller
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.validating import MAX_FRICTION
+from grasp_refine_apps.viewer.model.shown_motion import FRAME_RATE_HZ, ShownMotion
+from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.state import Job, State
+from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
 from grasp_refine_apps.viewer.panels.widgets import in_a_row, on_change, on_choice, on_click
-from grasp_refine_apps.viewer.shown_motion import FRAME_RATE_HZ, ShownMotion
-from grasp_refine_apps.viewer.shown_way import ShownWay
-from grasp_refine_apps.viewer.state import Job, State
-from grasp_refine_apps.viewer.validated import DirectionResult, TrialResult
-from grasp_refine_apps.viewer.validating import MAX_FRICTION
 
 AXIS_COLORS = {"x": "#e03131", "y": "#2f9e44", "z": "#1c7ed6"}
 """Colours of the axes, as frames in the scene have them."""

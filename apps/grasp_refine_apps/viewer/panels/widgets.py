@@ -10,7 +10,7 @@ from typing import Any
 
 import viser
 
-from grasp_refine_apps.viewer.viser_private import event_loop, is_removed, send_value, widget_id
+from grasp_refine_apps.viewer.server.viser_private import event_loop, is_removed, send_value, widget_id
 
 HOLD_S = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""

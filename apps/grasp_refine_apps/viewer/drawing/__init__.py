@@ -1,0 +1,1 @@
+"""The 3D scene: shapes, nodes, cameras, and clicks in it."""

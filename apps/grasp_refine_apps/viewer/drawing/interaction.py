@@ -1,0 +1,169 @@
+"""User interaction with the scene: clicks on links and on the object, dragged targets and gizmos."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from grasp_refine.core.se3 import inverse, transform_from_pose, transform_points
+from grasp_refine_apps.viewer.drawing.picking import hit_mesh, nearest_on_surface
+from grasp_refine_apps.viewer.drawing.scene_nodes import HandMeshes, Meshes, PointMarkers, place
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.painting import Camera
+from grasp_refine_apps.viewer.model.state import State
+
+BRUSH_KEY: Literal["shift"] = "shift"
+"""Key that users hold to paint on the object."""
+
+GIZMO_HOLD_S = 0.5
+"""Seconds for which a gizmo stays where the user dragged it: drawn states may be older."""
+
+
+class Interaction:
+    """Translation of clicks and drags into commands."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        controller: Controller,
+        hand: HandMeshes,
+        obj: Meshes,
+        targets: PointMarkers,
+        length: float,
+    ) -> None:
+        """Start without listening.
+
+        Args:
+            scene: Scene of the gizmos.
+            controller: Receiver of the commands.
+            hand: Meshes of the shown hand.
+            obj: Meshes of the shown object.
+            targets: Markers of the target points on the object.
+            length: Approximate size of the gizmos in metres.
+        """
+        self._scene, self._controller, self._length = scene, controller, length
+        self._hand, self._object, self._targets = hand, obj, targets
+        self.gizmos: dict[str, Any] = {}
+        """The gizmo that is shown, by the body that it moves."""
+        self._picking = self._painting = False
+        self._dragged = -np.inf
+        self._drag = 0
+        """Number of the present drag."""
+
+    def draw(self, state: State) -> None:
+        """Update listeners and gizmos to a state."""
+        if state.picking != self._picking:
+            self._picking = state.picking
+            self._listen(state.picking)
+        self._listen_to_brush(state.brush != "off" and state.motion is None)
+        for kind in [kind for kind in self.gizmos if kind != state.gizmo]:
+            self.gizmos.pop(kind).remove()
+        if state.gizmo == "none" or state.motion is not None:
+            return
+        T = state.T_world_object if state.gizmo == "object" else state.T_world_object @ state.shown.T_object_root
+        node = self.gizmos.get(state.gizmo)
+        if node is None:
+            node = self._scene.add_transform_controls(
+                f"/gizmo_{state.gizmo}", scale=1.2 * self._length, depth_test=False
+            )
+            place(node, T)
+            node.on_update(self._drag_hand if state.gizmo == "hand" else self._drag_object)
+            self.gizmos[state.gizmo] = node
+        elif time.monotonic() - self._dragged > GIZMO_HOLD_S:
+            place(node, T)
+
+    # Asynchronous, so that they are called at once and in order, before the gizmo is moved again.
+    async def _drag_hand(self, event: Any) -> None:
+        if event.client is not None and self._moves(event.phase):
+            self._dragged = time.monotonic()
+            T = inverse(self._controller.state.T_world_object) @ _pose_of(event.target)
+            self._controller.move_root(T, self._drag)
+
+    async def _drag_object(self, event: Any) -> None:
+        if event.client is not None and self._moves(event.phase):
+            self._dragged = time.monotonic()
+            self._controller.move_object(_pose_of(event.target), self._drag)
+
+    def _moves(self, phase: str) -> bool:
+        """Return whether a phase of a drag moves anything; a start begins another drag."""
+        self._drag += phase == "start"
+        return phase != "start"
+
+    def _listen(self, picking: bool) -> None:
+        """Make links and object clickable, or not."""
+        links = [partial(self._clicked_link, k) for k in range(len(self._hand.shapes))]
+        self._hand.on_click(links if picking else None)
+        self._object.on_click([self._clicked_object] * len(self._object.shapes) if picking else None)
+
+    def listen_to_targets(self, new: Iterable[int]) -> None:
+        """Make new targets draggable along the object."""
+        for k in new:
+            self._targets.nodes[k].on_drag(partial(self._drag_target, k))
+
+    def _clicked_link(self, k: int, origin: np.ndarray, direction: np.ndarray) -> None:
+        state, shape = self._controller.state, self._hand.shapes[k]
+        if state.motion is not None:
+            return
+        T = state.T_world_object @ self._hand.poses(state.shown.T_object_root, state.shown.q)[shape.link]
+        hit = hit_mesh(*_ray_in_frame(T, origin, direction), shape.vertices, shape.faces)
+        body = state.scene.hand.links_by_name[shape.link].body
+        if hit is not None:
+            # The visual mesh may differ from the collision geometry.
+            self._controller.pick_link(shape.link, hit if body is None else nearest_on_surface(body, hit))
+
+    def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
+        state = self._controller.state
+        point = None if state.motion is not None else self._on_surface(state, origin, direction)
+        if point is not None:
+            self._controller.pick_object(point)
+
+    def _drag_target(self, k: int, event: Any) -> None:
+        self._drag += event.phase == "start"
+        eye = np.array(event.client.camera.position)
+        point = self._on_surface(self._controller.state, eye, np.array(event.end_position) - eye)
+        if point is not None:
+            self._controller.move_target(k, point, self._drag)
+
+    def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+        """First point (3,) of the object on a ray in the world frame; object frame."""
+        ray = _ray_in_frame(state.T_world_object, origin, direction)
+        hits = [hit_mesh(*ray, shape.vertices, shape.faces) for shape in self._object.shapes]
+        first = min(
+            (hit for hit in hits if hit is not None), key=lambda hit: float(np.linalg.norm(hit - ray[0])), default=None
+        )
+        return None if first is None else nearest_on_surface(state.scene.object.body, first)
+
+    def _listen_to_brush(self, painting: bool) -> None:
+        """Listen to rectangles that users draw, or not; without the key of the brush the mouse turns the camera."""
+        if painting != self._painting:
+            self._painting = painting
+            if painting:
+                self._scene.on_rect_select(modifier=BRUSH_KEY)(self._drew_rectangle)
+            else:
+                self._scene.remove_rect_select_callback(self._drew_rectangle)
+
+    def _drew_rectangle(self, event: Any) -> None:
+        camera = event.client.camera
+        T = transform_from_pose(np.concatenate([camera.position, camera.wxyz])[None])[0]
+        self._controller.paint(Camera(T, camera.fov, camera.aspect, event.screen_min, event.screen_max))
+
+    def remove(self) -> None:
+        """Remove the gizmos, and listen no longer."""
+        self._listen_to_brush(False)
+        for node in self.gizmos.values():
+            node.remove()
+
+
+def _pose_of(node: Any) -> Float[np.ndarray, "4 4"]:
+    return transform_from_pose(np.concatenate([node.position, node.wxyz])[None])[0]
+
+
+def _ray_in_frame(T: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a ray in the frame whose pose (4, 4) is T."""
+    return transform_points(inverse(T), origin), T[:3, :3].T @ direction

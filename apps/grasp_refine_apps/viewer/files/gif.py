@@ -1,0 +1,98 @@
+"""GIF of a refinement or a simulation as one browser sees it: its camera, its colours, its display options."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+import viser
+from jaxtyping import UInt8
+from PIL import Image
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.worker import Control
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.model.trace import subsample
+from grasp_refine_apps.viewer.server.page import DRAW_PERIOD_S
+
+MAX_FRAMES, MAX_SIDE_PX = 32, 720
+"""Maximum frames, and pixels of a frame's longer side."""
+
+FRAME_MS, END_MS = 120, 1200
+"""Milliseconds of a frame, and of the last one."""
+
+SETTLE_S = 4 * DRAW_PERIOD_S
+"""Seconds until a frame that was drawn has reached the browser."""
+
+RENDER_TIMEOUT_S = 15.0
+"""Seconds within which a browser must draw a frame."""
+
+
+def recorded_gif(
+    controller: Controller,
+    client: viser.ClientHandle,
+    size: tuple[int, int],
+    settle: Callable[[float], None],
+    control: Control,
+) -> bytes:
+    """Show each frame, take its picture in a browser, and return the GIF; what was shown before is shown again.
+
+    Args:
+        controller: Shows the frames.
+        client: The browser.
+        size: Height and width of its scene in pixels.
+        settle: Waits until what is shown is drawn, for some seconds at most.
+        control: Progress, and interruption.
+
+    Raises:
+        GraspRefineError: there is nothing to record, or the browser does not draw.
+        Stopped: the job was stopped.
+    """
+    state = controller.state
+    show, frames = _frames(controller, state)
+    factor = min(1.0, MAX_SIDE_PX / max(size))
+    height, width = (max(round(factor * side), 2) for side in size)
+    pictures = []
+    try:
+        for done, frame in enumerate(frames):
+            control.report(done / len(frames), "recording a GIF")
+            control.check()
+            show(frame)
+            settle(RENDER_TIMEOUT_S)
+            time.sleep(SETTLE_S)
+            pictures.append(client.get_render(height, width, transport_format="jpeg", timeout=RENDER_TIMEOUT_S))
+    except (RuntimeError, TimeoutError) as error:
+        raise GraspRefineError(f"there is no GIF: the browser drew no picture ({error}); try again") from None
+    finally:
+        if state.motion is not None:
+            controller.show_motion_frame(state.motion_frame)
+        else:
+            controller.scrub(state.frame)
+    return gif(pictures)
+
+
+def _frames(controller: Controller, state: State) -> tuple[Callable[[int], None], list[int]]:
+    """Function that shows a frame, and the frames to show.
+
+    Raises:
+        GraspRefineError: there are none.
+    """
+    if state.motion is not None:
+        return controller.show_motion_frame, subsample(len(state.motion), MAX_FRAMES).tolist()
+    if state.trace is None:
+        raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
+    return controller.scrub, subsample(len(state.trace), MAX_FRAMES).tolist()
+
+
+def gif(pictures: Sequence[UInt8[np.ndarray, "H W 3"]]) -> bytes:
+    """Encode pictures of one size as a GIF that repeats."""
+    convert = partial(Image.Image.convert, mode="P", palette=Image.Palette.ADAPTIVE)
+    first, *others = (convert(Image.fromarray(picture[..., :3])) for picture in pictures)
+    stream = io.BytesIO()
+    times = [FRAME_MS] * len(others) + [END_MS]
+    first.save(stream, "GIF", save_all=True, append_images=others, duration=times, loop=0)
+    return stream.getvalue()

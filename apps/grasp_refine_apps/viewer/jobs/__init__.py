@@ -1,0 +1,1 @@
+"""Commands on the state, and the long jobs behind them."""

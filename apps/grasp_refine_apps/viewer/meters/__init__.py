@@ -1,0 +1,1 @@
+"""Measures of the shown grasp, kept for as long as they hold."""

@@ -1,0 +1,241 @@
+"""Grasps open in the viewer, of one hand on one or several objects, with their measures and marks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from grasp_refine.core.array_records import take
+from grasp_refine.core.se3 import transform_from_pose
+from grasp_refine.hands.hand import Hand
+from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
+from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.scene.scene import Scene
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
+from grasp_refine_apps.viewer.model.counted import Counted
+from grasp_refine_apps.viewer.model.marks import Mark, Marks, marks_path
+from grasp_refine_apps.viewer.model.names import shortened
+from grasp_refine_apps.viewer.model.pose import Pose, targets_of
+from grasp_refine_apps.viewer.model.recorded import read_records
+from grasp_refine_apps.viewer.model.validated import TrialResult
+from grasp_refine_apps.viewer.model.work import Work
+
+Cut = Callable[[], Object]
+"""Function that cuts an object into convex pieces."""
+
+
+@dataclass(frozen=True, eq=False)
+class Collection:
+    """N grasps, numbered in the requested order."""
+
+    problem: Problem
+    """The grasps, by object and scale."""
+    group_of: Int[np.ndarray, " N"]
+    """Number of each grasp's group (N,)."""
+    member: Int[np.ndarray, " N"]
+    """Row of each grasp in its group (N,)."""
+    files: tuple[Path, ...]
+    """Files of the grasps: one, or those of a folder; empty if they were sampled."""
+    file_of: Int[np.ndarray, " N"]
+    """Number of each grasp's file in `files` (N,)."""
+    row: Int[np.ndarray, " N"]
+    """Row of each grasp in its file (N,)."""
+    T_initial: Float[np.ndarray, "N 4 4"]
+    """Poses of the base link before refinement (N, 4, 4), object frame; the present pose where none is recorded."""
+    q_initial: Float[np.ndarray, "N n"]
+    """Joint values before refinement (N, n)."""
+    columns: Mapping[str, Column]
+    """Measures of the grasps: key -> column."""
+    marks: tuple[Marks, ...]
+    """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
+    stand_ins: frozenset[str] = frozenset()
+    """Names of the objects whose meshes are not known: their grasps are shown on another object."""
+    uncut: Mapping[int, Cut] = field(default_factory=dict)
+    """Number of a group whose object is only its convex hull yet -> function that cuts it, which may take minutes."""
+    trials: Mapping[int, TrialResult] = field(default_factory=dict)
+    """Simulation results of the grasps as in their file, by number, where known."""
+
+    @staticmethod
+    def of(
+        problem: Problem, stand_ins: frozenset[str] = frozenset(), uncut: Mapping[int, Cut] | None = None
+    ) -> Collection:
+        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` and `uncut` as the fields.
+
+        Raises:
+            GraspFileError: a result file, or the file of marks beside it, is damaged.
+        """
+        groups, order = problem.groups, problem.order
+        group_of = np.repeat(np.arange(len(groups)), [len(group.rows) for group in groups])[order]
+        member = np.concatenate([np.arange(len(group.rows)) for group in groups])[order]
+        rows = np.concatenate([group.rows for group in groups])[order]
+        T = np.concatenate([group.scene.T_world_root for group in groups])[order]
+        q = np.concatenate([group.scene.q for group in groups])[order]
+        found = read_records(problem)
+        first = problem.files[:1] if not problem.sampled else ()
+        files, file_of, row = first, np.zeros(len(problem), dtype=int), rows
+        columns: dict[str, Column] = {}
+        if found is not None:
+            files, file_of, row = found.files, found.file[rows], found.row[rows]
+            refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
+            T = np.where(refined[:, None, None], found.T[rows], T)
+            q = np.where(refined[:, None], found.q[rows], q)
+            columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
+            columns = {key: column for key, column in columns.items() if column.known.any()}
+        marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins, uncut or {})
+
+    @staticmethod
+    def of_refined(refined: RefinedGrasps) -> Collection:
+        """Return refined grasps with what they were before, their measures and statuses, as of their result file."""
+        collection, outcome = Collection.of(refined.as_problem()), refined.outcome
+        T, q = transform_from_pose(outcome.hand_pose_before), outcome.q_before
+        known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
+        recorded = {**outcome.entries(), STATUS.key: refined.status}
+        columns = [one.with_values(recorded[one.key]) for one in (*NUMBERS, STATUS) if one.key in recorded]
+        return replace(
+            collection,
+            T_initial=np.where(known[:, None, None], T, collection.T_initial),
+            q_initial=np.where(known[:, None], q, collection.q_initial),
+            columns={column.key: column for column in columns if column.known.any()},
+        )
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.row)
+
+    @property
+    def hand(self) -> Hand:
+        """The hand."""
+        return self.problem.hand
+
+    @property
+    def objects(self) -> Shaped[np.ndarray, " N"]:
+        """The name of each grasp's object (N,)."""
+        return np.array([group.object for group in self.problem.groups])[self.group_of]
+
+    def same_grasps(self, other: Collection) -> bool:
+        """Return whether another collection has the same grasps, perhaps with more known of them."""
+        return self.row is other.row
+
+    def with_object(self, at: int, obj: Object) -> Collection:
+        """Return the collection with the object of group `at`, which has been cut now."""
+        problem, group = self.problem, self.problem.groups[at]
+        cut = replace(group, scene=replace(group.scene, object=obj))
+        groups = (*problem.groups[:at], cut, *problem.groups[at + 1 :])
+        uncut = {other: make for other, make in self.uncut.items() if other != at}
+        return replace(self, problem=replace(problem, groups=groups), uncut=uncut)
+
+    def with_regions(self, at: int, regions: ContactRegions) -> Collection:
+        """Return the collection with other regions of the object of group `at`."""
+        problem, group = self.problem, self.problem.groups[at]
+        scene = replace(group.scene, regions=regions if regions.touch or regions.avoid else None)
+        groups = (*problem.groups[:at], replace(group, scene=scene), *problem.groups[at + 1 :])
+        return replace(self, problem=replace(problem, groups=groups))
+
+    @property
+    def title(self) -> str:
+        """Hand, objects and source for users, in one line."""
+        objects = list(dict.fromkeys(group.object for group in self.problem.groups))
+        named = shortened(objects[0]) if len(objects) == 1 else f"{len(objects)} objects"
+        # Grasps made in Python come from no file.
+        source = self.problem.sampled or ", ".join(path.name for path in self.problem.files[:1])
+        return f"{self.hand.name} on {named}{f', {source}' if source else ''}"
+
+    def group(self, number: int) -> Group:
+        """The group of a grasp."""
+        return self.problem.groups[self.group_of[number]]
+
+    def label(self, number: int) -> str:
+        """Label of a grasp for users, such as "mug 3"; hashes are cut to their beginnings."""
+        return shortened(self.name(number))
+
+    def name(self, number: int) -> str:
+        """Name of a grasp, such as "mug 3": that of its object, and its number among those of the object."""
+        group = self.group(number)
+        return f"{group.object} {group.index[self.member[number]]}"
+
+    def scene(self, number: int) -> Scene:
+        """Scene of this grasp alone, as in its file, with its targets and the table."""
+        scene, rows = self.group(number).scene, self.member[number : number + 1]
+        return replace(
+            scene,
+            T_world_root=scene.T_world_root[rows],
+            q=scene.q[rows],
+            target_link=take(scene.target_link, rows),
+            target_object=take(scene.target_object, rows),
+            direction=take(scene.direction, rows),
+            contact_gap=take(scene.contact_gap, rows),
+        )
+
+    def initial(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (4, 4) of the base link in the object's frame and joint values (n,) of a grasp before refinement."""
+        return self.T_initial[number], self.q_initial[number]
+
+    def pose(self, number: int) -> Pose:
+        """Pose of the hand in a grasp as in its file."""
+        scene, row = self.group(number).scene, self.member[number]
+        return Pose(scene.T_world_root[row], scene.q[row])
+
+    def work(self, number: int) -> Work:
+        """Return a grasp as in its file, with its simulation result if that is known."""
+        targets, pose = targets_of(self.scene(number)), self.pose(number)
+        T = self.T_world_object(number)
+        return Work(pose, targets, T, counted=self.recorded(number), trial=self.trials.get(number), of_file=pose)
+
+    def recorded(self, number: int) -> Counted | None:
+        """Return the contact links that are recorded with a grasp in its file; None: none are."""
+        gap = self.group(number).scene.contact_gap
+        gap = None if gap is None else gap[self.member[number]]
+        return None if gap is None or np.isnan(gap).all() else Counted(gap)
+
+    def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose (4, 4) in which the object is shown at first: what is up in a scene is up in the picture."""
+        T, environment = np.eye(4), self.group(number).scene.environment
+        if environment is not None:
+            T[:3, :3] = environment.T_world_object[:3, :3]
+        return T
+
+    def with_columns(self, *columns: Column) -> Collection:
+        """Return the collection with additional or replaced columns."""
+        return replace(self, columns={**self.columns, **{column.key: column for column in columns}})
+
+    def mark(self, number: int) -> Mark:
+        """Mark of a grasp."""
+        return self.marks[self.file_of[number]].of(int(self.row[number]))
+
+    def with_mark(self, number: int, mark: Mark) -> Collection:
+        """Return the collection with one grasp marked; nothing is written, see `save_marks`."""
+        at, group = self.file_of[number], self.group(number)
+        index = int(group.index[self.member[number]])
+        marks = self.marks[at].with_mark(int(self.row[number]), mark, object=group.object, index=index)
+        return replace(self, marks=(*self.marks[:at], marks, *self.marks[at + 1 :]))
+
+    def save_marks(self, number: int) -> None:
+        """Write the marks of a grasp's file beside that file.
+
+        Raises:
+            GraspFileError: they cannot be written there; they stay in memory.
+        """
+        self.marks[self.file_of[number]].save()
+
+    def with_trials(self, changes: Mapping[int, TrialResult | None]) -> Collection:
+        """Return the collection with simulation results of some grasps, by number, and columns of them; None: none."""
+        if not changes:
+            return self
+        trials = {number: trial for number, trial in {**self.trials, **changes}.items() if trial is not None}
+        verdict, reason = np.full((2, len(self)), "", dtype=object)
+        for number, trial in trials.items():
+            verdict[number] = HELD_TEXT if trial.held else FAILED_TEXT
+            if not trial.held:
+                lost = (one.reason for one in trial.results if not one.held)
+                reason[number] = next(lost, Reason.OFF_CENTRE).label
+        columns = (HELD.with_values(verdict.astype(str)), REASON.with_values(reason.astype(str)))
+        known = trials or HELD.key in self.columns
+        return replace(self.with_columns(*columns), trials=trials) if known else self

@@ -1,0 +1,239 @@
+"""Recorded simulation for display: poses of hand and object in each frame, and a description of it."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from math import degrees
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import inverse, transform_from_pose
+from grasp_refine.hands.files.mujoco_messages import unlogged
+from grasp_refine.hands.hand import Hand
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.world import HAND, SCENE
+from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.validation.replay.replay import POSE_AXES, Replay, Stage, check_replay, object_contacts
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.model.pose import Pose
+
+FRAME_RATE_HZ = 50
+"""Maximum frame rate in hertz."""
+
+MAX_DISPLACEMENT_M = 0.3
+"""Displacement of the object in metres at which a motion ends: a lost one flies for many more."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownMotion:
+    """T frames of a simulation, in the frame that the object had in the first of them."""
+
+    hand: str
+    """Name of the hand."""
+    object: str
+    """Name of the object."""
+    direction: str
+    """Direction in which the object was pushed, such as "+x", or "lift"."""
+    protocol: str
+    """Name of the protocol."""
+    reason: str
+    """End of the trial: "held", or why it failed, as `Reason.label`."""
+    time: Float[np.ndarray, " T"]
+    """Seconds since the hand began to close (T,)."""
+    stage: Int[np.ndarray, " T"]
+    """A `Stage` for each frame (T,)."""
+    since_stage: Float[np.ndarray, " T"]
+    """Seconds since that stage began (T,)."""
+    T_root: Float[np.ndarray, "T 4 4"]
+    """Poses of the hand's base link (T, 4, 4)."""
+    q: Float[np.ndarray, "T n"]
+    """Joint values (T, n) in `Hand.joint_names` order, nearest to those of the simulation."""
+    T_object: Float[np.ndarray, "T 4 4"]
+    """Poses of the object (T, 4, 4); the first is the identity."""
+    displacement_m: Float[np.ndarray, " T"]
+    """Distance of the object from where it should be (T,), metres."""
+    angle_rad: Float[np.ndarray, " T"]
+    """Rotation of the object from how it should be turned (T,), radians."""
+    force: Float[np.ndarray, " 3"]
+    """The push at the object's centre of mass (3,), newtons; zero where it is lifted."""
+    contacts: tuple[Float[np.ndarray, "_ 3"], ...]
+    """Points where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
+    T_bodies: Mapping[str, Float[np.ndarray, "T 4 4"]] = field(default_factory=dict)
+    """Poses (T, 4, 4) of the movable bodies around the object, by name."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.time)
+
+    def pose(self, frame: int) -> Pose:
+        """Return the pose of the hand in a frame."""
+        return Pose(self.T_root[frame], self.q[frame])
+
+    @property
+    def held(self) -> bool:
+        """Whether the object stayed."""
+        return self.reason == Reason.HELD.label
+
+    @property
+    def lost(self) -> Bool[np.ndarray, " T"]:
+        """True in frames (T,) from the loss of the object on: it has once been too far away, or turned too far.
+
+        A trial is judged at its checks; in between the object may swing farther, and come back.
+        """
+        beyond = (self.displacement_m >= Protocol.farthest) | (self.angle_rad >= Protocol.steepest)
+        return np.logical_or.accumulate(beyond & (not self.held))
+
+    @property
+    def pushed(self) -> Bool[np.ndarray, " T"]:
+        """True in frames (T,) in which `force` acts."""
+        return (self.stage == Stage.PUSH) & bool(np.any(self.force))
+
+    def stage_text(self, frame: int) -> str:
+        """Description of the stage in a frame, such as "pushed along +x"."""
+        return {
+            Stage.CLOSE: "the hand closes",
+            Stage.SQUEEZE: "the hand squeezes",
+            Stage.PUSH: f"pushed along {self.direction}",
+            Stage.LIFT: "lifted off the table",
+        }[Stage(self.stage[frame])]
+
+    def text(self, frame: int) -> str:
+        """Description of a frame in one line."""
+        moved, turned = self.displacement_m[frame] * 1e3, degrees(self.angle_rad[frame])
+        line = (
+            f"{self.stage_text(frame)}, {self.since_stage[frame]:.2f} s: "
+            f"the object has moved {moved:.1f} mm and turned {turned:.1f}°"
+        )
+        return f"{line}; it is lost" if self.lost[frame] else line
+
+
+def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None) -> ShownMotion:
+    """Return a replay as frames of a hand, at most `FRAME_RATE_HZ` per second.
+
+    Joint values in MuJoCo are matrix q + offset, and those of joints that mimic others may differ a little from that:
+    q is the least-squares solution.
+
+    Args:
+        hand: The hand.
+        hand_model: Its MuJoCo model, made from the file that was simulated.
+        replay: The recording.
+        model: The world of the recording, for contacts; None: contacts are not known.
+
+    Raises:
+        GraspRefineError: the replay is of another hand, or of another model.
+    """
+    if model is not None:
+        check_replay(model, replay)
+    frames = _shown_frames(replay)
+    T_world_object = transform_from_pose(replay.object_pose)
+    T_start_world = inverse(T_world_object[0])
+    displacement, angle = replay.displacement()
+    return ShownMotion(
+        hand=replay.hand,
+        object=replay.object,
+        direction=replay.direction,
+        protocol=replay.protocol,
+        reason=replay.reason,
+        time=replay.time[frames],
+        stage=replay.stage[frames],
+        since_stage=replay.since_stage()[frames],
+        T_root=T_start_world @ _roots(hand_model, replay)[frames],
+        q=_joint_values(hand, hand_model, replay)[frames],
+        T_object=T_start_world @ T_world_object[frames],
+        displacement_m=displacement[frames],
+        angle_rad=angle[frames],
+        force=T_start_world[:3, :3] @ replay.force,
+        contacts=() if model is None else _contacts(model, replay, frames, T_start_world),
+        T_bodies={name: T_start_world @ T[frames] for name, T in _body_poses(replay)},
+    )
+
+
+def is_replay(path: Path) -> bool:
+    """Return whether a file is a replay of `refine-grasp validate --replays`; only its list of entries is read."""
+    if path.suffix != ".npz":
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return {field.name for field in fields(Replay)} <= entries
+
+
+def _shown_frames(replay: Replay) -> Int[np.ndarray, " k"]:
+    """Indices of the shown frames: at most `FRAME_RATE_HZ` per second, and none after the object is far away."""
+    displacement, _ = replay.displacement()
+    far = displacement > MAX_DISPLACEMENT_M
+    end = int(far.argmax()) + 1 if far.any() else len(replay)
+    kept, last = [], -np.inf
+    for frame, time in enumerate(replay.time[:end]):
+        if time >= last + 1 / FRAME_RATE_HZ - 1e-6:
+            kept.append(frame)
+            last = time
+    # The last frame is always shown.
+    return np.unique([*kept, end - 1])
+
+
+def _column(replay: Replay, name: str) -> Float[np.ndarray, " T"]:
+    """Values (T,) of the joint or coordinate `name`.
+
+    Raises:
+        GraspRefineError: there are none.
+    """
+    if name not in replay.qpos_names:
+        joints = [other.removeprefix(f"{HAND}/") for other in replay.qpos_names if other.startswith(f"{HAND}/")]
+        raise GraspRefineError(
+            f"the replay is of hand '{replay.hand}', and of another one than this: it has no "
+            f"'{name.removeprefix(f'{HAND}/')}'; its joints are {', '.join(joints) or 'none'}"
+        )
+    return replay.qpos[:, replay.qpos_names.index(name)]
+
+
+def _roots(hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T 4 4"]:
+    """Poses of the hand's base link (T, 4, 4) in the world."""
+    pose = np.stack([_column(replay, f"{HAND} {axis}") for axis in POSE_AXES], axis=1)
+    return transform_from_pose(pose) @ inverse(hand_model.T_base_root)
+
+
+def _body_poses(replay: Replay) -> Iterator[tuple[str, Float[np.ndarray, "T 4 4"]]]:
+    """Yield the movable bodies around the object: name, and poses (T, 4, 4) in the world."""
+    last = f" {POSE_AXES[-1]}"
+    for name in replay.qpos_names:
+        if name.startswith(SCENE) and name.endswith(last):
+            body = name.removesuffix(last)
+            pose = np.stack([_column(replay, f"{body} {axis}") for axis in POSE_AXES], axis=1)
+            yield body.removeprefix(SCENE), transform_from_pose(pose)
+
+
+def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T n"]:
+    """Joint values (T, n) of the hand that are nearest to those in MuJoCo."""
+    values = np.stack([_column(replay, f"{HAND}/{joint}") for joint in hand_model.joints], axis=1)
+    # Joints that follow on a curve say nothing that the joints they follow do not.
+    curves = hand_model.curves
+    straight = np.ones(len(hand_model.joints), dtype=bool) if curves is None else ~curves.curved
+    q = (values - hand_model.offset)[:, straight] @ np.linalg.pinv(hand_model.matrix[straight]).T
+    # A joint with equal limits is fixed in MuJoCo.
+    still = ~(hand_model.matrix != 0).any(axis=0)
+    q[:, still] = hand.lower[still]
+    return q
+
+
+def _contacts(
+    model: mujoco.MjModel, replay: Replay, frames: Int[np.ndarray, " k"], T_start_world: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "_ 3"], ...]:
+    """Contact points of the object in each frame, (c, 3)."""
+    data = mujoco.MjData(model)
+    found = []
+    for frame in frames:
+        replay.set_frame(data, frame)
+        with unlogged():
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+        found.append(object_contacts(model, data) @ T_start_world[:3, :3].T + T_start_world[:3, 3])
+    return tuple(found)

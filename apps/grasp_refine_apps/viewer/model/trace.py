@@ -1,0 +1,166 @@
+"""Recorded iterations of one refinement, for the timeline and the plots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from grasp_refine.refinement.force_closure_search import PHASES
+from grasp_refine.refinement.iteration_state import IterationState
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine_apps.viewer.model.contacts import contacts_of, distances_text
+from grasp_refine_apps.viewer.model.counted import REMAINING, Counted
+from grasp_refine_apps.viewer.model.pose import Pose, Target
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """K iterations of one grasp; arrays have one row each and grow while it is refined."""
+
+    T: Float[np.ndarray, "K 4 4"]
+    """Poses of the base link (K, 4, 4) in the object's frame, metres."""
+    q: Float[np.ndarray, "K n"]
+    """Joint values (K, n)."""
+    gap: Float[np.ndarray, "K L"]
+    """Gaps (K, L) in metres that the links should keep which an iteration closes; NaN for others."""
+    loss: Float[np.ndarray, " K"]
+    """Losses (K,) in m^2; those of different stages do not compare."""
+    remaining: Float[np.ndarray, " K"]
+    """Largest gap or target miss (K,) of these links, metres."""
+    penetration: Float[np.ndarray, " K"]
+    """Deepest of all links (K,), metres."""
+    label: tuple[str, ...]
+    """Description of each iteration (K,), for users."""
+    start: Counted | None = None
+    """Contact links of the grasp that is refined."""
+
+    def __len__(self) -> int:
+        """Return the number of iterations."""
+        return len(self.loss)
+
+    def text(self, k: int) -> str:
+        """Text on the measures of an iteration."""
+        return distances_text(float(self.remaining[k]), float(self.penetration[k]), REMAINING)
+
+    def pose(self, k: int) -> Pose:
+        """Return the pose of the hand in an iteration."""
+        return Pose(self.T[k], self.q[k])
+
+
+def subsample(count: int, limit: int) -> Int[np.ndarray, " k"]:
+    """Return at most `limit` of `count` indices from 0, evenly spaced, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
+
+
+@dataclass(frozen=True, eq=False)
+class _Iteration:
+    """One iteration of one way; measures are NaN where it was not followed."""
+
+    way: int
+    pose: Pose
+    gap: Float[np.ndarray, " L"]
+    loss: float
+    label: str
+    remaining: float = np.nan
+    penetration: float = np.nan
+
+
+class Recorder:
+    """Builder of the trace of the one grasp of a scene while it is refined.
+
+    A refinement may try several starts, one after the other and at once. A trace shows one way at a time, from the
+    input grasp on: while it runs, that of the first start that is not done; in the end, that which led to the result.
+    """
+
+    def __init__(
+        self,
+        prepared: HandObject,
+        start: Pose,
+        targets: Sequence[Target],
+        margin: float,
+        counted: Counted | None = None,
+    ) -> None:
+        """Record nothing yet.
+
+        Args:
+            prepared: Hand and object.
+            start: Pose of the hand before the refinement.
+            targets: Target points of links on the object; empty: links touch anywhere.
+            margin: Gap in metres that contacts should keep.
+            counted: Contact links of the grasp before the refinement.
+        """
+        self._prepared, self._start, self._targets = prepared, start, targets
+        self._margin, self._counted = margin, counted
+        self._iterations: list[_Iteration] = []
+        self._ways: dict[tuple[int, int], int] = {}
+        self._attempt, self._stage, self._followed = 0, "", 0
+
+    def add(self, state: IterationState) -> None:
+        """Keep an iteration of all starts that are tried at once."""
+        if state.stage == PHASES[0].name != self._stage:
+            self._attempt += 1
+        self._stage = state.stage
+        first = int(state.member.min())
+        for i, member in enumerate(state.member.tolist()):
+            way = self._ways.setdefault((self._attempt, member), len(self._ways))
+            label = state.stage if way == 0 else f"{state.stage}, try {way + 1}"
+            pose = Pose(state.point.T[i].copy(), state.point.q[i].copy())
+            gap = np.where(state.touching[i], self._margin, np.nan)
+            iteration = _Iteration(way, pose, gap, float(state.loss[i]), label)
+            if member == first:
+                self._followed, iteration = way, self._measured(iteration)
+            self._iterations.append(iteration)
+
+    def _measured(self, iteration: _Iteration) -> _Iteration:
+        """Return an iteration with its measures, over the links that should touch in it."""
+        pose = iteration.pose
+        found = contacts_of(
+            self._prepared,
+            pose.T_object_root,
+            pose.q,
+            gap=iteration.gap,
+            targets=self._targets,
+        )
+        return replace(iteration, remaining=found.contact_error, penetration=found.penetration)
+
+    def trace(self) -> Trace | None:
+        """Return the way that is followed so far; None: there is no iteration yet."""
+        return self._trace([one for one in self._iterations if one.way == self._followed])
+
+    def result(self, end: Pose, gap: np.ndarray, loss: float) -> Trace:
+        """Return the way that led to the result, whose measures are not known yet in part."""
+
+        def distance(one: _Iteration) -> float:
+            moved = one.pose.T_object_root - end.T_object_root
+            return float(np.abs(moved).max() + np.abs(one.pose.q - end.q).max())
+
+        last = _Iteration(-1, end, gap, loss, "the best of all")
+        known = [one for one in self._iterations if one.pose.finite]
+        way = min(known, key=distance).way if known else 0
+        found = self._trace([*(one for one in self._iterations if one.way == way), self._measured(last)])
+        assert found is not None
+        return found
+
+    def _trace(self, iterations: list[_Iteration]) -> Trace | None:
+        """Return the trace of some iterations, with the input grasp before them if they begin elsewhere."""
+        if not iterations:
+            return None
+        first = iterations[0]
+        if not np.allclose(first.pose.T_object_root, self._start.T_object_root) or not np.allclose(
+            first.pose.q, self._start.q
+        ):
+            start = _Iteration(first.way, self._start, first.gap, np.nan, "the input grasp")
+            iterations = [self._measured(start), *iterations]
+        return Trace(
+            T=np.stack([one.pose.T_object_root for one in iterations]),
+            q=np.stack([one.pose.q for one in iterations]),
+            gap=np.stack([one.gap for one in iterations]),
+            loss=np.array([one.loss for one in iterations]),
+            remaining=np.array([one.remaining for one in iterations]),
+            penetration=np.array([one.penetration for one in iterations]),
+            label=tuple(one.label for one in iterations),
+            start=self._counted,
+        )

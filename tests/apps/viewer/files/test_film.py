@@ -1,0 +1,125 @@
+"""Films of refinements and simulations: which frames, what they show, what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import transform_points
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
+from grasp_refine_apps.viewer.files.animation import MAX_FRAMES, Film, film_of, motion_film, refinement_film  # noqa: E402
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.pose import Pose
+from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.model.trace import Trace, subsample
+from grasp_refine_apps.viewer.model.work import Work
+from open_viewer import example
+from refusals import assert_names, refused
+
+AWAY = 0.04
+"""Metres by which the hand comes nearer in the film."""
+
+
+@pytest.fixture(scope="module")
+def collection() -> Collection:
+    return Collection.of(example())
+
+
+@pytest.fixture(scope="module")
+def scene(collection: Collection) -> Scene:
+    return collection.scene(0)
+
+
+def coming(scene: Scene, count: int) -> Trace:
+    """The hand moves straight along x to where it is in the scene."""
+    T = np.repeat(scene.T_world_root[:1], count, axis=0)
+    T[:, 0, 3] += np.linspace(AWAY, 0.0, count)
+    gap = np.full((count, len(scene.links)), np.nan)
+    gap[:, -1] = 0.0
+    ramp = np.linspace(0.002, 0.0, count)
+    return Trace(T, np.repeat(scene.q[:1], count, axis=0), gap, ramp, ramp, 0.5 * ramp, ("gaps close",) * count)
+
+
+@pytest.fixture(scope="module")
+def film(scene: Scene) -> Film:
+    return refinement_film(scene.hand, scene.object, coming(scene, 5))
+
+
+def test_many_iterations_are_thinned_evenly_and_keep_both_ends():
+    assert subsample(5, MAX_FRAMES).tolist() == [0, 1, 2, 3, 4]
+    assert subsample(1, MAX_FRAMES).tolist() == [0]
+    kept = subsample(1003, MAX_FRAMES)
+    assert len(kept) == MAX_FRAMES and kept[0] == 0 and kept[-1] == 1002
+    assert set(np.diff(kept)) == {5, 6}
+
+
+def test_a_refinement_is_shown_frame_by_frame_with_its_numbers(scene: Scene, film: Film):
+    assert_names(film.title, "allegro", "mug")
+    assert [frame.pose.T_object_root[0, 3] for frame in film.frames] == pytest.approx(
+        scene.T_world_root[0, 0, 3] + np.array([0.04, 0.03, 0.02, 0.01, 0.0])
+    )
+    first, last = film.frames[0], film.frames[-1]
+    for frame, named in ((first, ("1 of 5", "2.00 mm", "1.00 mm")), (last, ("5 of 5", "0.00 mm"))):
+        assert all(one in frame.caption for one in ("gaps close", *named)), frame.caption
+    assert last.caption.count("0.00 mm") == 2
+    np.testing.assert_array_equal(last.T_object, np.eye(4))
+
+
+def test_lines_go_from_the_links_that_touch_to_the_object(scene: Scene, film: Film):
+    frame = film.frames[0]
+    assert len(frame.lines) == len(frame.colors) >= 1
+    link = scene.links[-1]
+    T = LinkPoses.of(scene.hand)(frame.pose.T_object_root, frame.pose.q)[link]
+    body = scene.hand.links_by_name[link].body
+    assert body is not None
+    starts = transform_points(np.linalg.inv(T), frame.lines[:, 0])
+    low, high = np.concatenate([piece.vertices for piece in body.pieces])[[0, 0]]
+    for piece in body.pieces:
+        low, high = np.minimum(low, piece.vertices.min(0)), np.maximum(high, piece.vertices.max(0))
+    assert ((starts > low - 1e-6) & (starts < high + 1e-6)).all(axis=1).any(), (
+        "one begins on the link that should touch"
+    )
+
+
+def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
+    count = 3
+    T_object = np.tile(np.eye(4), (count, 1, 1))
+    T_object[:, 0, 3] = [0.0, 0.005, 0.02]
+    motion = ShownMotion(
+        hand="allegro",
+        object="mug",
+        direction="+x",
+        protocol="dexgraspbench",
+        reason="moved",
+        time=np.arange(count) * 0.1,
+        stage=np.full(count, 2),
+        since_stage=np.arange(count) * 0.1,
+        T_root=np.repeat(scene.T_world_root[:1], count, axis=0),
+        q=np.repeat(scene.q[:1], count, axis=0),
+        T_object=T_object,
+        displacement_m=T_object[:, 0, 3],
+        angle_rad=np.zeros(count),
+        force=np.array([1.0, 0.0, 0.0]),
+        contacts=(),
+    )
+    film = motion_film(scene.hand, scene.object, motion)
+    assert_names(film.title, "allegro", "mug", "+x", "moved")
+    np.testing.assert_array_equal([frame.T_object for frame in film.frames], T_object)
+    assert [frame.caption for frame in film.frames] == [motion.text(k) for k in range(count)]
+    assert "20.0 mm" in film.frames[-1].caption
+    # The push is seen, from the object outwards along its axis; it was missing in the file.
+    for frame in film.frames:
+        shaft = frame.push[0]
+        assert len(frame.push) == 5 and shaft[1, 0] - frame.T_object[0, 3] > scene.object.mesh.bounds[1, 0]
+        np.testing.assert_allclose(shaft[0, 1:], shaft[1, 1:], atol=1e-12)
+
+
+def test_a_state_is_filmed_by_what_it_shows(collection: Collection, scene: Scene):
+    pose = Pose(scene.T_world_root[0], scene.q[0])
+    state = State(collection, 0, scene, pose, {0: Work(pose)}, settings=None)
+    with refused(GraspRefineError):
+        film_of(state)
+    assert len(film_of(state.evolve(trace=coming(scene, 2))).frames) == 2

@@ -1,0 +1,105 @@
+"""Lists of grasps: sorted, filtered, and walked through."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grasp_refine.problem.load import load_problem
+from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.validation.trials import Reason
+from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.listing import (
+    MARK,
+    NO_MARK,
+    NUMBER,
+    Listing,
+    first_descending,
+    random_other,
+    step,
+    worst,
+)
+from made_results import save_example_results
+from open_viewer import made_trial
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
+    """Eight grasps of quality 0, 7, 6, 5, 4, 3, 2, 1 eighths; 1 and 2 of 0 to 3 held; 2 is marked good, 5 bad."""
+    path = save_example_results(tmp_path_factory.mktemp("listing") / "results.npz", 8)
+    found = Collection.of(load_problem(ProblemSpec(grasps=path)))
+    held = {number: Reason.HELD if number in (1, 2) else Reason.MOVED for number in range(4)}
+    found = found.with_trials({number: made_trial(reason) for number, reason in held.items()})
+    return found.with_mark(2, "good").with_mark(5, "bad")
+
+
+@pytest.mark.parametrize(
+    ("listing", "numbers"),
+    [
+        (Listing(), [0, 1, 2, 3, 4, 5, 6, 7]),
+        (Listing(descending=True), [7, 6, 5, 4, 3, 2, 1, 0]),
+        (Listing("quality_after", descending=True), [1, 2, 3, 4, 5, 6, 7, 0]),
+        (Listing("quality_after"), [0, 7, 6, 5, 4, 3, 2, 1]),
+        (Listing("status"), [3, 7, 0, 1, 4, 5, 2, 6]),
+        (Listing("held"), [0, 3, 1, 2, 4, 5, 6, 7]),
+        (Listing("held", descending=True), [1, 2, 0, 3, 4, 5, 6, 7]),
+        (Listing(MARK), [5, 2, 0, 1, 3, 4, 6, 7]),
+        (Listing("no such column", descending=True), [0, 1, 2, 3, 4, 5, 6, 7]),
+        (Listing(held="held"), [1, 2]),
+        (Listing(status="converged", held="failed"), [0]),
+        (Listing(mark="bad"), [5]),
+        (Listing("quality_after", mark=NO_MARK), [0, 7, 6, 4, 3, 1]),
+        (Listing(object="mug"), [0, 1, 2, 3, 4, 5, 6, 7]),
+        (Listing(object="cup"), []),
+    ],
+)
+def test_sorting_and_filters_work_together(collection: Collection, listing: Listing, numbers: list[int]) -> None:
+    assert listing.numbers(collection).tolist() == numbers
+
+
+def test_filters_of_what_nobody_knows_find_nothing(collection: Collection) -> None:
+    unknown = replace(collection, columns={})
+    assert not len(Listing(held="held").numbers(unknown))
+    assert not len(Listing(status="converged").numbers(unknown))
+
+
+def test_a_column_is_sorted_best_first_at_first(collection: Collection) -> None:
+    keys = ("quality_after", "contact_error_after", "status", NUMBER, "no such column")
+    assert [first_descending(collection, key) for key in keys] == [True, False, False, False, False]
+
+
+def test_steps_follow_the_list_and_its_ends_are_joined() -> None:
+    numbers = np.array([4, 1, 7])
+    assert [step(numbers, number, 1) for number in (4, 1, 7)] == [1, 7, 4]
+    assert [step(numbers, number, -1) for number in (4, 1, 7)] == [7, 4, 1]
+    # From a grasp that the filters leave out one gets into the list.
+    assert step(numbers, 0, 1) == 4
+    assert step(numbers, 0, -1) == 7
+    assert step(numbers[:0], 0, 1) is None
+
+
+def test_a_random_grasp_is_another_one_of_the_list() -> None:
+    numbers, random = np.array([4, 1, 7]), np.random.default_rng(0)
+    assert {random_other(numbers, 4, random) for _ in range(50)} == {1, 7}
+    assert [random_other(numbers, 4, np.random.default_rng(3)) for _ in range(2)] in ([1, 1], [7, 7])
+    assert random_other(numbers[:1], 4, random) == 4
+    assert random_other(numbers[:0], 4, random) is None
+
+
+def test_the_worst_is_worst_by_quality_else_by_penetration(collection: Collection) -> None:
+    assert worst(collection) == 0
+    assert worst(collection, np.array([3, 7, 1])) == 7
+    # Penetration grows with the number.
+    assert worst(collection, key="penetration_after") == 7
+    assert worst(replace(collection, columns={"penetration_after": collection.columns["penetration_after"]})) == 7
+    assert worst(collection, key="status") is None
+    assert worst(replace(collection, columns={})) is None
+    assert worst(collection, np.zeros(0, dtype=int)) is None
+
+
+def test_an_unknown_grasp_is_never_the_worst(collection: Collection) -> None:
+    quality = collection.columns["quality_after"]
+    values = np.where(np.arange(8) == 0, np.nan, quality.values)
+    assert worst(collection.with_columns(quality.with_values(values))) == 7

@@ -1,0 +1,110 @@
+"""Ways as frames: the object goes with the palm, and what is in the way is met where links are in it first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from grasp_refine.closing.motion import Motion
+from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.core.se3 import inverse
+from grasp_refine.geometry.body import build_body
+from grasp_refine.geometry.pieces import box
+from grasp_refine.hands.hand import load_hand
+from grasp_refine.motion.sweep import SPACING_M
+from grasp_refine.motion.way import LEGS, WayStatus, ways
+from grasp_refine.objects.object import load_object
+from grasp_refine.problem.problem import Problem
+from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.scene import Scene
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.model.shown_way import LIFT, SQUEEZE, ShownWay, shown_way
+from open_viewer import controller, settled
+
+LIFT_M = 0.1
+PRESS_M = 0.01
+
+
+def grasp(*bodies: EnvironmentBody) -> tuple[Scene, Motion, HandObject]:
+    """A gripper on a box from above, open before it; set points of the squeeze press."""
+    hand, thing = load_hand("franka_hand", candidates=16), load_object("box:0.05,0.05,0.12", candidates=16)
+    T = transform_from_rpy([0.0, 0.0, 0.06 - 0.02 + 0.1034, 180.0, 0.0, 0.0])
+    fingers = np.array([[0.036], [0.025], [0.025 - PRESS_M]])
+    environment = Environment(bodies, np.eye(4), lift=0.0) if bodies else None
+    scene = Scene(hand, thing, T, fingers[1], environment=environment)
+    return scene, Motion(np.tile(T, (1, 3, 1, 1)), fingers[None]), HandObject.of(scene)
+
+
+def shown(*bodies: EnvironmentBody) -> tuple[Scene, HandObject, ShownWay]:
+    scene, motion, prepared = grasp(*bodies)
+    return scene, prepared, shown_way(scene, ways(scene, motion, prepared=prepared)[0], prepared)
+
+
+def post(top: float) -> EnvironmentBody:
+    """A post beside the object, below one finger, up to a height."""
+    T = np.eye(4)
+    T[:3, 3] = 0.0, 0.03 + 0.1, top - 0.1
+    return EnvironmentBody("post", build_body("post", [box((0.2, 0.2, 0.2))], candidates=16), T)
+
+
+def test_the_object_goes_up_with_the_palm_and_fingers_stay_on_it() -> None:
+    _, _, way = shown()
+    assert way.status == WayStatus.FREE and way.met is None and not way.lost.any()
+    assert sorted(set(way.leg)) == list(range(len(LEGS))) and (np.diff(way.time) > 0).all()
+    np.testing.assert_allclose(way.T_object[-1, :3, 3], [0.0, 0.0, LIFT_M], atol=1e-9)
+    at_grasp = inverse(way.T_root[np.flatnonzero(way.leg == LIFT)[0] - 1])
+    held = inverse(way.T_root[way.leg == LIFT]) @ way.T_object[way.leg == LIFT]
+    np.testing.assert_allclose(held, np.broadcast_to(at_grasp, held.shape), atol=1e-9)
+    # Set points press, fingers do not go into the object.
+    np.testing.assert_allclose(way.q[way.leg >= SQUEEZE], 0.025, atol=1e-9)
+    np.testing.assert_array_equal(way.T_object[way.leg < LIFT], np.broadcast_to(np.eye(4), (sum(way.leg < LIFT), 4, 4)))
+
+
+def lowest(scene: Scene, prepared: HandObject, way: ShownWay) -> np.ndarray:
+    """Height of the lowest point of the hand in each frame (T,), metres."""
+    T = prepared.chain(way.T_root, way.q).T_world_link
+    heights, _ = Plane().heights(prepared.bodies, T)
+    return heights.min(axis=1)
+
+
+@pytest.mark.parametrize("height", [0.02, 0.06])
+def test_a_post_below_a_finger_is_met_in_the_frame_in_which_the_finger_reaches_it(height: float) -> None:
+    tip = lowest(*shown())[-1] - LIFT_M
+    scene, prepared, way = shown(post(tip + height))
+    assert way.status == WayStatus.BLOCKED and way.obstruction is not None and way.met is not None
+    assert way.obstruction.second == "post" and "post" in way.text(way.met) and "post" in way.summary
+    assert "post" not in way.text(way.met - 1) and way.obstruction_at(way.met - 1) is None
+    z = lowest(scene, prepared, way)
+    step = np.abs(np.diff(z)).max()
+    # Samples of the sweep and frames are each a little apart.
+    assert z[way.met] == pytest.approx(tip + height, abs=SPACING_M + step)
+    assert way.lost.tolist() == [frame >= way.met for frame in range(len(way))]
+
+
+def test_planning_is_kept_until_the_grasp_is_moved(viewer: Controller) -> None:
+    viewer.plan_way()
+    settled(viewer, 60.0)
+    way = viewer.state.work.way
+    assert isinstance(way, ShownWay) and viewer.state.motion is way and len(way) > 20
+    # It ends at the grasp: the pose that is planned for is passed on the way.
+    closest = np.abs(way.T_root - viewer.state.pose.T_object_root).max(axis=(1, 2)) + np.abs(
+        way.q - viewer.state.pose.q
+    ).max(axis=1)
+    assert way.status != WayStatus.FREE or closest.min() < 0.02
+    viewer.end_motion()
+    viewer.plan_way()
+    assert viewer.state.job is None and viewer.state.motion is way
+    viewer.end_motion()
+    viewer.set_joint(0, viewer.state.pose.q[0] + 0.05)
+    assert viewer.state.work.way is None
+
+
+@pytest.fixture
+def viewer(problem: Problem) -> Iterator[Controller]:
+    made = controller(problem)
+    yield made
+    made.close()

@@ -1,0 +1,199 @@
+"""The server: where it listens, whom it lets in, and the thread that draws."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.client import HTTPConnection, HTTPResponse
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.server.access import Access
+from grasp_refine_apps.viewer.server.page import Drawer, Page, close_server, open_server
+from open_viewer import controller
+from refusals import refused
+from running_processes import PATIENCE_S
+
+
+@contextmanager
+def served(host: str = "127.0.0.1") -> Iterator[Page]:
+    page = open_server(host, 0)
+    try:
+        yield page
+    finally:
+        close_server(page.server)
+
+
+def answered(port: int, path: str = "/", **headers: str) -> HTTPResponse:
+    """The answer to a request for a page; the name asked for is that of the header Host."""
+    asked = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    asked.request("GET", path, headers=headers)
+    found = asked.getresponse()
+    found.read()
+    asked.close()
+    return found
+
+
+def connects(port: int, path: str = "/", *, origin: str | None = None, **headers: str) -> bool:
+    """Whether a page may connect."""
+    try:
+        protocol = [f"viser-v{viser.__version__}"]
+        address = f"ws://127.0.0.1:{port}{path}"
+        with connect(address, origin=origin, subprotocols=protocol, additional_headers=headers):
+            return True
+    except InvalidStatus as refusal:
+        assert refusal.response.status_code == 403
+        return False
+
+
+def test_a_port_of_zero_is_any_that_is_free_and_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    with served() as one, served() as other:
+        assert one.server.get_port() != other.server.get_port()
+        assert one.address == f"http://127.0.0.1:{one.server.get_port()}"
+    assert capfd.readouterr().out == ""
+
+
+def test_a_port_that_is_taken_is_said_in_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with refused(GraspRefineError, f"127.0.0.1:{port}", "--port"):
+            open_server("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 0), ("no such host", 0), ("127.0.0.1", 99999)])
+def test_a_place_where_nothing_can_listen_is_refused_at_once(host: str, port: int) -> None:
+    with refused(GraspRefineError, f"{host}:{port}"):
+        open_server(host, port)
+
+
+def test_only_pages_of_this_machine_are_let_in() -> None:
+    with served() as page:
+        port = page.server.get_port()
+        assert answered(port).status == 200
+        for origin in (f"http://127.0.0.1:{port}", "http://localhost:8123", "http://[::1]:80", None):
+            assert connects(port, origin=origin), origin
+        for origin in ("http://evil.example", "http://127.0.0.1.evil.example", "null"):
+            assert not connects(port, origin=origin), origin
+
+
+def test_on_the_network_nothing_is_answered_without_the_token() -> None:
+    with served("0.0.0.0") as page:
+        port, token = page.server.get_port(), page.access.token
+        assert len(token) >= 32
+        for path in ("/", "/index.html", f"/?token={token}x", "/?token="):
+            assert answered(port, path).status == 403, path
+        found = answered(port, f"/?token={token}")
+        cookie = found.headers["Set-Cookie"]
+        assert found.status == 200 and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+        kept = cookie.partition(";")[0]
+        assert answered(port, Cookie=f"other=1; {kept}").status == 200
+        assert not connects(port) and not connects(port, Cookie=f"{kept}x")
+        assert connects(port, Cookie=kept) and connects(port, f"/?token={token}")
+
+
+def test_on_the_network_only_the_page_that_was_asked_for_may_connect() -> None:
+    with served("0.0.0.0") as page:
+        port, path = page.server.get_port(), f"/?token={page.access.token}"
+        assert connects(port, path, origin=f"http://127.0.0.1:{port}")
+        for origin in ("http://evil.example", f"http://localhost:{port}", "http://127.0.0.1", "null"):
+            assert not connects(port, path, origin=origin), origin
+
+
+def test_an_origin_is_compared_with_the_name_that_was_asked() -> None:
+    public = Access.to("0.0.0.0")
+    assert public.allows_origin("http://robot.lab:8080", "Robot.lab:8080")
+    assert public.allows_origin("https://proxy.lab", "proxy.lab") and public.allows_origin(None, None)
+    assert not public.allows_origin("http://robot.lab:8081", "robot.lab:8080")
+    assert not public.allows_origin("http://robot.lab", None)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.0.0.2"])
+def test_a_host_that_only_this_machine_reaches_needs_no_token(host: str) -> None:
+    access = Access.to(host)
+    assert not access.token and access.allows_token("/", None, 1) and access.allows_origin("http://localhost", None)
+    assert "token" not in access.address(8080)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.7.3", "robot.lab"])
+def test_the_address_of_a_public_host_is_one_that_others_reach(host: str) -> None:
+    access = Access.to(host)
+    name = urlsplit(access.address(8080)).hostname
+    assert name not in ("0.0.0.0", "::", "localhost", None, "")
+    assert name == host or host in ("0.0.0.0", "::")
+    assert access.address(8080).endswith(f":8080/?token={access.token}")
+    assert access.token not in repr(access)
+
+
+def test_nobody_can_have_a_tunnel_opened() -> None:
+    with served() as page:
+        handlers = page.server._websock_server._incoming_handlers
+        assert viser._messages.ShareUrlRequest not in handlers or not handlers[viser._messages.ShareUrlRequest]
+
+
+def test_the_newest_state_is_drawn_and_a_part_that_breaks_does_not_harm_others(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    drawn: list[int] = []
+    release, last = threading.Event(), threading.Event()
+
+    def slow(state: State) -> None:
+        release.wait(PATIENCE_S)
+        drawn.append(state.change)
+        if state.change == 9:
+            last.set()
+
+    def broken(state: State) -> None:
+        raise ValueError("broken")
+
+    made = controller()
+    states = [replace(made.state, change=change) for change in range(10)]
+    made.close()
+    drawer = Drawer([broken, slow], states[0])
+    for state in states[1:]:
+        drawer.draw(state)
+    release.set()
+    assert last.wait(PATIENCE_S)
+    drawer.close()
+    # The first may have begun before the others came.
+    assert drawn in ([9], [0, 9])
+    assert "ValueError: broken" in capsys.readouterr().err
+
+
+def test_a_slow_drawer_draws_once_in_its_period_and_ends_at_once() -> None:
+    drawn, first = [], threading.Event()
+
+    def draw(state: State) -> None:
+        drawn.append(state.change)
+        first.set()
+
+    made = controller()
+    made.close()
+    drawer = Drawer([draw], made.state, period=600.0)
+    assert first.wait(PATIENCE_S)
+    drawer.draw(replace(made.state, change=made.state.change + 1))
+    drawer.close()
+    assert drawn == [made.state.change]
+
+
+def test_a_drawer_settles_once_the_newest_state_is_drawn() -> None:
+    drawn: list[int] = []
+    made = controller()
+    made.close()
+    drawer = Drawer([lambda state: time.sleep(0.05), lambda state: drawn.append(state.change)], made.state, period=0.0)
+    for change in range(made.state.change + 1, made.state.change + 4):
+        drawer.draw(replace(made.state, change=change))
+        drawer.settle(PATIENCE_S)
+        assert drawn[-1] == change
+    drawer.close()
+    drawer.draw(made.state)
+    drawer.settle(0.01)  # never drawn: it comes back all the same
