@@ -153,7 +153,7 @@ def test_protocols_have_a_file_with_their_source():
 
 
 def test_the_guide_lists_all_protocols():
-    guide = (ROOT / "docs" / "pages" / "guides" / "prove-it.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "pages" / "guides" / "validate.md").read_text(encoding="utf-8")
     (table,) = (part for part in guide.split("\n\n") if part.startswith("| Protocol |"))
     assert re.findall(r"^\| `([a-z][a-z-]+)` \| ", table, re.MULTILINE) == list(PROTOCOLS)
 

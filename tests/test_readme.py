@@ -24,7 +24,7 @@ from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from readme import PAGES, ROOT, TEXT, blocks, facade_blocks, run_python, section
 
-MEASURED = "How fast, how good"
+MEASURED = "Performance"
 """Section of README with a table of what was measured."""
 
 BENCHES = tuple(

@@ -112,7 +112,7 @@ def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-RECIPES = ("my-hand", "my-object", "my-dataset", "prove-it", "scenes")
+RECIPES = ("my-hand", "my-object", "my-dataset", "validate", "scenes")
 """Guides that begin with commands to be copied."""
 
 
@@ -154,12 +154,12 @@ def test_recipes_run(guide: str, newcomer: Path, capfd: pytest.CaptureFixture[st
         "my-hand": ("hand.toml", "grasp-refine-results/my_hand_mug.npz"),
         "my-object": ("grasp-refine-results/leap_my_object.npz", "box.json"),
         "my-dataset": ("refined/report.html", "grasp-refine-results/my_hand_my_object.npz"),
-        "prove-it": ("grasp-refine-results/allegro_mug.npz", "replays"),
+        "validate": ("grasp-refine-results/allegro_mug.npz", "replays"),
         "scenes": ("grasp-refine-results/allegro_mug.npz",),
     }
     for name in made[guide]:
         assert (newcomer / name).exists(), name
-    if guide == "prove-it":
+    if guide == "validate":
         film = set() if "no film" in said else {".gif"}  # where nothing can be drawn without a screen
         assert {path.suffix for path in (newcomer / "replays").iterdir()} == {".npz", ".xml"} | film
 

@@ -170,8 +170,8 @@ def _reason(validated: Validated, i: int, protocol: Protocol) -> Text:
         return Text(f"{held}{', ' + ', '.join(flags) if flags else ''}", "yellow" if flags else "green")
     if reason == Reason.PENETRATES:
         return Text(f" penetrates {trials.penetration_m[i] * 1e3:.0f} mm at first", "red")
-    if reason == Reason.THROWN:
-        return Text(f" thrown {trials.closing_m[i] * 1e3:.0f} mm by closing", "red")
+    if reason == Reason.EJECTED_WHILE_CLOSING:
+        return Text(f" ejected {trials.closing_m[i] * 1e3:.0f} mm while closing", "red")
     if reason == Reason.OFF_CENTRE:
         assert trials.label is not None
         return Text(f" off centre, {trials.label[i]:.0%} held elsewhere", "red")
@@ -220,7 +220,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
             most = values[success]
             parts.append(" / ".join(f"{np.quantile(most, q) * factor:.1f}" for q in QUANTILES) + f" {unit}")
         words = " / ".join(QUANTILES.values())
-        lines.append(Text(f"objects that were held moved {parts[0]} and turned {parts[1]} ({words})"))
+        lines.append(Text(f"objects that were held moved {parts[0]} and rotated {parts[1]} ({words})"))
     barely = validated.barely(protocol)
     if barely.any():
         limits = " or ".join(protocol.bounds(BARELY))
@@ -243,7 +243,7 @@ def _verdict(validated: Validated, protocol: Protocol | None, frictions: Sequenc
         )
     if validated.noise is not None:
         mean = validated.noise.mean()
-        lines.append(Text(f"with the object shifted and turned at random, {mean:.0%} of the trials held"))
+        lines.append(Text(f"with the object shifted and rotated at random, {mean:.0%} of the trials held"))
     if validated.frictions is not None:
         shares = (f"{f:g}: {_percent(h)}" for f, h in zip(frictions, validated.frictions.T, strict=True))
         lines.append(Text(f"held by friction: {', '.join(shares)}"))

@@ -154,12 +154,12 @@ def close(
         contacts.append(rows.touching(np.flatnonzero(rows.running)).links)
     moved, turned = distances(start, rows.object_poses())
     ran = finite & ~deep & ~in_table
-    thrown = (moved >= protocol.farthest) | (turned >= protocol.steepest)
+    ejected = (moved >= protocol.farthest) | (turned >= protocol.steepest)
     return Closed(
         conditions=conditions,
         state=rows.state(),
         reason=np.select(
-            [beyond, ~finite, deep, in_table, rows.runaway != "", rows.unstable, thrown],
+            [beyond, ~finite, deep, in_table, rows.runaway != "", rows.unstable, ejected],
             [
                 Reason.OUT_OF_REACH,
                 Reason.NOT_FINITE,
@@ -167,7 +167,7 @@ def close(
                 Reason.IN_TABLE,
                 Reason.HAND_UNSTABLE,
                 Reason.UNSTABLE,
-                Reason.THROWN,
+                Reason.EJECTED_WHILE_CLOSING,
             ],
             Reason.HELD,
         ),
@@ -232,7 +232,7 @@ def push(
         moved, turned = distances(wanted, rows.object_poses())
         found = np.select(
             [rows.runaway != "", rows.unstable, moved >= protocol.farthest, turned >= protocol.steepest],
-            [Reason.HAND_UNSTABLE, Reason.UNSTABLE, Reason.MOVED, Reason.TURNED],
+            [Reason.HAND_UNSTABLE, Reason.UNSTABLE, Reason.MOVED, Reason.ROTATED],
             Reason.HELD,
         )
         failed = undecided & (found != Reason.HELD)

@@ -22,8 +22,8 @@ class Reason(IntEnum):
 
     HELD = 0
     MOVED = 1
-    TURNED = 2
-    THROWN = 3
+    ROTATED = 2
+    EJECTED_WHILE_CLOSING = 3
     PENETRATES = 4
     IN_TABLE = 5
     UNSTABLE = 6
@@ -41,14 +41,14 @@ class Reason(IntEnum):
         """Return a description of what happened, for people."""
         return {
             Reason.HELD: "the object stayed",
-            Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from where it should be",
-            Reason.TURNED: f"the object had turned by {degrees(protocol.steepest):g} degrees or more",
-            Reason.THROWN: "closing the hand had moved the object by "
-            f"{', or turned it by '.join(protocol.bounds())}, before the push",
+            Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from its place",
+            Reason.ROTATED: f"the object had rotated by {degrees(protocol.steepest):g} degrees or more",
+            Reason.EJECTED_WHILE_CLOSING: "closing the hand moved the object by "
+            f"{', or rotated it by '.join(protocol.bounds())}, before the push",
             Reason.IN_TABLE: f"the hand is deeper than {protocol.deepest * 1e3:g} mm in the table, or in a body of "
             "the scene, at the pregrasp",
             Reason.PENETRATES: f"hand and object are deeper than {protocol.deepest * 1e3:g} mm in each other at the "
-            "pregrasp, which would throw the object",
+            "pregrasp, which would eject the object",
             Reason.UNSTABLE: "the simulation diverged",
             Reason.HAND_UNSTABLE: "joints of the hand diverged, which is a fault of its model, not of the grasp: give "
             "them damping or armature, or their servos less stiffness",

@@ -46,7 +46,7 @@ def test_rows_and_the_line_on_held_objects_have_the_same_movements() -> None:
     found = text(validated(reason, peak_m, peak_rad))
     rows = re.findall(r"^ +\d .* (\d+\.\d) +(\d+\.\d)  (held|moved)", found, re.MULTILINE)
     assert rows == [("6.1", "2.0", "held"), ("5.5", "4.0", "held"), ("5.7", "0.5", "held"), ("40.0", "15.0", "moved")]
-    (line,) = re.findall(r"objects that were held moved (.*) mm and turned (.*) deg", found)
+    (line,) = re.findall(r"objects that were held moved (.*) mm and rotated (.*) deg", found)
     median, _, worst = line[0].split(" / ")
     assert (median, worst) == ("5.7", "6.1")
     median, _, worst = line[1].split(" / ")

@@ -103,7 +103,7 @@ def test_torsional_friction_carries_the_torque_of_a_lever(name: str, friction: f
     limit = critical_force(friction, 0.02, 0.1 * gravity, arm)
     world = build_world(gripper(), thing, PROTOCOLS[name].with_mass(0.1))
     assert simulate(world, lifted(around(1.3 * limit))).success.all()
-    assert (simulate(world, lifted(around(0.8 * limit))).reason == Reason.TURNED).all()
+    assert (simulate(world, lifted(around(0.8 * limit))).reason == Reason.ROTATED).all()
 
 
 def weighed(protocol: Protocol, obj: Object) -> float:
@@ -157,10 +157,10 @@ def test_graspqp_does_not_mind_how_far_the_object_turns() -> None:
     turned = simulate(build_world(gripper(), thing, light), motion)
     assert turned.angle_rad[0, 0] > np.radians(15) and (turned.reason == Reason.HELD).all()
     minded = simulate(build_world(gripper(), thing, replace(light, steepest=DEXGRASPBENCH.steepest)), motion)
-    assert (minded.reason == Reason.TURNED).all()
+    assert (minded.reason == Reason.ROTATED).all()
 
 
-@pytest.mark.parametrize(("turn", "reason"), [(0.6, Reason.HELD), (0.9, Reason.THROWN)])
+@pytest.mark.parametrize(("turn", "reason"), [(0.6, Reason.HELD), (0.9, Reason.EJECTED_WHILE_CLOSING)])
 def test_get_a_grip_minds_turns_from_45_degrees_on(turn: float, reason: Reason) -> None:
     """Plates that turn about their own axis as they press turn the ball by 34 or 52 degrees."""
     motion = around(8.0)

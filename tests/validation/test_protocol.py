@@ -101,7 +101,7 @@ def test_on_a_tabletop_the_object_falls_and_the_hand_does_not() -> None:
     closed = close(
         world, motion, Conditions.nominal(world, 1), on_step=lambda batch: poses.append(batch.qpos[0].copy())
     )
-    assert closed.reason.tolist() == [Reason.THROWN]
+    assert closed.reason.tolist() == [Reason.EJECTED_WHILE_CLOSING]
     path = np.stack(poses[1:])
     falls = fallen(9.81, np.arange(1, len(path) + 1), TABLETOP.timestep)
     np.testing.assert_allclose(path[:, world.object_at : world.object_at + 2], 0.0, atol=1e-9)
@@ -211,7 +211,7 @@ def test_torsional_friction_decides_in_proportion_to_the_coefficient(
     assert limit > 1.25 * critical_force(at, np.inf, 1.0, arm), "torsion, not sliding, decides"
     hand = HANDS[kind](tmp_path)
     motion = pressing(hand, 1.3 * limit, 0.8 * limit)
-    expected = [[Reason.HELD] * 2, [Reason.TURNED] * 2]
+    expected = [[Reason.HELD] * 2, [Reason.ROTATED] * 2]
     # Half of the time is enough to turn away.
     asked = Simulation(protocol=protocol, friction=friction, seconds=1.0).chosen_protocol()
     np.testing.assert_array_equal(turns(build_world(hand, thing, asked), motion), expected)

@@ -139,7 +139,7 @@ def test_what_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, text: str, 
 
 
 def test_the_example_of_the_guide_is_a_protocol(tmp_path: Path) -> None:
-    guide = (ROOT / "docs" / "pages" / "guides" / "prove-it.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "pages" / "guides" / "validate.md").read_text(encoding="utf-8")
     (example,) = (
         block.removeprefix("toml\n") for block in guide.split("```") if "based_on" in block and "[noise]" in block
     )

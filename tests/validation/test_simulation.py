@@ -301,7 +301,7 @@ def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(
     T[:, 0, 0, 3] -= 0.2
     T[:, 1:, 0, 3] += 0.1
     trials = simulate(world, Motion(T, q))
-    assert (trials.reason == Reason.THROWN).all() and not trials.success.any()
+    assert (trials.reason == Reason.EJECTED_WHILE_CLOSING).all() and not trials.success.any()
     assert trials.closing_m[0] > DEXGRASPBENCH.farthest
     assert np.isnan(trials.time_s).all() and np.isnan(trials.displacement_m).all()
 
@@ -317,7 +317,7 @@ def test_an_object_that_is_turned_while_the_hand_closes_is_not_lost_to_the_push(
     q[:, 1] = q[:, 2]
     trials = simulate(world, Motion(T, q))
     assert trials.closing_rad[0] == pytest.approx(0.6, abs=0.05) and trials.closing_m[0] < 0.01
-    assert (trials.reason == Reason.THROWN).all()
+    assert (trials.reason == Reason.EJECTED_WHILE_CLOSING).all()
 
 
 def test_a_failure_says_at_which_check(world: World) -> None:

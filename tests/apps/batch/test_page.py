@@ -67,7 +67,7 @@ def case(**changes: Any) -> Case:
         "source": "/data/grasps.npz", "source_row": 11, "status": "stalled",
         "measures": dict.fromkeys((one.key for one in COMPARED), (np.nan, np.nan)) | {
             "quality": (0.25, 0.5), "penetration": (1e-3, 2.5e-4), "contact_error": (np.nan, 1e-2),
-        }, "held": False, "reason": "turned",
+        }, "held": False, "reason": "rotated",
         "look": ("--object", "/my meshes/mug.obj"),
     }  # fmt: skip
     return Case(**(plain | changes))
@@ -101,7 +101,7 @@ def test_counts_are_those_of_the_statistics():
             status=np.array(["converged"] * 5 + ["no target", "stalled", "stalled"]),
             good_before=np.arange(8) < 1, good_after=np.arange(8) < 6,
             held_before=np.arange(8) < 2, held_after=np.arange(8) < 5,
-            reason_after=np.array([""] * 5 + ["moved", "moved", "turned"]),
+            reason_after=np.array([""] * 5 + ["moved", "moved", "rotated"]),
         )
     )  # fmt: skip
     html = page(document(), found, ())
@@ -113,7 +113,7 @@ def test_counts_are_those_of_the_statistics():
         re.findall(r"\d+", line.rpartition(": ")[2]) for line in re.findall("<p>.*?</p>", html) if " of 8" in line
     ]
     assert agreement == [["1", "8", "1", "7"], ["6", "8", "1", "0", "2"]], "before and after"
-    assert "moved 2 25.0 % turned 1 12.5 %" in said
+    assert "moved 2 25.0 % rotated 1 12.5 %" in said
     assert "converged 5 62.5 % stalled 2 25.0 %" in said
     assert f"no target 1 12.5 % {Status.NO_TARGET.advice}" in said
     assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said
@@ -123,7 +123,7 @@ def test_a_case_says_where_it_is_and_how_to_see_it():
     one = case()
     html = page(document(), some(), [Picture(one, PNG, PNG)])
     said = words_of(html[html.index('class="cases"') :].partition("</figure>")[0])
-    assert_names(said, "allegro", "mug", "row 11", "grasps.npz", "stalled", "turned", view_command(one))
+    assert_names(said, "allegro", "mug", "row 11", "grasps.npz", "stalled", "rotated", view_command(one))
     assert_names(said, "quality 0.250 → 0.500", "penetration 1.00 → 0.25 mm", "contact error – → 10.00 mm")
     assert shlex.split(view_command(one)) == [
         "refine-grasp", "view", "my sets/00003.npz", "--index", "7", "--object", "/my meshes/mug.obj",

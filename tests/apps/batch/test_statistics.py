@@ -178,10 +178,10 @@ def test_what_was_not_refined_is_no_case():
 
 
 def test_what_fell_in_simulation_comes_before_what_held():
-    rows = made_up_rows(3, quality_after=[0.1, 0.99, 0.5], held_after=[1, 0, 1], reason_after=["", "turned", ""])
+    rows = made_up_rows(3, quality_after=[0.1, 0.99, 0.5], held_after=[1, 0, 1], reason_after=["", "rotated", ""])
     cases = statistics(rows).worst()
     assert [(case.row, case.held, case.reason) for case in cases] == [
-        (1, False, "turned"), (0, True, ""), (2, True, ""),
+        (1, False, "rotated"), (0, True, ""), (2, True, ""),
     ]  # fmt: skip
 
 

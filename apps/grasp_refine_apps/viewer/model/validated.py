@@ -127,7 +127,7 @@ class TrialResult:
     def before_push(self) -> Reason | None:
         """Reason for which nothing was pushed; None where something was."""
         first = self.results[0].reason
-        early = first not in (Reason.HELD, Reason.MOVED, Reason.TURNED)
+        early = first not in (Reason.HELD, Reason.MOVED, Reason.ROTATED)
         same = all(result.reason == first and isnan(result.time_s) for result in self.results)
         return first if early and same else None
 
@@ -174,7 +174,7 @@ class TrialResult:
         if self.barely:
             held = [result for result in self.results if result.held]
             moved, turned = (max(getattr(result, key) for result in held) for key in ("peak_m", "peak_rad"))
-            stayed += f", but barely: it moved {moved * 1e3:.0f} mm and turned {degrees(turned):.0f}° at most"
+            stayed += f", but barely: it moved {moved * 1e3:.0f} mm and rotated {degrees(turned):.0f}° at most"
         return stayed
 
     @property
@@ -188,25 +188,25 @@ class TrialResult:
         return closing_line(self.closing).plain if self.closing else ""
 
     def words(self, result: DirectionResult) -> str:
-        """Describe the result of one direction, such as "turned by 15.2° after 0.2 s, 4 links still touched it"."""
+        """Describe the result of one direction, such as "rotated by 15.2° after 0.2 s, 4 links still touched it"."""
         left = f"{_links(len(result.links))} touched it"
         moved, turned = f"{result.displacement_m * 1e3:.1f} mm", f"{degrees(result.angle_rad):.1f}°"
         if result.reason == Reason.HELD:
-            return f"stayed: moved by {moved}, turned by {turned}"
+            return f"stayed: moved by {moved}, rotated by {turned}"
         if result.reason == Reason.MOVED:
             return f"moved by {moved}{result.after}, {left}"
-        if result.reason == Reason.TURNED:
-            return f"turned by {turned}{result.after}, {left}"
+        if result.reason == Reason.ROTATED:
+            return f"rotated by {turned}{result.after}, {left}"
         if result.reason == Reason.UNSTABLE:
             return f"the simulation became unstable{result.after}"
         if result.reason == Reason.PENETRATES and not isnan(self.penetration_m):
             return (
                 f"hand and object overlap by {self.penetration_m * 1e3:.1f} mm before the hand closes, which would "
-                f"throw the object (at most {self.protocol.deepest * 1e3:g} mm)"
+                f"eject the object (at most {self.protocol.deepest * 1e3:g} mm)"
             )
-        if result.reason == Reason.THROWN and not isnan(self.closing_m):
+        if result.reason == Reason.EJECTED_WHILE_CLOSING and not isnan(self.closing_m):
             return (
-                f"closing the hand moved the object by {self.closing_m * 1e3:.0f} mm and turned it by "
+                f"closing the hand moved the object by {self.closing_m * 1e3:.0f} mm and rotated it by "
                 f"{degrees(self.closing_rad):.0f}°, before any push"
             )
         return result.reason.meaning(self.protocol)

@@ -28,7 +28,7 @@ COLUMNS = {
     "Push": "axis of the object along which it is pushed",
     "Result": "whether the object stayed; if not, why, and when after the push began",
     "Moved": "how far the object was from where it lay, then or at the end",
-    "Turned": "by how much it had turned",
+    "Rotated": "by how much it had rotated",
     "Links": "links of the hand that still touched it",
 }
 """Headers of the table, and their meaning."""
@@ -198,7 +198,7 @@ def notes_html(trial: TrialResult) -> str:
     if trial.margins is not None:
         notes.insert(0, f"margins: {trial.margins.text}")
     if not trial.protocol.tabletop:
-        bounds = " or turned by ".join(trial.protocol.bounds()).replace(" degrees", "°")
+        bounds = " or rotated by ".join(trial.protocol.bounds()).replace(" degrees", "°")
         notes.append(f"an object is lost once it moved by {bounds}; axes are the object's")
     if trial.closed_by:
         notes.append(trial.closed_by)

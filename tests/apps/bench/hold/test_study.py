@@ -17,7 +17,7 @@ from grasp_refine_apps.bench.hold.study import HoldStudy, auc, rows
 PROTOCOLS = ("dexgraspbench", "strict")
 NAN = np.nan
 AS_CAME, OWN_STAGES, GEOMETRY_ONLY = Method("as-came"), Method("own-stages"), Method("geometry-only", 1)
-H, M, T = Reason.HELD, Reason.MOVED, Reason.TURNED
+H, M, T = Reason.HELD, Reason.MOVED, Reason.ROTATED
 
 
 def part(
@@ -63,7 +63,7 @@ def test_what_holds_is_counted_pooled_and_by_object(parts: list[GroupResult]):
     # Of the three that held, the second one is lost.
     assert [row["lost_dexgraspbench"] for row in (came, geometry, forces)] == [0.0, 1 / 3, 0.0]
     assert forces["lost_strict"] is None, "none held before"
-    assert geometry["reasons_dexgraspbench"] == {"moved": 1, "turned": 1} and forces["reasons_dexgraspbench"] == {}
+    assert geometry["reasons_dexgraspbench"] == {"moved": 1, "rotated": 1} and forces["reasons_dexgraspbench"] == {}
     can = next(row for row in found if row["object"] == "can")
     assert (can["grasps"], can["success_dexgraspbench"], can["lost_dexgraspbench"]) == (1, 0.0, None)
 

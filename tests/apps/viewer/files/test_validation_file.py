@@ -189,11 +189,11 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     thrown = document["grasps"][0]["simulation"]["after"]
     thrown["closing"] = {"displacement_m": 0.089, "angle_rad": radians(30)}
     for direction in thrown["directions"]:
-        direction.update(reason="thrown", time_s=None, displacement_m=None, angle_rad=None, peak_m=None, peak_rad=None)
+        direction.update(reason="ejected while closing", time_s=None, displacement_m=None, angle_rad=None, peak_m=None, peak_rad=None)
     (tmp_path / "plain.json").write_text(json.dumps(document))
     found = read_validation(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
     assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
-    assert found[1].before_push == Reason.THROWN and found[1].watchable
+    assert found[1].before_push == Reason.EJECTED_WHILE_CLOSING and found[1].watchable
     assert_names(found[1].verdict, "89 mm", "30°")
 
 

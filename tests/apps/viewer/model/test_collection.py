@@ -185,10 +185,10 @@ def test_older_results_say_where_grasps_were_in_other_words_or_not(results: Path
 
 
 def test_verdicts_of_a_simulation_are_columns(results: Path) -> None:
-    reasons = (Reason.HELD, Reason.TURNED)
+    reasons = (Reason.HELD, Reason.ROTATED)
     collection = opened(results).with_trials({number: made_trial(reasons[number % 2]) for number in range(10)})
     assert collection.columns["held"].values[:3].tolist() == ["held", "failed", "held"]
-    assert collection.columns["reason"].values[:3].tolist() == ["", "turned", ""]
+    assert collection.columns["reason"].values[:3].tolist() == ["", "rotated", ""]
     assert not collection.columns["held"].known[10:].any()
     # What is simulated later comes on top.
     collection = collection.with_trials({12: made_trial(Reason.HELD)})

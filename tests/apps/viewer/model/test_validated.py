@@ -44,7 +44,7 @@ def everywhere(reason: Reason, **known: float) -> TrialResult:
     [
         (result("+x", Reason.HELD, 1.57, 2.86), ("1.6 mm", "2.9°")),
         (result("+x", Reason.MOVED, 61.0, 4.0, at=0.4), ("61.0 mm", "0.4 s", "4 links")),
-        (result("+x", Reason.TURNED, 9.0, 15.2, at=0.2), ("15.2°", "0.2 s", "4 links")),
+        (result("+x", Reason.ROTATED, 9.0, 15.2, at=0.2), ("15.2°", "0.2 s", "4 links")),
         (replace(result("+x", Reason.MOVED, 61.0, at=0.4), links=("palm",)), ("61.0 mm", "0.4 s", "1 link ")),
         (replace(result("+x", Reason.MOVED, 61.0, at=0.4), links=()), ("61.0 mm", "0.4 s", "no link")),
         (result("+x", Reason.UNSTABLE, at=0.6), ("unstable", "0.6 s")),
@@ -62,7 +62,7 @@ HOLDS, FAILS = "Holds", "Does not hold"
 def test_the_verdict_is_one_line() -> None:
     assert trial().held
     assert_names(trial().verdict, HOLDS, "6")
-    lost = trial(result("+x", Reason.TURNED, at=0.2), result("-z", Reason.MOVED, at=0.4))
+    lost = trial(result("+x", Reason.ROTATED, at=0.2), result("-z", Reason.MOVED, at=0.4))
     assert not lost.held and lost.before_push is None
     assert_names(lost.verdict, FAILS, "2 of 6", "+x, -z")
     barely = trial(result("+y", Reason.HELD, 28.7, 7.0))
@@ -77,10 +77,10 @@ def test_the_verdict_is_one_line() -> None:
 
 
 def test_what_ends_before_the_push_is_told_once() -> None:
-    thrown = everywhere(Reason.THROWN, closing_m=0.089, closing_rad=radians(31))
-    assert thrown.before_push == Reason.THROWN and thrown.watchable
-    assert_names(thrown.verdict, FAILS, "89 mm", "31°")
-    assert "<table>" not in trial_html(thrown)
+    ejected = everywhere(Reason.EJECTED_WHILE_CLOSING, closing_m=0.089, closing_rad=radians(31))
+    assert ejected.before_push == Reason.EJECTED_WHILE_CLOSING and ejected.watchable
+    assert_names(ejected.verdict, FAILS, "89 mm", "31°")
+    assert "<table>" not in trial_html(ejected)
     deep = everywhere(Reason.PENETRATES, penetration_m=0.0122)
     assert not deep.watchable
     assert_names(deep.verdict, FAILS, "12.2 mm", "10 mm")
@@ -108,9 +108,9 @@ def test_how_it_was_tested_is_told() -> None:
 
 
 def test_the_table_has_a_row_for_each_direction() -> None:
-    page = trial_html(trial(result("+x", Reason.TURNED, 9.0, 15.2, at=0.2)))
+    page = trial_html(trial(result("+x", Reason.ROTATED, 9.0, 15.2, at=0.2)))
     assert page.count("<tr ") == 6 and page.count("✓ held") == 5
-    assert "✗ turned, 0.2 s</td><td>9.0 mm</td><td>15.2°</td><td>4</td>" in page
+    assert "✗ rotated, 0.2 s</td><td>9.0 mm</td><td>15.2°</td><td>4</td>" in page
     (title,) = (found for found in re.findall(r'<tr title="([^"]*)"', page) if "15.2°" in found)
     assert_names(title, "0.2 s", "4 links")
     assert "gr-no" in page.split("</style>")[1] and "gr-yes" in trial_html(trial()).split("</style>")[1]

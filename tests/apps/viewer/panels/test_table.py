@@ -139,10 +139,10 @@ def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: 
 
 
 def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> None:
-    marked = collection.with_mark(13, "bad").with_trials({13: made_trial(Reason.TURNED)})
+    marked = collection.with_mark(13, "bad").with_trials({13: made_trial(Reason.ROTATED)})
     html = metrics_html(marked, 13)
     heading = html.partition("<table>")[0]
-    for told in ("<b>mug 13</b>", "converged", "turned", "bad"):
+    for told in ("<b>mug 13</b>", "converged", "rotated", "bad"):
         assert told in heading
     # Quality 7 * 13 = 91 hundredths, and half of it before.
     cells = Parsed(html).cells
