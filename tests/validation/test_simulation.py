@@ -294,7 +294,7 @@ def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:
     assert (trials.reason == Reason.IN_TABLE).all() and np.isnan(trials.displacement_m).all()
 
 
-def test_an_object_that_is_thrown_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
+def test_an_object_that_is_ejected_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
     # One plate sweeps the ball away.
     motion = around(0.0)
     T, q = motion.T_world_root.copy(), np.full((1, 3, 1), 0.3)

@@ -243,7 +243,7 @@ def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) 
 
 
 def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Controller) -> None:
-    # The first example grasp that holds with the usual friction: what is thrown while the hand closes is not pushed.
+    # The first example grasp that holds with the usual friction: what is ejected while the hand closes is not pushed.
     viewer.show(1)
     viewer.run_trial("dexgraspbench", 0.15)
     settled(viewer)

@@ -186,10 +186,11 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     """Without its configuration, a document still says which protocol was used, by name."""
     document = json.loads((folder / "validate.json").read_text())
     document["config"] = {}
-    thrown = document["grasps"][0]["simulation"]["after"]
-    thrown["closing"] = {"displacement_m": 0.089, "angle_rad": radians(30)}
-    for direction in thrown["directions"]:
-        direction.update(reason="ejected while closing", time_s=None, displacement_m=None, angle_rad=None, peak_m=None, peak_rad=None)
+    ejected = document["grasps"][0]["simulation"]["after"]
+    ejected["closing"] = {"displacement_m": 0.089, "angle_rad": radians(30)}
+    for direction in ejected["directions"]:
+        direction.update(reason="ejected while closing")
+        direction.update(dict.fromkeys(("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad")))
     (tmp_path / "plain.json").write_text(json.dumps(document))
     found = read_validation(tmp_path / "plain.json").of(opened(EXAMPLE, 0, 1))
     assert found[0].protocol.friction == 0.6 and found[0].closed_by == ""
