@@ -115,7 +115,9 @@ def _exit_code(act: Callable[[], int]) -> int:
         sys.stdout.flush()
         return code
     except GraspRefineError as error:
-        return _fail(" ".join(str(error).split()), BAD_INPUT)
+        from grasp_refine_apps.report.command_line import in_options
+
+        return _fail(in_options(" ".join(str(error).split())), BAD_INPUT)
     except KeyboardInterrupt:
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:

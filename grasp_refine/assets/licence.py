@@ -51,7 +51,7 @@ def check_accepted(asset: Asset) -> None:
         what = "restricts use" if asset.terms == "non-commercial" else "is not clear"
         raise AssetError(
             f"{asset.full_name}: its licence {what} ({asset.licence}); if you may use it, "
-            f"refine-grasp assets fetch {asset.full_name} --accept-license"
+            f"refine-grasp assets fetch {asset.full_name} `accept_license`"
         )
 
 

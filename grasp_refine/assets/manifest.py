@@ -242,7 +242,7 @@ def _asset_file(file: _Entry, entry: _Entry, path: str, place: str, mirror_place
     size = file.size("bytes") if "bytes" in file.values else None
     changed = file.optional("changed") or ""
     if not changed and (sha256 is None or size is None):
-        raise AssetError(f"{file.where}: needs sha256 and bytes, or `changed`, the difference of the mirror's copy")
+        raise AssetError(f"{file.where}: needs sha256 and bytes, or changed, the difference of the mirror's copy")
     return AssetFile(
         path=path,
         package=file.optional("package", _PACKAGE) or entry.optional("package", _PACKAGE),

@@ -37,7 +37,7 @@ def check_writable(*paths: Path | None, overwrite: bool, inside: Path | None = N
         if _is_device(path):
             continue
         if not overwrite and path.is_file():
-            raise GraspRefineError(f"{path}: exists already; give another name or folder, or --overwrite to replace it")
+            raise GraspRefineError(f"{path}: exists already; give another name or folder, or `overwrite` to replace it")
         made = inside is not None and path.absolute().is_relative_to(inside.absolute())
         if not path.parent.exists() and not made:
             raise GraspRefineError(f"{path}: cannot be written, there is no folder {path.parent}")

@@ -250,8 +250,8 @@ def _without_holes(mesh: trimesh.Trimesh, name: str, holes: Holes) -> tuple[trim
             reason = f": {error}"
     raise MeshError(
         f"{name}: not watertight, {open_edges} edges stay open after repair{reason}; close its holes in a mesh editor "
-        "(Blender: Select Non Manifold, then Fill; MeshLab: Close Holes), or have them closed flat (--holes cap), or "
-        "use its convex hull (--holes hull)"
+        "(Blender: Select Non Manifold, then Fill; MeshLab: Close Holes), or have them closed flat (`holes='cap'`), or "
+        "use its convex hull (`holes='hull'`)"
     )
 
 

@@ -397,7 +397,7 @@ def _decompose_all(
     if len(units) > 1:
         report(
             f"cutting {len(units)} objects, {workers} at a time; each is saved when it is done "
-            "(--object-name NAME selects the grasps of one)"
+            "(`object_name` selects the grasps of one)"
         )
     running: dict[Future[_Found], tuple[_UnitMesh, float]] = {}
     with ThreadPoolExecutor(workers) as pool:

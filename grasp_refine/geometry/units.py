@@ -40,11 +40,11 @@ def check_size(extents: Float[np.ndarray, " 3"], unit: Unit | None, name: str) -
     here = unit or "m"
     if here in fitting:
         return
-    guess = "".join(f"--unit {known} if it is {size_text(readings[known])}, " for known in fitting)
-    right = "--unit m if that is right, or another --scale" if unit is None else "or another --scale"
+    guess = "".join(f"`unit='{known}'` if it is {size_text(readings[known])}, " for known in fitting)
+    right = "`unit='m'` if that is right, or another `scale`" if unit is None else "or another `scale`"
     raise MeshError(
         f"{name}: is {size_text(readings[here])} if its numbers are {NAMES[here]}, which is no size for a hand; "
-        f"in which unit is it? {guess}{right} (in Python: unit, scale)"
+        f"in which unit is it? {guess}{right}"
     )
 
 

@@ -311,24 +311,24 @@ def load_hand(
     if from_mjcf and geometry != "visual":
         mjcf_file, geometry = toml.mjcf or toml.file, "mjcf"
     if geometry == "mjcf" and mjcf_file is None:
-        raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or --mjcf FILE")
+        raise HandError(f"{toml.path}: collision = 'mjcf' needs mjcf = \"FILE\", or `mjcf=FILE`")
     tree = read_tree(toml.file)
     if geometry == "visual":
         tree = with_visual_collision(tree)
     notes = list(tree.notes)
-    base, why = (base_link, "given by --base-link") if base_link else (toml.base_link, f"given by {HAND_TOML}")
+    base, why = (base_link, "given by `base_link`") if base_link else (toml.base_link, f"given by {HAND_TOML}")
     if base is None:
         guess = guess_base(tree)
         base, why = guess.link, guess.why
         if guess.above:
             notes.append(
                 f"the hand begins at its palm, link '{base}': the joints above it do not move "
-                f"({', '.join(guess.above)}); --base-link {tree.root} moves them too"
+                f"({', '.join(guess.above)}); `base_link='{tree.root}'` moves them too"
             )
         if guess.others:
             notes.append(
                 f"the hand begins at link '{base}', and several moving branches leave {', '.join(guess.others)}, too: "
-                "if one of these is the palm, give it with --base-link"
+                "if one of these is the palm, give it with `base_link`"
             )
     raw_links, joints = tree.below(base)
     outside = tree.joints.keys() - {joint.name for joint in joints}

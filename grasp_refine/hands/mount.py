@@ -63,7 +63,7 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     if T_link_hand is None and hand.T_base_flange is None:
         notes.append(
             f"no flange of hand {hand.name} is known (flange in its hand.toml): its base link '{hand.base_link}' is "
-            f"mounted in the frame of '{link}', not turned; --mount-pose gives another pose"
+            f"mounted in the frame of '{link}', not turned; `mount_pose` gives another pose"
         )
     renamed = _renamed(arm, hand)
     link = _other_names(arm.links_by_name, hand.links_by_name, arm.name)[link]
@@ -119,7 +119,7 @@ def standing(hand: Hand, palm: str | None = None) -> Hand:
     if not above:
         raise HandError(
             f"hand {hand.name} has no arm: no joint between its base '{hand.base_link}' and its palm '{palm}'; give an "
-            "arm with --arm, or the base of the arm in the hand's file with --base-link"
+            "arm with `arm`, or the base of the arm in the hand's file with `base_link`"
         )
     names = np.array([name in above for name in hand.joint_names])
     followers = [name for name in above if name not in hand.joint_names]

@@ -17,6 +17,6 @@ def check_collides(hand: Hand) -> None:
         return
     seen = links_with_visuals(hand.urdf) & hand.links_by_name.keys()
     way_out = (
-        "its visual geometry can be used instead: --collision visual" if seen else "it has no visual geometry either"
+        "its visual geometry can be used instead: `collision='visual'`" if seen else "it has no visual geometry either"
     )
     raise HandError(f"{hand.urdf}: no link of the hand has collision geometry; {way_out}")

@@ -60,7 +60,7 @@ def contact_regions(obj: Object, touch: Regions = (), avoid: Regions = ()) -> Co
     Raises:
         GraspRefineError: a specification is wrong, a region holds none of the object's surface, or nothing is left.
     """
-    found = ContactRegions(_regions(obj, touch, "touch"), _regions(obj, avoid, "avoid"))
+    found = ContactRegions(_regions(obj, touch, "`touch`"), _regions(obj, avoid, "`avoid`"))
     if not (found.touch or found.avoid):
         return None
     # Each region alone holds some of the surface.
@@ -113,12 +113,12 @@ def check_spec(spec: str, option: str) -> None:
 
 
 def check_specs(touch: Iterable[str], avoid: Iterable[str]) -> None:
-    """Refuse options --touch and --avoid that are wrong for any object.
+    """Refuse regions to touch or avoid that are wrong for any object.
 
     Raises:
         GraspRefineError: names the option.
     """
-    for option, specs in (("--touch", touch), ("--avoid", avoid)):
+    for option, specs in (("`touch`", touch), ("`avoid`", avoid)):
         for spec in specs:
             check_spec(spec, option)
 

@@ -93,7 +93,7 @@ def named_object(name: str, objects: Path | None, file: Path, on_message: Callab
         return ObjectSource(fetched(asset, on_message), asset)
     raise AssetError(
         f"{file}: its object '{name}' is none of the embedded ones ({', '.join(EMBEDDED)}); give its mesh with "
-        f"--object, a folder of meshes with --objects, or a primitive ({PRIMITIVE_FORMS}){_suggestion(name)}"
+        f"`object`, a folder of meshes with `objects`, or a primitive ({PRIMITIVE_FORMS}){_suggestion(name)}"
     )
 
 
@@ -116,7 +116,7 @@ def _suggestion(name: str) -> str:
         asset = find_asset(name, "objects")
     except AssetError:
         return ""
-    return "" if asset is None else f"; it may be the asset {asset.name}: --object {asset.name}"
+    return "" if asset is None else f"; it may be the asset {asset.name}: `object='{asset.name}'`"
 
 
 def _read_objects(path: Path) -> Mapping[str, str | Path]:

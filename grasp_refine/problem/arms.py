@@ -45,12 +45,12 @@ def check_arm(spec: SourceSpec) -> None:
     Raises:
         GraspRefineError: names them.
     """
-    for name, value in (("mount", spec.mount), ("mount-pose", spec.mount_pose)):
+    for name, value in (("mount", spec.mount), ("mount_pose", spec.mount_pose)):
         if value is not None and spec.arm is None:
-            raise GraspRefineError(f"--{name} {value}: needs the arm that carries the hand, --arm")
-    for name, value in (("base", spec.base), ("mount-pose", spec.mount_pose)):
+            raise GraspRefineError(f"`{name}='{value}'`: needs the arm that carries the hand, `arm`")
+    for name, value in (("base", spec.base), ("mount_pose", spec.mount_pose)):
         if value is not None:
-            read_pose(value, f"--{name}")
+            read_pose(value, f"`{name}`")
 
 
 def whole_hand(
@@ -60,9 +60,9 @@ def whole_hand(
     load_hand: Callable[[str, str | None], Hand],
     load_arm: Callable[[str], Hand],
 ) -> Hand:
-    """Return a hand on the arm of a specification, `--arm`, or on that of its own file; itself where there is none.
+    """Return a hand on the arm of a specification (`arm`) or on that of its own file; itself where there is none.
 
-    A file with both is read from the base of the arm on: `--base-link`, or the root of the file.
+    A file with both is read from the base of the arm on: `base_link`, or the root of the file.
 
     Args:
         spec: Names of the arm and of the link that carries the hand.
@@ -81,7 +81,7 @@ def whole_hand(
         return standing(load_hand(source, base), hand.base_link)
     if spec.arm is None:
         return hand
-    pose = None if spec.mount_pose is None else read_pose(spec.mount_pose, "--mount-pose")
+    pose = None if spec.mount_pose is None else read_pose(spec.mount_pose, "`mount_pose`")
     return mount(load_arm(spec.arm), hand, spec.mount, pose)
 
 
@@ -102,9 +102,9 @@ def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int 
     if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
         raise GraspRefineError(
             f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or "
-            "the world of the scene: --base x,y,z,roll,pitch,yaw (metres, degrees), as in --base -0.5,0,0,0,0,0"
+            "the world of the scene: `base` x,y,z,roll,pitch,yaw (metres, degrees), as in `base='-0.5,0,0,0,0,0'`"
         )
-    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
+    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "`base`")
     groups, notes, beyond, count = [], [*hand.notes], 0, 0
     for group in problem.groups:
         placed, some_notes = group_on_arm(group, hand, T_base, seed=seed)
@@ -150,7 +150,7 @@ def _sunk_notes(hand: Hand, T_object_base: Float[np.ndarray, "4 4"], scene: Scen
     if not names:
         return ()
     return tuple(
-        f"link '{link}', on which the arm stands, is {1e3 * depth:.0f} mm inside {what}: move the base (--base)"
+        f"link '{link}', on which the arm stands, is {1e3 * depth:.0f} mm inside {what}: move its base (`base`)"
         for what, depth, link in deepest(hand, names, T_object_base, hand.rest, scene)
         if depth > MAX_SUNK_M
     )
@@ -244,7 +244,7 @@ def within_reach(
         scene: Object, table and bodies.
         seed: Seed of the starts of the inverse kinematics.
     """
-    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "--base")
+    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "`base`")
     if scene.environment is not None:
         T_base = inverse(scene.environment.T_world_object) @ T_base
     clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)

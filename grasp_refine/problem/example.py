@@ -30,7 +30,7 @@ def example_grasps(spec: ProblemSpec) -> Path:
         load_hand(hand)
         complete = [name for name in list_hands() if not needs_urdf(name)]
         raise GraspRefineError(
-            f"--grasps FILE is needed: only hands that come with the program ({', '.join(complete)}) "
+            f"`grasps` is needed, a file: only hands that come with the program ({', '.join(complete)}) "
             f"have example grasps, '{hand}' has none"
         )
     examples: dict[str, Path] = {}
@@ -38,14 +38,14 @@ def example_grasps(spec: ProblemSpec) -> Path:
         examples |= dict.fromkeys(load_grasps(path).object.tolist(), path)
     wanted = spec.object_name or spec.object
     if wanted is None and not examples:
-        raise GraspRefineError(f"--grasps FILE is needed: hand '{hand}' comes without example grasps")
+        raise GraspRefineError(f"`grasps` is needed, a file: hand '{hand}' comes without example grasps")
     if wanted is None:
         return examples.get(EXAMPLE_OBJECT) or next(iter(examples.values()))
     if wanted not in examples:
         if spec.object is not None:
             check_object(spec.object)
         raise GraspRefineError(
-            f"--grasps FILE is needed, or --grasps {SAMPLE}16 for new ones: there are no example grasps of hand "
+            f"`grasps` is needed, a file, or `grasps='{SAMPLE}16'` for new ones: there are no example grasps of hand "
             f"'{hand}' on '{wanted}', only on {', '.join(examples) or 'nothing'}"
         )
     return examples[wanted]

@@ -418,15 +418,15 @@ class Loader:
         """Return the names of the objects whose grasps are selected, in the order of the file."""
         spec = self.spec
         if spec.object is not None and spec.objects is not None:
-            raise GraspRefineError("--object and --objects exclude each other: give one of them")
+            raise GraspRefineError("`object` and `objects` exclude each other: give one of them")
         if spec.object_name is not None:
             return [spec.object_name]
         names = list(dict.fromkeys(grasps.object.tolist()))
         if len(names) > 1 and spec.objects is None and not (spec.object is None and all(map(is_known, names))):
             listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
             raise GraspFileError(
-                f"{path}: has grasps of {len(names)} objects; choose one with --object-name, or give all their "
-                f"meshes with --objects: {listing}"
+                f"{path}: has grasps of {len(names)} objects; choose one with `object_name`, or give all their "
+                f"meshes with `objects`: {listing}"
             )
         return names
 

@@ -43,7 +43,7 @@ class GraspMargins:
         return self.margins.held[JOINT].mean(axis=1)
 
     def table(self, *, verbose: bool = False) -> RenderableType:
-        """Return the table of `refine-grasp validate --margins`, for a console of rich."""
+        """Return the table of `refine-grasp validate` with margins, for a console of rich."""
         groups, order = self.problem.groups, self.problem.order
         objects = np.concatenate([np.full(len(group.rows), group.object) for group in groups])[order]
         index = np.concatenate([group.index for group in groups])[order]

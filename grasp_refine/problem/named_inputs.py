@@ -25,7 +25,7 @@ def in_scene(spec: ProblemSpec) -> ProblemSpec:
         return spec
     if spec.object is not None:
         raise GraspRefineError(
-            f"scene {spec.scene} is of object '{obj}', not '{spec.object}': leave out --object, or give a scene whose "
+            f"scene {spec.scene} is of object '{obj}', not '{spec.object}': leave out `object`, or give a scene whose "
             "[object] has no name"
         )
     return replace(spec, object=obj, scale=spec.scale * scale)
@@ -49,7 +49,7 @@ def other_urdf(path: Path, hand: Hand, *, chosen: bool) -> list[str]:
     other = f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}"
     if not chosen:
         raise GraspFileError(
-            f"{other}: give that one with --hand or --urdf, or --hand {hand.name} if this one is meant"
+            f"{other}: give that one with `hand` or `urdf`, or `hand='{hand.name}'` if this one is meant"
         )
     return [other]
 

@@ -90,13 +90,13 @@ def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str,
             return (
                 (),
                 (),
-                ("the files were refined with different regions, which do not count: give --touch or --avoid",),
+                ("the files were refined with different regions, which do not count: give `touch` or `avoid`",),
             )
         found = specs
     touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in VERBS)
     lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
     notes = tuple(
-        f"refined with {one}, which cannot be read and does not count: give --touch or --avoid" for one in lost
+        f"refined with {one}, which cannot be read and does not count: give `touch` or `avoid`" for one in lost
     )
     return touch, avoid, notes
 
@@ -133,9 +133,9 @@ def check_scene(recorded: RecordedScene, present: Environment | None, *, other: 
     same = present is not None and present.name == recorded.name
     raise GraspFileError(
         f"{recorded.file}: its grasps were refined in scene '{recorded.name}', this is {now}"
-        f"{', with other bodies or poses' if same else ''}: give that one with --scene"
-        f"{f' {recorded.source}' if recorded.source and not same else ''}, --scene none for the object alone, or "
-        "--other-object if this one is meant"
+        f"{', with other bodies or poses' if same else ''}: give that one with `scene"
+        f"{f'={recorded.source}' if recorded.source and not same else ''}`, `scene=none` for the object alone, or "
+        "`other_object` if this one is meant"
     )
 
 
@@ -196,7 +196,7 @@ def check_objects(
             made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
             if not other:
                 raise GraspFileError(
-                    f"{made}: give that one with --object or --objects, in its size, or --other-object if this one is "
+                    f"{made}: give that one with `object` or `objects`, in its size, or `other_object` if this one is "
                     "meant"
                 )
             notes.append(made)

@@ -38,16 +38,16 @@ def check_sampled(spec: ProblemSpec) -> int:
     request = str(spec.grasps)
     count = request.removeprefix(SAMPLE)
     if not (count.isascii() and count.isdigit() and int(count)):
-        raise GraspRefineError(f"--grasps {request}: {SAMPLE}N needs an integer N from 1 on, as in {SAMPLE}32")
+        raise GraspRefineError(f"`grasps='{request}'`: {SAMPLE}N needs an integer N from 1 on, as in {SAMPLE}32")
     if spec.objects is not None or spec.object_name is not None:
-        raise GraspRefineError(f"--objects and --object-name are for grasp files; --grasps {request} needs --object")
+        raise GraspRefineError(f"`objects` and `object_name` are for grasp files; `grasps='{request}'` needs `object`")
     if spec.object is not None:
         check_object(spec.object)
-    missing = [f"--{name}" for name in ("hand", "object") if getattr(spec, name) is None]
+    missing = [f"`{name}`" for name in ("hand", "object") if getattr(spec, name) is None]
     if missing:
-        raise GraspRefineError(f"--grasps {request} needs a hand and an object: give {' and '.join(missing)}")
+        raise GraspRefineError(f"`grasps='{request}'` needs a hand and an object: give {' and '.join(missing)}")
     if spec.targets not in (AUTO, NEAREST):
-        raise GraspRefineError(f"--targets {spec.targets}: has no rows for the grasps of --grasps {request}")
+        raise GraspRefineError(f"`targets='{spec.targets}'`: has no rows for the grasps of `grasps='{request}'`")
     return int(count)
 
 

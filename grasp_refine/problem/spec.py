@@ -56,14 +56,14 @@ class SourceSpec:
     palm of a hand on an arm, else the root."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
-    Where the hand's own file has the arm, --base alone."""
+    Where the hand's own file has the arm, `base` alone."""
     mount: str | None = None
     """Link of the arm that the hand is mounted on. By default that of its arm.toml, else its last link."""
     mount_pose: str | None = None
     """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default that of the hand's
     hand.toml (flange), else the same frame."""
     base: str | None = None
-    """Pose of the arm's base link in the object's frame, or in the world of --scene: x,y,z,roll,pitch,yaw (metres,
+    """Pose of the arm's base link in the object's frame, or in the world of `scene`: x,y,z,roll,pitch,yaw (metres,
     degrees)."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
@@ -80,7 +80,7 @@ class SourceSpec:
     holes: Holes = "refuse"
     """Treatment of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
     format: FormatName | None = None
-    """Format of the grasp file, or of the files in the folder; `refine-grasp convert --help` describes them."""
+    """Format of the grasp file, or of the files in the folder; the help of `refine-grasp convert` describes them."""
     index: tuple[int, ...] = ()
     """Numbers of the grasps of each object; 0 is its first one in the file."""
     table: float | None = None
@@ -93,7 +93,7 @@ class SourceSpec:
     above:z=0.05, below:z=0.05, plane:x,y,z,nx,ny,nz (the side to which the normal points), faces:FILE (numbers of faces
     of the mesh), color:#ff0000 (of its faces or vertices). By default that of the scene, else everywhere."""
     avoid: tuple[str, ...] = ()
-    """Region of the object that no link should touch, as --touch."""
+    """Region of the object that no link should touch, as `touch`."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
@@ -127,11 +127,11 @@ class SourceSpec:
             GraspRefineError: names the option.
         """
         if not (np.isfinite(self.scale) and self.scale > 0):
-            raise GraspRefineError(f"--scale must be positive and finite, got {self.scale:g}")
+            raise GraspRefineError(f"`scale` must be positive and finite, got {self.scale:g}")
         if self.table is not None and not np.isfinite(self.table):
-            raise GraspRefineError(f"--table must be a height in metres, got {self.table:g}")
+            raise GraspRefineError(f"`table` must be a height in metres, got {self.table:g}")
         if self.table is not None and self.scene not in (None, NO_SCENE):
-            raise GraspRefineError("--table and --scene exclude each other: a scene has its own tables")
+            raise GraspRefineError("`table` and `scene` exclude each other: a scene has its own tables")
         check_hull_limit(self.hull_limit)
         check_specs(self.touch, self.avoid)
 
@@ -159,10 +159,10 @@ class ProblemSpec(SourceSpec):
     """Hand, object and grasps to refine."""
 
     grasps: Path | None = None
-    """Grasp file, or a folder of them: ours (.npz), or of another program (see --format); or sample:N, as in sample:32,
-    for N new grasps of --hand on --object, which --seed varies."""
+    """Grasp file, or a folder of them: ours (.npz), or of another program (see `format`); or sample:N, as in sample:32,
+    for N new grasps of `hand` on `object`, which `seed` varies."""
     targets: str = AUTO
-    """Target points of links: a grasp file with targets; auto: those of --grasps, else anywhere; or nearest: the points
+    """Target points of links: a grasp file with targets; auto: those of `grasps`, else anywhere; or nearest: the points
     where they are nearest to the object at first."""
 
 
@@ -173,4 +173,4 @@ def check_hull_limit(metres: float) -> None:
         GraspRefineError: it is not above 0.
     """
     if not metres > 0:
-        raise GraspRefineError(f"--hull-limit must be above 0 metres, or inf, got {metres:g}")
+        raise GraspRefineError(f"`hull_limit` must be above 0 metres, or inf, got {metres:g}")

@@ -143,7 +143,7 @@ def _grasps(margins: Margins, index: np.ndarray, what: str, verbose: bool) -> Ta
     first = margins.probability[:, 0]
     if len(margins) > MAX_LISTED_GRASPS and not verbose:
         shown = np.argsort(first, kind="stable")[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
+        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
     table = plain_table(title)
     heads = ["\n grasp", f"{margins.trials[0]}\nheld", "\n[95 %]", "costs most\nfactor", "alone\nheld"]
     limits = margins.limits

@@ -96,7 +96,7 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
         badness = -outcome.quality[:, 1] if holds else errors
         good = np.zeros(len(outcome)) if held is None else held[:, 1]
         shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
+        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
     last = " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status"
     table = _table(title, last, _joint_keys(outcome))
     columns = {key: outcome[key] for key in (*_TABLE_KEYS, *_joint_keys(outcome))}

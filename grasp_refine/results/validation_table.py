@@ -100,7 +100,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
             title += f", {'lift' if protocol.tabletop else 'pushes'} of {protocol.seconds:g} s"
     if len(validated) > MAX_LISTED_GRASPS and not verbose:
         shown = np.argsort(-_badness(validated), kind="stable")[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (--verbose: all)"
+        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
     table = plain_table(title, between=0)
     # Beside a simulation not all measures fit.
     columns = [

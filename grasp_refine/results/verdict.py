@@ -24,7 +24,7 @@ BAR = f"{HOLDS:g} or more"
 """`HOLDS` in words."""
 
 
-REGION_ADVICE = "sample grasps there (--grasps sample:N), try more --starts, or widen the region"
+REGION_ADVICE = "sample grasps there (`grasps='sample:N'`), try more `starts`, or widen the region"
 """Advice on grasps that touch where they should not."""
 
 
@@ -46,27 +46,27 @@ def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
 def slip_advice(outcome: Outcome, config: Config) -> str:
     """Return advice on grasps that may slip."""
     if made_to_hold(outcome, config):
-        ways = ["more --starts"]
+        ways = ["more `starts`"]
         if config.max_move != MaxMove():
-            ways.append("a wider --max-move")
+            ways.append("a wider `max_move`")
         if isfinite(config.seconds):
-            ways.append("more --seconds")
+            ways.append("more `seconds`")
         return f"try {', '.join(ways)}, or other grasps"
     if outcome.aimed.any():
         return "links touch at the targets; without targets, forces are balanced too"
     if not config.solver.needs_autograd:
         return "only their geometry was refined, forces were not balanced"
-    return f"forces are balanced with --solver levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
+    return f"forces are balanced with `solver` levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
 
 
 def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
     """Return advice on a refinement with this status; empty when there is nothing to do."""
     if status == Status.BUDGET and isfinite(config.seconds):
-        return "the time or the iterations ran out while the loss still fell: raise --seconds, or refine it again"
+        return "the time or the iterations ran out while the loss still fell: raise `seconds`, or refine it again"
     if status == Status.BUDGET and made_to_hold(outcome, config) and config.solver.iterations >= CLOSE.iterations:
         return "gaps were still closing when the iterations of a start ran out: refine the result again"
     if status == Status.STALLED and config.max_move != MaxMove():
-        return f"{status.advice}; it may be --max-move that stops it"
+        return f"{status.advice}; it may be `max_move` that stops it"
     return status.advice
 
 
@@ -90,7 +90,7 @@ def estimate_line(good: int, before: int | None, count: int) -> Text:
     """Return a line on the number of `count` grasps with a quality of `HOLDS` or more, now and, if known, before."""
     color = "green" if good == count else "yellow"
     numbers = f"{'' if before is None else f'{whole(before)} → '}{whole(good)} of {whole(count)}"
-    hint = "" if before is None else "; --validate simulates"
+    hint = "" if before is None else "; `validate` simulates"
     return Text.assemble(f"quality {BAR} (an estimate): ", (numbers, color), hint)
 
 

@@ -136,7 +136,7 @@ def refuse_conventions(notes: Sequence[str], where: str = "the grasps") -> None:
         ConventionError: there are notes.
     """
     if notes:
-        raise ConventionError(f"{where}: {'; '.join(notes)}; as_is (--as-is) takes them as they are")
+        raise ConventionError(f"{where}: {'; '.join(notes)}; `as_is` takes them as they are")
 
 
 def joint_notes(hand: Hand, q: Float[np.ndarray, "N n"]) -> tuple[str, ...]:

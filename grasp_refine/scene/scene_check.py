@@ -150,7 +150,7 @@ def _check_own(obj: Object, environment: Environment) -> None:
     if np.abs(own.mesh.bounds - obj.mesh.bounds).max() > share:
         raise GraspRefineError(
             f"{obj.name} is {size_text(obj.mesh.extents)}, or has another origin than the object of scene "
-            f"{environment.name}: {environment.object}, {size_text(own.mesh.extents)}: leave out --scale and --unit, "
+            f"{environment.name}: {environment.object}, {size_text(own.mesh.extents)}: leave out `scale` and `unit`, "
             "or take scene.load_object(); a scene whose [object] has no name takes any"
         )
 
@@ -161,8 +161,8 @@ def _depths(obj: Object, table: Plane | None, environment: Environment | None) -
         height = _height(obj, table)
         yield (
             -height,
-            f"{obj.name} is {-1e3 * height:.1f} mm deep in the table at {table.offset:g} m: give --table "
-            f"{round(table.offset + height, 4) + 0.0:.4f} or less",
+            f"{obj.name} is {-1e3 * height:.1f} mm deep in the table at {table.offset:g} m: give "
+            f"`table={round(table.offset + height, 4) + 0.0:.4f}` or less",
         )
     if environment is None or not environment.bodies or obj.rough:
         return

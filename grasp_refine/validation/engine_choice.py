@@ -26,10 +26,10 @@ def engine_of(name: str, world: World) -> Engine:
     plants = check_engine(name)
     if plants is not None and world.scene:
         raise GraspRefineError(
-            f"engine {name} does not simulate scenes, as '{world.scene}': use mujoco, or --scene none"
+            f"engine {name} does not simulate scenes, as '{world.scene}': use mujoco, or `scene='none'`"
         )
     if plants is not None and world.hand.on_arm is not None:
-        raise GraspRefineError("drake simulates hands without an arm: --engine mujoco has hands on arms, too")
+        raise GraspRefineError("drake simulates hands without an arm: `engine='mujoco'` has hands on arms, too")
     return Rows if plants is None else plants(world).simulations
 
 

@@ -54,7 +54,7 @@ class Surfaces:
         if len(counts) > 1:
             raise CollisionError(
                 f"bodies of one scene need equally many surface candidates, got {', '.join(map(str, sorted(counts)))}: "
-                "load hand and object with the same `candidates`"
+                "load hand and object with the same number of candidates"
             )
         points = np.stack([body.candidates.points for body in bodies])
         normals = np.stack([body.candidates.normals for body in bodies])

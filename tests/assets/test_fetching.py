@@ -299,7 +299,7 @@ def test_a_folder_in_the_way_is_refused(claw: Asset, server: Server):
 @pytest.mark.parametrize("terms", ["non-commercial", "unclear"])
 def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Server, terms: str, cache: Path):
     claw = made_asset(tmp_path / "manifest", terms=terms, licence="some words")
-    with refused(AssetError, "some words", "assets fetch hands/claw --accept-license"):
+    with refused(AssetError, "some words", "assets fetch hands/claw `accept_license`"):
         fetch(claw, server)
     assert not server.asked and not cache.exists()
     folder = fetch(claw, server, accept_license=True)
@@ -382,7 +382,7 @@ def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch:
     restricted = made_asset(tmp_path / "restricted", terms="non-commercial", licence="CC BY-NC 4.0")
     assert locate_asset(restricted) == path  # the same files are here: nothing is fetched
     path.unlink()
-    with refused(AssetError, "refine-grasp assets fetch hands/claw --accept-license"):
+    with refused(AssetError, "refine-grasp assets fetch hands/claw `accept_license`"):
         locate_asset(restricted)
 
 

@@ -61,7 +61,7 @@ def test_files_that_exist_are_kept_unless_asked(tmp_path: Path):
     link.symlink_to(file)
     os.mkfifo(pipe)
     for path in (file, link):
-        with refused(GraspRefineError, path, "--overwrite"):
+        with refused(GraspRefineError, path, "`overwrite`"):
             check_writable(path, overwrite=False)
         check_writable(path, overwrite=True)
     for device in (pipe, Path("/dev/stdout"), Path("/dev/null")):

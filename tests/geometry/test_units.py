@@ -19,7 +19,7 @@ def test_sizes_of_things_are_taken(extents: list[float]) -> None:
 
 def offered(caught: pytest.ExceptionInfo[BaseException]) -> list[str]:
     """The units that the question names as choices."""
-    return re.findall(r"--unit (\w+)", str(caught.value))
+    return re.findall(r"`unit='(\w+)'`", str(caught.value))
 
 
 @pytest.mark.parametrize(
@@ -35,11 +35,11 @@ def offered(caught: pytest.ExceptionInfo[BaseException]) -> list[str]:
     ],
 )
 def test_other_sizes_are_asked_about(extents: list[float], size: str, choices: dict[str, str]) -> None:
-    with refused(MeshError, "mug", size, "metres", "--scale") as caught:
+    with refused(MeshError, "mug", size, "metres", "`scale`") as caught:
         check_size(np.array(extents), None, "mug")
     assert offered(caught) == [*choices, "m"]
     # After each unit, the size that it means.
-    assert_names(str(caught.value).partition("--unit")[2], *choices.values())
+    assert_names(str(caught.value).partition("`unit=")[2], *choices.values())
 
 
 def test_units_are_metres() -> None:
@@ -49,7 +49,7 @@ def test_units_are_metres() -> None:
 def test_a_unit_that_was_said_is_named_in_the_question() -> None:
     check_size(np.array([90.0, 60.0, 40.0]), "mm", "mug")
     check_size(np.array([90.0, 60.0, 40.0]), "m", "mug")
-    with refused(MeshError, "mug", "2.29 x 1.52 x 1.02 m", "inches", "--scale") as caught:
+    with refused(MeshError, "mug", "2.29 x 1.52 x 1.02 m", "inches", "`scale`") as caught:
         check_size(np.array([90.0, 60.0, 40.0]), "in", "mug")
     assert offered(caught) == ["cm", "mm"]
     assert_names(str(caught.value), "900 x 600 x 400 mm", "90 x 60 x 40 mm")

@@ -97,5 +97,5 @@ def test_further_palms_are_named(tmp_path: Path):
     robot = {pair.format(side): "revolute" for side in ("left", "right") for pair in pairs}
     guess = base_of(tmp_path, robot)
     assert guess.link == "torso" and guess.others == ("left_palm", "right_palm")
-    (note,) = [note for note in load_hand(tmp_path, candidates=16).notes if "--base-link" in note]
+    (note,) = [note for note in load_hand(tmp_path, candidates=16).notes if "`base_link`" in note]
     assert "several moving branches leave left_palm, right_palm, too" in note

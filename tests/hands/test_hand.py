@@ -142,7 +142,7 @@ def test_a_hand_without_a_urdf_asks_for_one(tmp_path: Path) -> None:
 
 def test_an_mjcf_is_named_by_hand_toml_or_given(tmp_path: Path) -> None:
     path = finger(tmp_path, "collision = 'mjcf'\nmjcf_joints = { wrist = 'w' }")
-    with refused(HandError, "collision = 'mjcf'", 'mjcf = "FILE"', "--mjcf FILE"):
+    with refused(HandError, "collision = 'mjcf'", 'mjcf = "FILE"', "`mjcf=FILE`"):
         load_hand(path)
     with refused(HandError, "none.xml"):
         load_hand(path, mjcf=tmp_path / "none.xml")
@@ -196,7 +196,7 @@ def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets:
 
 def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
-    assert_names(hand.notes[0], "'palm'", "WRJ2, WRJ1", "--base-link world")
+    assert_names(hand.notes[0], "'palm'", "WRJ2, WRJ1", "`base_link='world'`")
     assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
     assert len(hand.joint_names) == 22 and not any(name.startswith("WR") for name in hand.joint_names)
     assert {"forearm", "wrist", "world"}.isdisjoint(hand.links_by_name)

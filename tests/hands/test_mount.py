@@ -192,7 +192,7 @@ def test_file_with_arm_and_hand_stands_on_the_base_of_its_arm(tmp_path: Path) ->
     }  # fmt: skip
     assert whole.joints_by_name["lift"].velocity == 0.5
     assert whole.arm is not None and whole.arm.links == {"stand", "upper"}
-    with pytest.raises(HandError, match="--arm"):
+    with pytest.raises(HandError, match="`arm`"):
         standing(load_hand(file, candidates=16))
     # An arm with the gains of fingers would give way.
     assert (whole.actuator.kp[:2] > 1e3).all() and whole.actuator.kp[2:].tolist() == [5.0, 5.0]

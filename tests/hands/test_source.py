@@ -75,7 +75,7 @@ def test_an_mjcf_of_the_assets_is_a_hand(mirror: Path) -> None:
 
 def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
-    with refused(AssetError, "'barrett'", "--urdf FILE", "GRASP_REFINE_ASSETS"):
+    with refused(AssetError, "'barrett'", "`urdf=FILE`", "GRASP_REFINE_ASSETS"):
         hand_files("barrett", None, None, lambda line: None)
 
 

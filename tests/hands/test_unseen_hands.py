@@ -209,7 +209,7 @@ def test_only_the_hand_of_an_arm_moves(hands: dict[str, Hand]) -> None:
     assert "camera" not in on_arm.links_by_name
     assert on_arm.notes[0] == (
         "the hand begins at its palm, link 'palm': the joints above it do not move (lift, wrist); "
-        "--base-link stand moves them too"
+        "`base_link='stand'` moves them too"
     )
     T, q = configurations(alone, 3)
     tips = [contact.link for contact in alone.contacts]

@@ -40,7 +40,7 @@ def sizes(hand: Hand) -> dict[str, float]:
 def test_links_collide_as_they_look_where_that_is_chosen(tmp_path: Path) -> None:
     bare = load_hand(pincers(tmp_path), candidates=16)
     assert bare.base_link == "palm" and sizes(bare) == {} and bare.contacts == ()
-    with refused(HandError, "pincers.urdf", "--collision visual"):
+    with refused(HandError, "pincers.urdf", "`collision='visual'`"):
         check_collides(bare)
     seen = load_hand(pincers(tmp_path), candidates=16, collision="visual")
     check_collides(seen)

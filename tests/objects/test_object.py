@@ -176,7 +176,7 @@ def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path,
 def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tmp_path: Path, cache: Path):
     trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
     source = tmp_path / "brick.stl" if source == "file" else source
-    with refused(MeshError, "90 x 60 x 40 m ", "--unit mm", "90 x 60 x 40 mm"):
+    with refused(MeshError, "90 x 60 x 40 m ", "`unit='mm'`", "90 x 60 x 40 mm"):
         object.load_object(source, candidates=64, cache=cache)
     thing = load_object(source, unit="mm", candidates=64, cache=cache)
     np.testing.assert_allclose(thing.mesh.extents, [0.09, 0.06, 0.04])
@@ -212,7 +212,7 @@ def test_holes_are_closed_as_asked(tmp_path: Path, cache: Path):
     mesh = trimesh.creation.cylinder(0.03, 0.1, sections=24)
     mesh.update_faces(mesh.face_normals[:, 2] < 0.9)
     mesh.export(tmp_path / "pot.stl")
-    with refused(MeshError, "pot", "24 edges", "--holes cap", "--holes hull"):
+    with refused(MeshError, "pot", "24 edges", "`holes='cap'`", "`holes='hull'`"):
         load_object(tmp_path / "pot.stl", candidates=64, cache=cache)
     volume = trimesh.creation.cylinder(0.03, 0.1, sections=24).volume
     for holes, size in (("cap", "84.9 mm"), ("hull", "24 edges")):

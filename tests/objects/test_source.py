@@ -61,7 +61,7 @@ def test_an_asset_is_fetched_and_said_once(name: str, mirror: Path) -> None:
 
 
 def test_a_licence_that_restricts_is_not_passed_over(mirror: Path) -> None:
-    with refused(AssetError, "--accept-license"):
+    with refused(AssetError, "`accept_license`"):
         chosen_object("acronym_mug_10f6e090", lambda line: None)
 
 
@@ -73,7 +73,7 @@ def test_a_grasp_file_names_embedded_objects_and_primitives() -> None:
 def test_a_grasp_file_names_assets_in_full_only(mirror: Path) -> None:
     assert named_object("ycb_011_banana", None, FILE, lambda line: None).asset is not None
     embedded = "mug, bottle, rounded_box, bowl"
-    with refused(AssetError, "grasps.npz", "'011_banana'", embedded, "--object ycb_011_banana"):
+    with refused(AssetError, "grasps.npz", "'011_banana'", embedded, "`object='ycb_011_banana'`"):
         named_object("011_banana", None, FILE, silent)
 
 

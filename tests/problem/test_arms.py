@@ -63,7 +63,7 @@ def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> 
     T = palm_poses(scene.hand, scene.T_world_root, scene.q)
     moved, turned = distances(alone.T_world_root[reached], T[reached])
     assert moved.max() < 1e-6 and turned.max() < 1e-6
-    np.testing.assert_allclose(scene.T_world_root[0], read_pose(BASE, "--base"), atol=1e-12)
+    np.testing.assert_allclose(scene.T_world_root[0], read_pose(BASE, "`base`"), atol=1e-12)
     # No link of the arm that moves is below the table, though the base stands on it.
     assert problem.hand.name == "franka_hand_on_ur5e"
 
@@ -126,7 +126,7 @@ def test_results_are_read_again_on_the_same_arm(refined: gr.RefinedGrasps, tmp_p
     scene = again.groups[0].scene
     np.testing.assert_array_equal(scene.q, refined.outcome.q)
     assert again.hand.joint_names == refined.problem.hand.joint_names and scene.hand.arm is not None
-    with pytest.raises(GraspRefineError, match="--hand franka_hand --arm ur5e"):
+    with pytest.raises(GraspRefineError, match="`hand='franka_hand'` and `arm='ur5e'`"):
         gr.load_problem(gr.ProblemSpec(object="box:0.05,0.06,0.12", grasps=path))
 
 
@@ -176,15 +176,15 @@ def test_arm_holds_the_grasp_and_lifts_the_box(refined: gr.RefinedGrasps, world:
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"base": None}, ("--base", "base_link")),
-        ({"arm": None, "mount": "tool0", "base": None}, ("--mount tool0", "--arm")),
+        ({"base": None}, ("`base`", "base_link")),
+        ({"arm": None, "mount": "tool0", "base": None}, ("`mount='tool0'`", "`arm`")),
         ({"mount": "tool9"}, ("tool9", "tool0")),
         ({"arm": "ur6"}, ("ur6", "ur5e")),
-        ({"base": "1,2"}, ("--base 1,2",)),
-        ({"base": "1,2,x"}, ("--base 1,2,x", "degrees")),
-        ({"base": "550,0,0"}, ("--base 550,0,0", "metres")),
-        ({"mount_pose": "0,0,nan"}, ("--mount-pose 0,0,nan",)),
-        ({"arm": None}, ("--arm", "--base-link")),
+        ({"base": "1,2"}, ("`base` 1,2",)),
+        ({"base": "1,2,x"}, ("`base` 1,2,x", "degrees")),
+        ({"base": "550,0,0"}, ("`base` 550,0,0", "metres")),
+        ({"mount_pose": "0,0,nan"}, ("`mount_pose` 0,0,nan",)),
+        ({"arm": None}, ("`arm`", "`base_link`")),
     ],
 )
 def test_wrong_options_are_refused_with_the_way_out(changes: dict, named: tuple[str, ...]) -> None:
@@ -216,7 +216,7 @@ def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:
     scene = problem.groups[0].scene
     assert scene.environment is not None
     T = scene.environment.T_world_object @ scene.T_world_root[0]
-    np.testing.assert_allclose(T, read_pose("-0.5,0,0.7", "--base"), atol=1e-12)
+    np.testing.assert_allclose(T, read_pose("-0.5,0,0.7", "`base`"), atol=1e-12)
     found = gr.evaluate(problem)
     at = ~scene.out_of_reach
     assert at.any() and (found.validated.metrics.scene_penetration_m[at] < 0.03).all()
@@ -230,7 +230,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
     scene, hand = gr.load_scene("box-in-corner"), gr.load_hand("franka_hand", candidates=32)
     box, whole = gr.load_object(scene.object or ""), gr.mount(gr.load_hand("ur5e", candidates=32), hand)
     grasps = gr.sample_grasps(hand, box, 3, environment=scene)
-    T_base = read_pose("0,-0.55,0.7,0,0,90", "--base")
+    T_base = read_pose("0,-0.55,0.7,0,0,90", "`base`")
     G = transform_from_rpy([3.0, -2.0, 1.0, 0.0, 0.0, 130.0])
     bodies = tuple(replace(body, T_world_body=G @ body.T_world_body) for body in scene.bodies)
     there = replace(scene, bodies=bodies[::-1], T_world_object=G @ scene.T_world_object)

@@ -130,7 +130,7 @@ def test_a_batch_finds_unusable_objects_before_it_cuts_any(
     heard: list[int] = []
     failed = {number: one.message for number, one in unusable_objects(plan.shards, heard.append).items()}
     assert [plan.shards[number].task.object for number in failed] == ["large", "open"]
-    assert "--unit mm" in failed[1] and "open" in failed[2]
+    assert "`unit='mm'`" in failed[1] and "open" in failed[2]
     assert heard == [0, 1, 2] and decomposed == []
 
 

@@ -86,7 +86,7 @@ def test_another_object_is_refused_by_name(result: Path, capfd: pytest.CaptureFi
 
 
 def test_another_size_is_another_object(result: Path):
-    with refusals.refused(GraspFileError, "60 x 50 x 90 mm", "72 x 60 x 108 mm", "--other-object"):
+    with refusals.refused(GraspFileError, "60 x 50 x 90 mm", "72 x 60 x 108 mm", "`other_object`"):
         load_problem(ProblemSpec(object="mine.obj", scale=1.2, grasps=result))
 
 
@@ -109,7 +109,7 @@ def test_a_mesh_that_was_exported_anew_is_taken_with_a_note(result: Path):
     assert "rounded_box" in note
     shifted = load_object("mine.obj", scale=1e-3).mesh
     shifted.apply_translation([0.0, 0.0, 1e-4]).export("shifted.obj")
-    with refusals.refused(GraspFileError, "--other-object"):
+    with refusals.refused(GraspFileError, "`other_object`"):
         load_problem(ProblemSpec(object="shifted.obj", scale=1e3, grasps=result))
 
 

@@ -94,7 +94,7 @@ def test_a_scene_that_was_changed_is_another_one(refined: gr.RefinedGrasps, tmp_
     toml.write_text(toml.read_text() + "size = [0.5, 0.5]\n")
     with pytest.raises(GraspRefineError) as error:
         load_problem(gr.ProblemSpec(grasps=path))
-    assert "mine" in str(error.value) and "--other-object" in str(error.value)
+    assert "mine" in str(error.value) and "`other_object`" in str(error.value)
     assert load_problem(gr.ProblemSpec(grasps=path, other_object=True)).groups[0].scene.environment is not None
 
 

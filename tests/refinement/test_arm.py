@@ -93,7 +93,7 @@ def test_arm_of_a_grasp_that_is_out_of_reach_is_told(scene: Scene) -> None:
     q = scene.q.copy()
     q[1, scene.hand.arm_joints] = np.nan
     found = refine(replace(scene, q=q), Config(FEW, starts=1))
-    assert found.status[1] == Status.OUT_OF_REACH and "--base" in Status.OUT_OF_REACH.advice
+    assert found.status[1] == Status.OUT_OF_REACH and "`base`" in Status.OUT_OF_REACH.advice
     np.testing.assert_array_equal(found.q[1], q[1])
     alone = refine(scene.select(np.array([0])), Config(FEW, starts=1))
     np.testing.assert_allclose(found.q[0], alone.q[0], atol=1e-8)

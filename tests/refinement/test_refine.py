@@ -320,7 +320,7 @@ def test_a_grasp_far_away_has_no_target(scene: Scene) -> None:
     T[0, 0, 3] += 1.0
     for config in (Config(), NEAREST, SHORT):
         found = refine(replace(scene, T_world_root=T, q=scene.q[:2]), config)
-        assert found.status[0] == Status.NO_TARGET and "--contacts" in Status.NO_TARGET.advice
+        assert found.status[0] == Status.NO_TARGET and "`contacts`" in Status.NO_TARGET.advice
         assert np.isnan(found.loss[0]).all() and np.isfinite(found.loss[1]).all()
         np.testing.assert_array_equal(found.T_world_root[0], T[0])
         assert found.status[1] != Status.NO_TARGET and found.iterations[0] == 0

@@ -93,7 +93,7 @@ def test_a_document_has_si_units_and_null_for_nan():
     }  # fmt: skip
     first, second = read["grasps"]
     assert (first["index"], first["row"], first["status"], first["starts"]) == (0, 100, "converged", 2)
-    assert "may slip" in first["advice"] and "--starts" in first["advice"]
+    assert "may slip" in first["advice"] and "`starts`" in first["advice"]
     assert second["advice"] == Status.NO_TARGET.advice
     assert first["quality"] == {"before": 0.4, "after": 0.85} and second["quality"] == {"before": 0.97, "after": None}
     assert second["contact_error_m"] == {

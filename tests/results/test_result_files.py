@@ -109,7 +109,7 @@ def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
     quick = ["--geometry-only", "--index", "0", "--grasps", str(ours / "example_rounded_box.npz")]
     assert main(["run", "--hand", "./allegro", *quick, "--out", "mine"]) == 0
     results = Path("mine/allegro_rounded_box.npz")
-    with refused(GraspFileError, results, "'allegro'", ours / "allegro.urdf", "--hand", "--urdf", "--hand allegro"):
+    with refused(GraspFileError, results, "'allegro'", ours / "allegro.urdf", "`hand`", "`urdf`", "`hand='allegro'`"):
         load_problem(ProblemSpec(grasps=results))
     assert any(str(results) in note for note in load_problem(ProblemSpec(hand="allegro", grasps=results)).notes)
     assert not any(str(results) in note for note in load_problem(ProblemSpec(hand="./allegro", grasps=results)).notes)

@@ -83,7 +83,7 @@ def test_the_table_speaks_millimetres_and_degrees():
     for line, named in zip(
         lines[-7:],
         (
-            (f"quality {BAR}", "0 → 3 of 3", "--validate"),
+            (f"quality {BAR}", "0 → 3 of 3", "`validate`"),
             ("3 of 3", "converged"),
             ("wrench residual", "3 of 3", "mean 0.200 → 0.050"),
             ("contact error", "2 of 2", "mean 10.000 → 1.000 mm"),
@@ -134,13 +134,13 @@ def test_what_can_be_done_about_grasps_that_may_slip():
         return line.partition(": ")[2]
 
     def options(advice: str) -> list[str]:
-        return re.findall(r"--[a-z-]+", advice)
+        return re.findall(r"`[a-z_]+`", advice)
 
-    assert options(said(Config())) == ["--starts"]
+    assert options(said(Config())) == ["`starts`"]
     bounded = Config(max_move=MaxMove(joints=0.1), seconds=2.0)
-    assert options(said(bounded)) == ["--starts", "--max-move", "--seconds"]
+    assert options(said(bounded)) == ["`starts`", "`max_move`", "`seconds`"]
     assert said(GEOMETRY) and not options(said(GEOMETRY))
-    assert_names(said(Config(solver=Descent())), "--solver levenberg-marquardt", "descent")
+    assert_names(said(Config(solver=Descent())), "`solver` levenberg-marquardt", "descent")
     advice = said(Config(), aimed(with_quality(error_in_millimetres(3), g2=0.8)))
     assert "targets" in advice and not options(advice)
 
@@ -150,11 +150,11 @@ def test_the_iterations_of_a_stage_are_not_the_users():
     outcome = with_status(error_in_millimetres(2), g1=Status.BUDGET)
     own = status_advice(Status.BUDGET, outcome, Config())
     assert own != Status.BUDGET.advice and "--" not in own
-    assert "--seconds" in status_advice(Status.BUDGET, outcome, Config(seconds=1.0))
+    assert "`seconds`" in status_advice(Status.BUDGET, outcome, Config(seconds=1.0))
     bounded = Config(max_move=MaxMove(translation=0.0))
     assert status_advice(Status.STALLED, outcome, bounded).startswith(Status.STALLED.advice)
-    assert "--max-move" in status_advice(Status.STALLED, outcome, bounded)
-    assert "--max-move" not in Status.STALLED.advice
+    assert "`max_move`" in status_advice(Status.STALLED, outcome, bounded)
+    assert "`max_move`" not in Status.STALLED.advice
     for few in (Config(solver=LevenbergMarquardt(iterations=5)), GEOMETRY):
         assert status_advice(Status.BUDGET, outcome, few) == Status.BUDGET.advice
 
@@ -207,7 +207,7 @@ def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_af
     assert_names(verdict[0], "(dexgraspbench)", "2 → 2 of 4", "gained 1", "lost 1")
     assert verdict[2].startswith("before") and counts(verdict[2]) == [0, 4, 2, 4]
     assert verdict[3].startswith("after") and counts(verdict[3]) == [3, 4, 1]
-    assert_names(verdict[4], "1 ", "(3)", "--starts")
+    assert_names(verdict[4], "1 ", "(3)", "`starts`")
     assert max(map(len, text(outcome, simulated=proof))) <= 80
 
 
@@ -251,7 +251,7 @@ def test_of_many_grasps_the_worst_are_listed():
     # Made to hold, the worst are those that are likeliest to slip.
     outcome = with_quality(outcome, **{f"g{i}": 0.5 + 0.01 * i for i in range(10, 25)})
     assert listed(outcome, Config()) == ["7", *(str(i) for i in range(10, 19))]
-    assert_names(text(outcome)[0], "41 grasps", "10", "--verbose")
+    assert_names(text(outcome)[0], "41 grasps", "10", "`verbose`")
     for lines, count in ((text(outcome, verbose=True), 41), (text(error_in_millimetres(40)), 40)):
         assert sum("→" in line and line.split()[0].isdigit() for line in lines) == count
 

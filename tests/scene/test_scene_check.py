@@ -55,7 +55,7 @@ def test_a_table_through_the_object_is_refused_with_its_depth(cube: Object, dept
             check_object(cube, table, None)
         assert millimetres(str(refused.value))[0] == pytest.approx(1e3 * depth, abs=0.06)
         # The way out: the height at which it would stand.
-        assert "--table -0.0300" in str(refused.value)
+        assert "`table=-0.0300`" in str(refused.value)
         return
     notes = check_object(cube, table, None)
     assert [millimetres(note)[0] for note in notes] == pytest.approx([1e3 * depth] if depth else [], abs=0.06)

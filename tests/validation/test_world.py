@@ -95,7 +95,7 @@ def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
 
 @pytest.mark.parametrize(("radius", "mass"), [(0.03, 1e-16), (1e-9, 0.1)])
 def test_an_object_that_is_too_light_or_too_small_names_the_options(radius: float, mass: float) -> None:
-    with refused(GraspRefineError, "mass and inertia of moving bodies", "--mass", "--scale") as caught:
+    with refused(GraspRefineError, "mass and inertia of moving bodies", "`mass`", "`scale`") as caught:
         build_world(gripper(), ball(radius), replace(DEXGRASPBENCH, mass=mass))
     assert "Error:" not in str(caught.value)
 
@@ -105,7 +105,7 @@ def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
     hand.spec.geoms[0].mass = 0.0
     with refused(GraspRefineError, "mass and inertia", "'hand/left'") as caught:
         build_world(hand, ball(), DEXGRASPBENCH)
-    assert "--mass" not in str(caught.value)
+    assert "`mass`" not in str(caught.value)
 
 
 def test_complaints_fit_into_one_line() -> None:

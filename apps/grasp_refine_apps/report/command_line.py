@@ -1,7 +1,8 @@
-"""Command line that repeats a run."""
+"""Fields as options of the command line: their names in messages, and the command line that repeats a run."""
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -12,6 +13,15 @@ WRITTEN = ("json", "html", "overwrite")
 
 POSITIONAL = ("jobs",)
 """Options without a name on the command line."""
+
+
+_FIELD = re.compile(r"`([a-z][a-z0-9_]*)(?:=('?)([^`]*?)\2)?`")
+"""Field as messages of the library name it: `scale`, or with a value, `unit='mm'`."""
+
+
+def in_options(text: str) -> str:
+    """Return a message of the library with options for fields: `scale` -> --scale, `unit='mm'` -> --unit mm."""
+    return _FIELD.sub(lambda found: " ".join(filter(None, (flag(found[1]), found[3]))), text)
 
 
 def flag(name: str, prefix: str = "--") -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook
 from rich.segment import Segment
+from rich.text import Text
 
 from grasp_refine.core.errors import visible
+from grasp_refine_apps.report.command_line import in_options
 
 MIN_COLUMNS, MAX_COLUMNS = 80, 100
 """Range of the width, columns: narrower tables would lose their numbers, and longer lines are hard to read."""
@@ -34,6 +36,13 @@ class _EscapeControls(RenderHook):
 
 
 class _Console(Console):
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render with options for the fields that the library names."""
+        if isinstance(renderable, Text) and "`" in renderable.plain:
+            renderable = renderable.copy()
+            renderable.plain = in_options(renderable.plain)
+        return super().render(in_options(renderable) if isinstance(renderable, str) else renderable, options)
+
     def on_broken_pipe(self) -> None:
         """Let the error through; rich would end the program with a code that means something else here."""
         raise  # noqa: PLE0704

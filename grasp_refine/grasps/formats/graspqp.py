@@ -139,7 +139,7 @@ class GraspQP:
         else:
             hand_name, base_link = folder, found.root if found else "root"
             if hand is None:
-                notes.append("the file does not name its hand: give it with --hand, which begins at its root link")
+                notes.append("the file does not name its hand: give it with `hand`, which begins at its root link")
         if hand is not None:
             if base_link not in hand.links_by_name:
                 notes.append(f"poses are those of the root link of its URDF, and taken as those of {hand.base_link}")

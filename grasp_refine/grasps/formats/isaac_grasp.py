@@ -217,7 +217,7 @@ def _gripper(source: Source, hand: Hand | None) -> tuple[str, str, list[str]]:
     named = hand_named(source.text(file, "gripper_file")) if file is not None else hand_named(link) if link else UNNAMED
     if link:
         return named, link, []
-    return named, UNNAMED, ["the file names no gripper_frame: give the gripper with --hand, which begins there"]
+    return named, UNNAMED, ["the file names no gripper_frame: give the gripper with `hand`, which begins there"]
 
 
 def _confidence(source: Source) -> dict[str, Float[np.ndarray, " N"]]:

@@ -105,14 +105,14 @@ def layout_of(
         if not fitting:
             raise source.error(
                 f"is for the hand '{hand_name}', and names no joints; known without names are "
-                f"{', '.join(map(str, layouts))}; if it is one of these, give it with --hand"
+                f"{', '.join(map(str, layouts))}; if it is one of these, give it with `hand`"
             )
     if len(fitting) == 1:
         return replace(fitting[0], hand=hand.name) if hand else fitting[0]
     if fitting:
         raise source.error(
             f"has {count} joint values per grasp and no joint names: that fits {' and '.join(map(str, fitting))}; "
-            f"choose one with --hand"
+            f"choose one with `hand`"
         )
     known = "; ".join(f"{layout.hand} has {len(layout.joints)}: {', '.join(layout.joints)}" for layout in for_hand)
     wanted = f" for hand '{hand.name}' with the joints {', '.join(hand.joint_names)}" if hand else ""

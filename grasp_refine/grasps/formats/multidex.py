@@ -137,7 +137,7 @@ def grasps_of_entries(
     listing = ", ".join(f"{robot} ({count})" for robot, count in counts.items())[:400]
     wanted = [robot for robot in counts if hand is None or (robot in robots and is_of(robots[robot], hand))]
     if len(wanted) > 1:
-        raise source.error(f"holds grasps of several hands, choose one with --hand: {listing}")
+        raise source.error(f"holds grasps of several hands, choose one with `hand`: {listing}")
     robot = wanted[0] if wanted else next(iter(counts))
     layout = robots.get(robot)
     if layout is None:

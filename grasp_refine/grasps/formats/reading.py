@@ -174,9 +174,9 @@ def _recognise(file: Path, content: Any) -> Format:
         return fits[0]
     if fits:
         raise GraspFileError(
-            f"{file}: fits the formats {' and '.join(known.name for known in fits)}: choose one with --format NAME"
+            f"{file}: fits the formats {' and '.join(known.name for known in fits)}: choose one with `format`"
         )
-    raise GraspFileError(f"{_no_format(file, content)}; --format NAME chooses one")
+    raise GraspFileError(f"{_no_format(file, content)}; `format` chooses one")
 
 
 def _no_format(file: Path, content: Any) -> str:

@@ -127,7 +127,7 @@ def limit_by_followers(
             raise HandError(
                 f"{where}, is {leads.multiplier:g} x '{own.name}' + {leads.offset:g}, which leaves '{own.name}' no "
                 f"value within its own {own.lower:g} to {own.upper:g}: a sign or a limit is wrong; with "
-                f"--follower-limits leader the limits of '{follower.name}' are ignored"
+                f"`follower_limits='leader'` the limits of '{follower.name}' are ignored"
             )
         range_of[own.name] = lower, upper
     notes = [_note(by_name[name], *range_of[name], of_followers) for name, of_followers in allowed.items()]

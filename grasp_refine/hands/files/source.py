@@ -48,7 +48,7 @@ def check_known(name: str, file: Path) -> None:
     if not is_known(name):
         ours = ", ".join(list_hands())
         hand, on_arm, arm = name.partition(ON_ARM)
-        how = f"--hand {hand} --arm {arm}" if on_arm else "--hand"
+        how = f"`hand='{hand}'` and `arm='{arm}'`" if on_arm else "`hand`"
         raise GraspFileError(f"{file}: its hand '{name}' is not one of ours ({ours}); give it with {how}")
 
 
@@ -72,11 +72,11 @@ def hand_files(
     if toml.file is None:
         asset = find_asset(name, "hands")
         if asset is None:
-            raise HandError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE")
+            raise HandError(f"hand '{name}' comes without a URDF: give yours with `urdf=FILE`")
         try:
             toml = replace(toml, file=fetched(asset, on_message))
         except AssetError as error:
-            raise AssetError(f"hand '{name}' comes without a URDF: give yours with --urdf FILE, or: {error}") from None
+            raise AssetError(f"hand '{name}' comes without a URDF: give yours with `urdf=FILE`, or: {error}") from None
     if mjcf is not None:
         path = expand_user(mjcf)
         asset = None if is_file(path) or path.name != str(path) else find_asset(str(mjcf), "hands")
@@ -118,6 +118,6 @@ def _locate(source: str | Path, urdf: Path | None, on_message: Callable[[str], N
         if named or (toml.file is not None and path.samefile(toml.file)):
             return folder.resolve().name, toml if urdf is None else replace(toml, file=urdf)
     if urdf is not None:
-        raise HandError(f"--urdf {urdf}: goes with a hand that has a {HAND_TOML}, '{source}' has none")
+        raise HandError(f"`urdf={urdf}`: goes with a hand that has a {HAND_TOML}, '{source}' has none")
     file = only_file(path) if path.is_dir() else path
     return (folder.resolve().name if path.is_dir() else path.stem), HandToml(file, file)

@@ -32,15 +32,15 @@ _ADVICE = {
     Status.CONVERGED: "",
     Status.STALLED: "the loss no longer falls: contacts or targets, penetration and joint limits contradict each "
     "other, or what is left is tiny",
-    Status.BUDGET: "the iterations ran out while the loss still fell: raise --iterations",
-    Status.NO_TARGET: "no contact link is near the object: start closer, raise --reach, or name --contacts",
+    Status.BUDGET: "the iterations ran out while the loss still fell: raise `iterations`",
+    Status.NO_TARGET: "no contact link is near the object: start closer, raise `reach`, or name `contacts`",
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",
     Status.UNREACHABLE: "a target lies off the surface of its link or of the object: check frames and scale, or lower "
-    "--threshold",
+    "`threshold`",
     Status.INVALID: "the pose is no rigid motion, pose, joints or targets are beyond 1e6 m or rad, or a target normal "
     "is not of length 1: check the input",
     Status.OUT_OF_REACH: "no way of the arm brings the palm there without going through itself, the object or the "
-    "table: move the base (--base) or the object, or take another grasp",
+    "table: move its base (`base`) or the object, or take another grasp",
 }
 
 UNUSABLE = (Status.NO_TARGET, Status.NOT_FINITE, Status.INVALID, Status.OUT_OF_REACH)

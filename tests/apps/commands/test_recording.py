@@ -140,7 +140,7 @@ def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix
     there.write_text("kept")
     for direction in ("-y", None):
         recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
-        with refused(GraspRefineError, there, "--overwrite"):
+        with refused(GraspRefineError, there, "`overwrite`"):
             recording.check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
         replace(recording, film=False).check(DEXGRASPBENCH, FILES, drafts, overwrite=True)
     Recording(tmp_path, direction="+y").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)

@@ -235,7 +235,7 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
 def test_units_of_all_objects_are_checked_before_any_is_cut(several: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load, "cut_objects", None)
     trimesh.load(several / "meshes" / "three.stl").apply_scale(1000.0).export(several / "meshes" / "three.stl")
-    with refused(GraspRefineError, "three", "--unit"):
+    with refused(GraspRefineError, "three", "`unit="):
         View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
 
 

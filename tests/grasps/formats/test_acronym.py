@@ -94,7 +94,7 @@ def test_json_with_its_keys_and_those_of_graspgen(tmp_path: Path):
     read = reading(tmp_path / "graspgen.json")
     assert (read.grasps.hand, set(read.grasps.object)) == ("robotiq_2f_85", {"mug"})
     np.testing.assert_allclose(transform_from_pose(read.grasps.hand_pose), T, atol=1e-12)
-    assert_names(" ".join(read.notes), "--hand", "success (1 of 4, 0 of 1)")
+    assert_names(" ".join(read.notes), "`hand`", "success (1 of 4, 0 of 1)")
 
 
 def test_round_trips_to_the_last_digit(tmp_path: Path):

@@ -131,7 +131,7 @@ def test_hands_that_are_not_known_keep_their_joints(load: Load, tmp_path: Path):
     place = save(tmp_path / "cup" / "grasp_predictions" / "mine" / "cup.dexgrasp.pt", held)
     read = reading(place)
     assert (read.grasps.hand, read.grasps.base_link, read.grasps.joint_names) == ("mine", "root", ("a", "b"))
-    assert "--hand" in " ".join(read.notes)
+    assert "`hand`" in " ".join(read.notes)
     given = reading(place, hand=load("allegro", "base_link"))
     assert (given.grasps.hand, given.grasps.base_link) == ("allegro", "base_link")
     assert "root link" in " ".join(given.notes)

@@ -110,7 +110,7 @@ def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
     assert read.grasps.q.shape == (3, 0) and set(read.grasps.object) == {"box"}
     joints, frame, labels = read.notes
     assert_names(joints, "no joint")
-    assert_names(frame, "gripper_frame", "--hand")
+    assert_names(frame, "gripper_frame", "`hand`")
     assert_names(labels, "confidence", "0.5 to 0.7")
     np.testing.assert_allclose(read.grasps.labels["confidence"], [0.5, 0.6, 0.7])
     given = reading(tmp_path / "box.yaml", hand=load("allegro", "base_link"))

@@ -88,7 +88,7 @@ def test_the_number_of_joints_decides_where_one_hand_has_it():
 
 def test_several_hands_with_that_number_need_a_name(load: Callable[..., Hand]):
     message = refusal(MUJOCO, 16, None)
-    assert_names(message, "16", "allegro", ", ".join(ALLEGRO), "leap", ", ".join(LEAP), "--hand")
+    assert_names(message, "16", "allegro", ", ".join(ALLEGRO), "leap", ", ".join(LEAP), "`hand`")
     assert "shadow" not in message
     assert layout_of(SOURCE, MUJOCO, 16, None, hand_name="leap_tac3d") == MUJOCO[2]
     assert layout_of(SOURCE, MUJOCO, 16, load("allegro")) == MUJOCO[1]

@@ -80,7 +80,7 @@ def test_names_of_the_object(tmp_path: Path):
 
 def test_allegro_and_leap_have_as_many_joints(load: Load, tmp_path: Path):
     path = save(tmp_path / "a.pt", contents(16))
-    with refused(GraspFileError, path, "16", "allegro", "leap", "--hand"):
+    with refused(GraspFileError, path, "16", "allegro", "leap", "`hand`"):
         reading(path)
     assert reading(path, hand=load("leap", "palm_lower")).grasps.hand == "leap"
     assert reading(save(path, contents(16, robot_name=["allegro"] * 3))).grasps.hand == "allegro"

@@ -155,7 +155,7 @@ def test_a_right_allegro_is_no_left_one(grasps: Callable[..., GraspSet], load: L
 def test_several_hands_in_one_file(load: Load, tmp_path: Path):
     listed = metadata("shadowhand", six) + metadata("allegro", six, 2)
     path = save(tmp_path / "a.pt", {"metadata": listed})
-    with refused(GraspFileError, path, "--hand", "shadowhand (3)", "allegro (2)"):
+    with refused(GraspFileError, path, "`hand`", "shadowhand (3)", "allegro (2)"):
         reading(path)
     for hand, base, count in (("shadow", "forearm", 3), ("allegro", "base_link", 2)):
         read = reading(path, hand=load(hand, base))
@@ -168,7 +168,7 @@ def test_several_hands_in_one_file(load: Load, tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ({"metadata": [(torch.zeros(10), "a", "ezgripper")]}, ("fits", "multidex", "dro", "--format")),
+        ({"metadata": [(torch.zeros(10), "a", "ezgripper")]}, ("fits", "multidex", "dro", "`format`")),
         ({"metadata": [(torch.zeros(12), "a", "allegro")]}, ("rows of allegro", "12", "25", "22")),
         ({"metadata": [*metadata("allegro", six), (torch.zeros(3), "a", "allegro")]}, ("25", "3")),
         ({"metadata": [*metadata("allegro", six), 3]}, ("metadata[3]",)),

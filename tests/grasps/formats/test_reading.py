@@ -122,7 +122,7 @@ def test_contacts_of_a_dexonomy_file_are_on_the_links_that_it_names(published: P
 
 def test_a_file_of_no_format_is_told_what_speaks_against_each(tmp_path: Path):
     np.save(tmp_path / "g.npy", np.array({"grasp_qpos": np.zeros(29)}, dtype=object))
-    with refused(GraspFileError, tmp_path / "g.npy", *(f"{known.name}: " for known in FORMATS), "--format") as caught:
+    with refused(GraspFileError, tmp_path / "g.npy", *(f"{known.name}: " for known in FORMATS), "`format`") as caught:
         reading(tmp_path / "g.npy")
     assert_names(str(caught.value), ".npz", "obj_pose, obj_scale, obj_path", "robot_pose", "n_evo", "evolution_num")
     with refused(GraspFileError, tmp_path / "g.npy", "bodex", "robot_pose"):
@@ -134,7 +134,7 @@ def test_a_file_of_no_format_is_told_what_speaks_against_each(tmp_path: Path):
 def test_a_file_of_two_formats_is_ambiguous(tmp_path: Path):
     held = dict.fromkeys(("grasp_qpos", "obj_pose", "obj_scale", "obj_path", "robot_pose"), 1.0)
     np.save(tmp_path / "g.npy", np.array(held, dtype=object))
-    with refused(GraspFileError, tmp_path / "g.npy", "dexgraspbench", "bodex", "--format") as caught:
+    with refused(GraspFileError, tmp_path / "g.npy", "dexgraspbench", "bodex", "`format`") as caught:
         reading(tmp_path / "g.npy")
     assert "dexonomy" not in str(caught.value)
 

@@ -99,7 +99,7 @@ class ValidationFile:
             raise self._error(
                 f"none of its {len(self.entries)} grasps is among those that are open"
                 if simulated
-                else "nothing was simulated: `run` needs --validate, and `validate` no --no-simulate"
+                else "nothing was simulated: run needs --validate, and validate no --no-simulate"
             )
         return found
 

@@ -19,6 +19,7 @@ from tyro.conf import Suppress
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.report.command_line import in_options
 from grasp_refine_apps.viewer.panels.units import FieldUnit
 from grasp_refine_apps.viewer.server.viser_private import widget_id
 
@@ -311,8 +312,8 @@ def label_of(name: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a text with options named as in a form: `--weights.stay-near` is "weights: stay near"."""
-    return _OPTION.sub(lambda found: ": ".join(filter(None, found.groups())).replace("-", " "), text)
+    """Return a text with options and fields named as in a form: `--weights.stay-near` is "weights: stay near"."""
+    return _OPTION.sub(lambda found: ": ".join(filter(None, found.groups())).replace("-", " "), in_options(text))
 
 
 def with_value(whole: Any, name: str, value: Any) -> Any:

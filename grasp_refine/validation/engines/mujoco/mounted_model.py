@@ -28,7 +28,7 @@ def mounted_model(hand: Hand) -> HandModel:
     arm, own = hand.parts
     assert own.mjcf is not None and hand.arm is not None
     if arm.collision == "mjcf":
-        raise HandError(f"arm {arm.name} is simulated from {arm.urdf.name}: give its URDF with --arm")
+        raise HandError(f"arm {arm.name} is simulated from {arm.urdf.name}: give its URDF with `arm`")
     below, above = urdf_model(arm), mjcf_model(own, own.mjcf)
     joint = next(joint for joint in hand.joints if joint.child == hand.arm.palm)
     T, prefix = joint.T_parent_child @ above.T_base_root, f"{own.name}/"

@@ -157,7 +157,7 @@ def _error_with_advice(error: ValueError) -> str:
     """Return the message of MuJoCo, with the possible cause if it is about mass or size of the object."""
     text = one_line(error)
     if re.search(rf"\b{OBJECT}(_\d+)?\b", text) and re.search(r"\b(mass|inertia|volume|size)\b", text):
-        return f"{text}; --mass or --scale may be too small for it"
+        return f"{text}; `mass` or `scale` may be too small for it"
     return text
 
 

@@ -178,7 +178,7 @@ def test_documents_about_other_grasps_are_refused(folder: Path, tmp_path: Path) 
     for grasp in document["grasps"]:
         grasp["simulation"] = {"before": None, "after": None}
     (tmp_path / "run.json").write_text(json.dumps(document))
-    with refused(GraspFileError, tmp_path / "run.json", "`run`", "--validate"):
+    with refused(GraspFileError, tmp_path / "run.json", "--validate"):
         read_validation(tmp_path / "run.json").of(opened(EXAMPLE, 0))
 
 
