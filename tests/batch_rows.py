@@ -20,7 +20,7 @@ from grasp_refine.refinement.refine import refine
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.result_files import save_results
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.batch.rows import COLUMNS, Rows
+from grasp_refine_apps.batch.rows import Rows, column_kinds
 from grasp_refine_apps.batch.shard import Shard
 
 
@@ -62,12 +62,17 @@ def refined_links(hand: Any) -> tuple[str, ...]:
 def made_up_rows(count: int, number: int = 0, seed: int = 0, **columns: Any) -> Rows:
     """Rows with plausible numbers; those of `columns` are as given."""
     random = np.random.default_rng([seed, number])
-    plain = {name: random.uniform(0.1, 0.9, count) for name, kind in COLUMNS.items() if kind == "number"}
+    kinds = column_kinds()
+    plain = {name: random.uniform(0.1, 0.9, count) for name, kind in kinds.items() if kind == "number"}
     found = {
         **plain,
-        **{name: random.integers(0, 100, count).astype(float) for name, kind in COLUMNS.items() if kind == "whole"},
-        **{name: (random.random(count) < 0.5).astype(float) for name, kind in COLUMNS.items() if kind == "flag"},
-        **{name: np.full(count, "") for name, kind in COLUMNS.items() if kind == "text"},
+        **{
+            name: random.integers(0, 100, count).astype(float)
+            for name, kind in column_kinds().items()
+            if kind == "whole"
+        },
+        **{name: (random.random(count) < 0.5).astype(float) for name, kind in kinds.items() if kind == "flag"},
+        **{name: np.full(count, "") for name, kind in kinds.items() if kind == "text"},
         "job": np.full(count, "job"),
         "shard": np.full(count, float(number)),
         "file": np.full(count, f"job/{number:05d}.npz"),
@@ -79,7 +84,7 @@ def made_up_rows(count: int, number: int = 0, seed: int = 0, **columns: Any) -> 
     }
     changed = {name: np.broadcast_to(np.asarray(value), (count,)) for name, value in columns.items()}
     found |= {name: value if value.dtype.kind == "U" else value.astype(float) for name, value in changed.items()}
-    return Rows({name: found[name] for name in COLUMNS})
+    return Rows({name: found[name] for name in column_kinds()})
 
 
 def document(**changes: Any) -> Mapping[str, Any]:

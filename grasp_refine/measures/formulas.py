@@ -53,6 +53,10 @@ class MeasuredGrasps:
     regions: ContactRegions | None = None
     """Regions of the object in which links should touch it; None: everywhere."""
 
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.q)
+
     @property
     def known(self) -> Bool[np.ndarray, " N"]:
         """True for grasps (N,) that are finite, and all of whose queries succeeded."""
@@ -93,6 +97,10 @@ class MeasuredRefinement:
     """Refined grasps, with status and cost."""
     movement: Movement
     """Movement of the base link and the joints."""
+
+    def __len__(self) -> int:
+        """Return the number of grasps."""
+        return len(self.refinement.q)
 
     @property
     def final_loss(self) -> Float[np.ndarray, " N"]:

@@ -1,17 +1,20 @@
 """Schema of all measures of grasps: result files, JSON, indices, tables, histograms and the viewer iterate over it.
 
-A new measure is one entry of `MEASURES` and its formula.
+A new measure is one entry of `MEASURES` and its formula; a script adds its own by `add_measure`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import degrees
 from typing import Any, Literal
 
 import numpy as np
 
+from grasp_refine.core.arguments import check_fields, check_kind, describe_value
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.registry import Registry
 from grasp_refine.measures.formulas import (
     arm_dexterity,
     contact_distance,
@@ -88,6 +91,34 @@ class Measure:
     head: tuple[str, str] = ("", "")
     """Two lines above its column in the table of `validate`, where space is short; empty: no column there."""
 
+    def __post_init__(self) -> None:
+        """Refuse a measure that cannot stand in files and tables.
+
+        Raises:
+            GraspRefineError: a field of another type, or a key that is no identifier.
+        """
+        check_fields(self)
+        if not self.key.isidentifier():
+            raise GraspRefineError(f"Measure: key must be a name such as palm_height, got '{self.key}'")
+
+    def values(self, measured: Any) -> np.ndarray:
+        """Return the values of the formula (N,), or (N, L) of a measure per link, SI units.
+
+        Args:
+            measured: `MeasuredGrasps`; of a measure of a refinement, `MeasuredRefinement`.
+
+        Raises:
+            GraspRefineError: the formula returns no numbers, or another shape.
+        """
+        found, count = self.formula(measured), len(measured)
+        is_numeric = isinstance(found, np.ndarray) and found.dtype.kind in "fiub"
+        if not (is_numeric and found.shape[:1] == (count,) and found.ndim == 1 + self.per_link):
+            raise GraspRefineError(
+                f"measure {self.key}: its formula must return a NumPy array of numbers of shape "
+                f"({count},{' links' if self.per_link else ''}), got {describe_value(found)}"
+            )
+        return found
+
     @property
     def name(self) -> str:
         """Key of its values in SI units, such as "penetration_m"."""
@@ -136,7 +167,7 @@ def _refinement(
     return Measure(key, title, hint, unit, formula, better, of_grasps=False, compared=False, validated=False)
 
 
-MEASURES = (
+_OURS = (
     _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.refinement.starts),
     _refinement(
         "iterations", "iterations", "of all starts together", COUNT, lambda of: of.refinement.iterations, "lower"
@@ -262,23 +293,58 @@ MEASURES = (
         "wall_s", "wall time", "share of that of the refinement", SECOND, lambda of: of.refinement.wall_s, "lower"
     ),
 )
-"""All measures, in the order of reports; times, which differ between two runs of the same command, come last."""
+RESERVED = frozenset(
+    {
+        *("schema", "hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q", "status", "provenance"),
+        *("pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "forces"),
+        *("target_link", "target_point_link", "target_point_object", "contact_links", "contact_gaps", "contact_link"),
+        *("contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),
+        *(f"forces_{name}" for name in ("grasp", "link", "point", "normal", "vector")),
+        *("simulation", "simulation_label", "simulation_reason", "simulation_direction"),
+        *("simulation_displacement_m", "simulation_angle_rad", "held", "reason", "success", "good"),
+        *("advice", "file", "grasp", "index", "job", "moved", "row", "row_in_file", "shard", "source"),
+    }
+)
+"""Names of other entries and columns of result files, JSON and indices, which no measure may have."""
 
-MEASURE: Mapping[str, Measure] = {measure.key: measure for measure in MEASURES}
-"""Key -> measure."""
 
-RECORDED = tuple(measure for measure in MEASURES if measure.recorded)
+def _check(measure: Measure) -> None:
+    """Refuse what is no measure, and keys that mean something else in files.
+
+    Raises:
+        GraspRefineError: names the key.
+    """
+    check_kind("measure", measure, Measure)
+    taken = RESERVED | {entry for one in _OURS for entry in _entries(one)}
+    if not taken.isdisjoint(_entries(measure)):
+        raise GraspRefineError(f"the name of measure '{measure.key}' is taken: files have an entry of this name")
+
+
+def _entries(measure: Measure) -> set[str]:
+    """Return the names that stand for a measure in files and tables."""
+    return {measure.key, measure.name, *measure.columns, *measure.columns.values()}
+
+
+MEASURES = Registry("measure", "grasp_refine.measures", _OURS, name_of=lambda measure: measure.key, check=_check)
+"""All measures, in the order of reports; times, which differ between two runs of the same command, come last of ours.
+"""
+
+add_measure = MEASURES.add
+
+RECORDED = MEASURES.view(lambda every: (measure for measure in every if measure.recorded))
 """Measures that result files, their JSON, indices and reports of batches have."""
 
-COMPARED = tuple(measure for measure in RECORDED if measure.compared)
-"""Those of them that are known before and after refinement."""
+COMPARED = MEASURES.view(lambda every: (measure for measure in every if measure.recorded and measure.compared))
+"""Recorded measures that are known before and after refinement."""
 
-MOVEMENTS = tuple(measure for measure in RECORDED if measure.key.startswith("moved_"))
-"""Those of them that tell how far refinement moved a grasp."""
+MOVEMENTS = MEASURES.view(
+    lambda every: (measure for measure in every if measure.key.startswith("moved_") and not measure.of_grasps)
+)
+"""Recorded measures of the distance by which refinement moved a grasp."""
 
-VALIDATED = tuple(
-    sorted(
-        (measure for measure in MEASURES if measure.validated),
+VALIDATED = MEASURES.view(
+    lambda every: sorted(
+        (measure for measure in every if measure.validated),
         key=lambda measure: (measure.unit in (RATIO, SHARE), measure.better == "higher"),
     )
 )

@@ -43,6 +43,11 @@ class Metrics:
             raise AttributeError(f"no measure {name!r}, only {', '.join(known)}")
         return known[name]
 
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """Measures of `VALIDATED` that have values."""
+        return tuple(one for one in VALIDATED if one.name in self.values)
+
     def __repr__(self) -> str:
         quality, depth = spread(self.quality), spread(self.penetration_m)
         return f"Metrics({count_text(len(self), 'grasp')}: quality {quality}, penetration {depth} m, ...)"
@@ -106,7 +111,7 @@ def metrics_of(scene: Scene) -> Metrics:
     grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.environment, scene.regions)
 
     def values(one: Measure) -> np.ndarray:
-        found = one.formula(grasps)
+        found = one.values(grasps)
         return np.where(grasps.known, worst_over_links(found) if one.per_link else found, np.nan)
 
     return Metrics({one.name: values(one) for one in VALIDATED})

@@ -16,7 +16,7 @@ from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
 from grasp_refine.measures.geometry import contact_errors, measure, movement, worst_over_links
-from grasp_refine.measures.measures import MEASURE, RECORDED
+from grasp_refine.measures.measures import MEASURES, RECORDED
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
 from grasp_refine.results.weakness import weaknesses
@@ -110,7 +110,7 @@ class Outcome:
     def __getitem__(self, key: str) -> np.ndarray:
         """Return the values of a measure before and after (N, 2), or after alone (N,); of one per link the worst."""
         values = self.measures[key]
-        return worst_over_links(values) if MEASURE[key].per_link else values
+        return worst_over_links(values) if MEASURES[key].per_link else values
 
     @property
     def quality(self) -> np.ndarray:
@@ -120,9 +120,10 @@ class Outcome:
     def entries(self) -> dict[str, np.ndarray]:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
         found = {}
-        for each in RECORDED:
+        for key, measured in self.measures.items():
+            each = MEASURES[key]
             for column, entry in enumerate(each.entries.values()):
-                values = self.measures[each.key][:, column] if each.compared else self.measures[each.key]
+                values = measured[:, column] if each.compared else measured
                 found[entry] = worst_over_links(values) if each.per_link else values
                 if each.per_link:
                     found[each.mean_entry(entry)] = mean_over_links(values)
@@ -187,7 +188,7 @@ def compare(
     )
     measures = {}
     for each in RECORDED:
-        values = each.formula(grasps if each.of_grasps else moved)
+        values = each.values(grasps if each.of_grasps else moved)
         if each.of_grasps:
             values = np.stack([values[:count], values[count:]], axis=1) if each.compared else values[count:]
         measures[each.key] = values

@@ -11,19 +11,20 @@ from jaxtyping import Float
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import RECORDED, SIDES
 
-MEASURED = {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
-"""Name of a measure, which ends in its unit -> its entry in result files, which older versions may lack."""
 HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
 """Name of a verdict -> its entry in the files of simulated grasps."""
-ENTRIES = MEASURED | HELD
-"""Name of a number -> its entry."""
+
+
+def measured_entries() -> dict[str, str]:
+    """Return name of a measure, which ends in its unit -> its entry in result files, which older ones may lack."""
+    return {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
 
 
 def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
     """Return the numbers of the grasps of all files, in their order, SI units; NaN where a file lacks one.
 
-    Names are those of `ENTRIES`, of values after refinement without that side: "quality", "penetration_m", "held", but
-    "quality_before". Grasp files without results have none.
+    Names are those of `measured_entries` and `HELD`, of values after refinement without that side: "quality",
+    "penetration_m", "held", but "quality_before". Grasp files without results have none.
 
     Args:
         files: Grasp files of our format.
@@ -31,9 +32,9 @@ def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
     Raises:
         GraspFileError: one is damaged.
     """
-    loaded = [load_npz(path, only=("hand_pose", *ENTRIES.values())) for path in files]
-    found = {}
-    for name, entry in ENTRIES.items():
+    entries, found = measured_entries() | HELD, {}
+    loaded = [load_npz(path, only=("hand_pose", *entries.values())) for path in files]
+    for name, entry in entries.items():
         if any(entry in file.entries for file in loaded):
             parts = [numbers_of(file, entry, len(file.entries["hand_pose"])) for file in loaded]
             found[name.replace("_after", "")] = np.concatenate(parts)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.core.plurals import count_text, whole
-from grasp_refine.measures.measures import COMPARED, MEASURE, QUALITY, Measure
+from grasp_refine.measures.measures import COMPARED, MEASURES, QUALITY, Measure
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
@@ -150,8 +150,8 @@ _TABLE_KEYS = ("contact_error", "penetration", "moved_palm_m", "moved_palm_rad",
 
 def _cells(values: Mapping[str, Any]) -> list[RenderableType]:
     """Return the cells of a row, given the values of the measures `_TABLE_KEYS`, and then `_joint_keys`."""
-    error, depth, metres, radians, quality = (values[key] * MEASURE[key].unit.factor for key in _TABLE_KEYS)
-    joints = [number_text(values[key] * MEASURE[key].unit.factor, 1) for key in values if key in _JOINT_HEADS]
+    error, depth, metres, radians, quality = (values[key] * MEASURES[key].unit.factor for key in _TABLE_KEYS)
+    joints = [number_text(values[key] * MEASURES[key].unit.factor, 1) for key in values if key in _JOINT_HEADS]
     return [
         _change(error),
         _change(depth),
@@ -180,7 +180,7 @@ def _add_summary(table: Table, outcome: Outcome) -> None:
     for word in ("median", "worst"):
         values = {}
         for key in (*_TABLE_KEYS, *_joint_keys(outcome)):
-            worst = np.min if MEASURE[key].better == "higher" else np.max
+            worst = np.min if MEASURES[key].better == "higher" else np.max
             values[key] = _over(np.median if word == "median" else worst, outcome[key])
         table.add_row(word, *_cells(values), style="bold" if word == "median" else "")
 
@@ -256,7 +256,7 @@ def _summary_lines(outcome: Outcome) -> list[Text]:
     if not len(outcome):
         return []
     # The quality has a line of its own.
-    measures = [measure for measure in COMPARED if measure is not QUALITY]
+    measures = [each for each in COMPARED if each is not QUALITY and each.key in outcome.measures]
     changes = [_improvement(measure, outcome[measure.key][outcome.usable]) for measure in measures]
     lines = [Text(change) for change in changes if change]
     starts = [] if (outcome["starts"] <= 1).all() else [(outcome["starts"], "starts", "{:.0f}".format)]

@@ -16,7 +16,7 @@ from grasp_refine.core.json_files import SCHEMA, save_bytes, save_text
 from grasp_refine.core.machine import machine
 from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
-from grasp_refine.measures.measures import COUNT, MOVEMENTS, RECORDED, SECOND, VALIDATED, Measure
+from grasp_refine.measures.measures import COUNT, MOVEMENTS, RECORDED, SECOND, Measure
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.engine_agreement import EngineAgreement
@@ -25,12 +25,6 @@ from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}
 """Reported quantiles of displacements -> name."""
-
-REFINEMENT_KEYS = (
-    *("status", "advice", "moved"),
-    *(each.name for each in RECORDED if not (each.validated or each in MOVEMENTS or each.unit == SECOND)),
-)
-"""Keys of the entries of `run` that are null in validations; times are those of the simulation."""
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 """Suffixes of the files of flat tables."""
@@ -107,10 +101,10 @@ def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: S
         "object": validated.object[i],
         "scale": validated.scale[i],
         # Validation refines nothing.
-        **dict.fromkeys(REFINEMENT_KEYS),
+        **dict.fromkeys(refinement_keys()),
         "wall_s": validated.wall_s[i],
         "cpu_s": validated.cpu_s[i],
-        **{each.name: measured(each) for each in VALIDATED},
+        **{each.name: measured(each) for each in validated.metrics.measures},
         "simulation": after(_simulation(validated, i, protocol, frictions)),
     }
 
@@ -143,6 +137,12 @@ def _simulation(
     }
 
 
+def refinement_keys() -> tuple[str, ...]:
+    """Return the keys of the entries of `run` that are null in validations; times are those of the simulation."""
+    measures = (each for each in RECORDED if not (each.validated or each in MOVEMENTS or each.unit == SECOND))
+    return ("status", "advice", "moved", *(each.name for each in measures))
+
+
 def flat_rows(
     parts: Sequence[Validated], files: Sequence[Path], protocol: Protocol | None, frictions: Sequence[float]
 ) -> list[dict[str, Any]]:
@@ -155,7 +155,7 @@ def flat_rows(
     )
     for entry in entries:
         row = {key: value["after"] if isinstance(value, dict) else value for key, value in entry.items()}
-        row = {key: value for key, value in row.items() if key not in REFINEMENT_KEYS}
+        row = {key: value for key, value in row.items() if key not in refinement_keys()}
         simulation = row.pop("simulation") or {}
         drake = simulation.pop("drake", None)
         simulation.pop("directions", None)

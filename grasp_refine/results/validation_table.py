@@ -12,7 +12,6 @@ from rich.text import Text
 
 from grasp_refine.core.plurals import count_text
 from grasp_refine.measures.formulas import COSTLY_M
-from grasp_refine.measures.measures import VALIDATED
 from grasp_refine.results.simulated import reason_lines
 from grasp_refine.results.table import (
     MAX_LISTED_GRASPS,
@@ -54,7 +53,7 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
     table.add_column("")
     for column in ("before", "after", "better in", "worse in"):
         table.add_column(column, justify="right", no_wrap=True)
-    for measure in VALIDATED:
+    for measure in after.metrics.measures:
         old, new = (v.metrics.values[measure.name] * measure.unit.factor for v in (before, after))
         known = np.isfinite(old) & np.isfinite(new)
         if not (measure.compared and known.any()):
@@ -104,7 +103,9 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     table = plain_table(title, between=0)
     # Beside a simulation not all measures fit.
     columns = [
-        each for each in VALIDATED if any(each.head) and not (protocol is not None and each.key == "wrench_residual")
+        each
+        for each in validated.metrics.measures
+        if any(each.head) and not (protocol is not None and each.key == "wrench_residual")
     ]
     for head in ("\n grasp", *("\n".join(each.head) for each in columns)):
         table.add_column(head, justify="right", no_wrap=True)

@@ -9,7 +9,7 @@ from math import floor, log10
 
 import numpy as np
 
-from grasp_refine.measures.measures import COMPARED, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
+from grasp_refine.measures.measures import COMPARED, MEASURES, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.histogram import LINEAR, Histogram
@@ -30,7 +30,7 @@ MIN_BARS = 10
 """Minimum number of bars, so that few bars are not huge."""
 
 
-CHARTED = (*COMPARED, *MOVEMENTS)
+CHARTED = MEASURES.view(lambda every: (*COMPARED, *MOVEMENTS))
 """Measures that are drawn."""
 MARKS = {QUALITY.key: HOLDS}
 """Key of a measure -> value that a dashed line marks."""

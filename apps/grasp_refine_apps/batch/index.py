@@ -15,7 +15,7 @@ from grasp_refine.core.atomic_files import written_whole
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.names import to_cell
 from grasp_refine.results.validation_document import check_table
-from grasp_refine_apps.batch.rows import COLUMNS, Kind, Rows
+from grasp_refine_apps.batch.rows import Kind, Rows, column_kinds
 
 if TYPE_CHECKING:
     import pyarrow
@@ -64,9 +64,9 @@ def _csv(path: Path) -> Iterator[AddRows]:
     """
     with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(column_kinds())
         yield lambda rows: writer.writerows(
-            zip(*(_csv_cells(rows[name], kind) for name, kind in COLUMNS.items()), strict=True)
+            zip(*(_csv_cells(rows[name], kind) for name, kind in column_kinds().items()), strict=True)
         )
 
 
@@ -91,7 +91,7 @@ def _parquet(path: Path) -> Iterator[AddRows]:
     def flush() -> None:
         arrays = [
             _parquet_array(np.concatenate([rows[name] for rows in waiting]), kind, schema.field(name).type)
-            for name, kind in COLUMNS.items()
+            for name, kind in column_kinds().items()
         ]
         file.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), row_group_size=sum(map(len, waiting)))
         waiting.clear()
@@ -131,4 +131,4 @@ def _schema() -> pyarrow.Schema:
         "flag": pyarrow.bool_(),
         "number": pyarrow.float64(),
     }
-    return pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+    return pyarrow.schema([(name, types[kind]) for name, kind in column_kinds().items()])

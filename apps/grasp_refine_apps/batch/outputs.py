@@ -22,7 +22,7 @@ from grasp_refine_apps.batch.page import page
 from grasp_refine_apps.batch.pictures import draw_cases
 from grasp_refine_apps.batch.plan import Plan
 from grasp_refine_apps.batch.progress import Progress
-from grasp_refine_apps.batch.rows import COLUMNS, read_rows
+from grasp_refine_apps.batch.rows import column_kinds, read_rows
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.work import problem_of
@@ -134,7 +134,7 @@ def _remove_index(path: Path) -> None:
                 ours = file.read(4) == b"PAR1"
         else:
             with path.open(encoding="utf-8") as file:
-                ours = file.readline().rstrip("\n").split(",") == list(COLUMNS)
+                ours = file.readline().rstrip("\n").split(",") == list(column_kinds())
         if ours:
             path.unlink()
 

@@ -13,15 +13,13 @@ import numpy as np
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
-from grasp_refine.results.result_numbers import ENTRIES, HELD, numbers_of
+from grasp_refine.results.result_numbers import HELD, measured_entries, numbers_of
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
 
 Kind = Literal["text", "whole", "number", "flag"]
 """Kind of a column. Text is an array of strings in which "" is null; all others are float64 with NaN as null."""
-
-_TIMES = tuple(measure for measure in RECORDED if measure.unit == SECOND)
 
 
 def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
@@ -34,28 +32,30 @@ def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
     return found
 
 
-COLUMNS: Mapping[str, Kind] = {
-    "job": "text",
-    "shard": "whole",
-    "file": "text",
-    "row_in_file": "whole",
-    "hand": "text",
-    "object": "text",
-    "scale": "number",
-    "source": "text",
-    "row": "whole",
-    "status": "text",
-    **_kinds(measure for measure in RECORDED if measure not in _TIMES),
-    **dict.fromkeys(HELD, "flag"),
-    "reason_after": "text",
-    **_kinds(_TIMES),
-}
-"""Name -> kind of all columns, in order; those that differ between two runs of the same command come last.
+def column_kinds() -> dict[str, Kind]:
+    """Return name -> kind of all columns, in order; those that differ between two runs of the same command come last.
 
-`file` is relative to the folder of the results, and `row_in_file` the row in it; `row` is the row in the grasp file
-`source`. `good` is true if a grasp should hold by its quality, `held` if it did in simulation. Lengths are in
-metres, angles in radians, times in seconds.
-"""
+    `file` is relative to the folder of the results, and `row_in_file` the row in it; `row` is the row in the grasp file
+    `source`. `good` is true if a grasp should hold by its quality, `held` if it did in simulation. Lengths are in
+    metres, angles in radians, times in seconds.
+    """
+    return {
+        "job": "text",
+        "shard": "whole",
+        "file": "text",
+        "row_in_file": "whole",
+        "hand": "text",
+        "object": "text",
+        "scale": "number",
+        "source": "text",
+        "row": "whole",
+        "status": "text",
+        **_kinds(measure for measure in RECORDED if measure.unit != SECOND),
+        **dict.fromkeys(HELD, "flag"),
+        "reason_after": "text",
+        **_kinds(measure for measure in RECORDED if measure.unit == SECOND),
+    }
+
 
 TEXTS = ("hand", "object", "status", "provenance")
 NEEDED = (*TEXTS, "scale", *QUALITY.entries.values())
@@ -69,7 +69,7 @@ class Rows:
     """Rows of one result file."""
 
     columns: Mapping[str, np.ndarray]
-    """Arrays (N,) of all `COLUMNS`."""
+    """Arrays (N,) of all `column_kinds`."""
     look: tuple[str, ...] = ()
     """Options of `refine-grasp view`, beside the file and --index, to show a grasp of it."""
     stamp: str = ""
@@ -127,14 +127,14 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
-        **{column: numbers_of(file, entry, n) for column, entry in ENTRIES.items()},
+        **{column: numbers_of(file, entry, n) for column, entry in (measured_entries() | HELD).items()},
     }
     for side in SIDES:
         columns[f"good_{side}"] = should_hold(columns[f"quality_{side}"]).astype(float)
     reason = file.text("simulation_reason_after") if "simulation_reason_after" in file.entries else np.array("")
     reason = file.per_row("simulation_reason_after", reason, n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
-    return Rows({name: columns[name] for name in COLUMNS}, tuple(map(str, look)), str(batch.get("stamp")))
+    return Rows({name: columns[name] for name in column_kinds()}, tuple(map(str, look)), str(batch.get("stamp")))
 
 
 def _provenance(file: NpzFile) -> tuple[dict[str, Any], dict[str, Any]]:

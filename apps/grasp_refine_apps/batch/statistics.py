@@ -26,9 +26,6 @@ MAX_PAIRS = 5000
 MAX_LISTED_PAIRS = 200
 """Maximum number of pairs listed."""
 
-BINS = {column: Bins.of(measure.unit) for measure in RECORDED for column in measure.columns.values()}
-"""Column -> bins of its values."""
-
 
 @dataclass(eq=False)
 class Tally:
@@ -142,7 +139,9 @@ class Statistics:
     @staticmethod
     def empty() -> Statistics:
         """Return the statistics of no grasps."""
-        distributions = {column: Histogram(bins) for column, bins in BINS.items()}
+        distributions = {
+            column: Histogram(Bins.of(measure.unit)) for measure in RECORDED for column in measure.columns.values()
+        }
         return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
 
     def add(self, rows: Rows) -> None:

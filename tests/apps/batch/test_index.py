@@ -15,11 +15,11 @@ import pytest
 from batch_rows import made_up_rows, refined, save_refined, shard
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import from_cell
-from grasp_refine.results.result_numbers import MEASURED
+from grasp_refine.results.result_numbers import measured_entries
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import index as module
 from grasp_refine_apps.batch.index import index_path, index_writer
-from grasp_refine_apps.batch.rows import COLUMNS, Rows, read_rows
+from grasp_refine_apps.batch.rows import Rows, column_kinds, read_rows
 from grasp_refine_apps.batch.shard import Shard
 from made_results import save_example_results
 from refusals import refused
@@ -50,8 +50,8 @@ def test_rows_are_what_the_result_file_says(batch: tuple[Path, list[Shard]]):
     out, shards = batch
     rows = [read_rows(one, out) for one in shards]
     with np.load(shards[0].path) as file:
-        assert len(rows[0]) == len(file["status"]) > 0 and list(rows[0].columns) == list(COLUMNS)
-        for column, entry in MEASURED.items():
+        assert len(rows[0]) == len(file["status"]) > 0 and list(rows[0].columns) == list(column_kinds())
+        for column, entry in measured_entries().items():
             np.testing.assert_array_equal(rows[0][column], file[entry])
         np.testing.assert_array_equal(rows[0]["status"], file["status"])
         np.testing.assert_array_equal(rows[0]["scale"], file["scale"])
@@ -134,8 +134,8 @@ def test_both_kinds_read_back_as_the_result_files(batch: tuple[Path, list[Shard]
     table = parquet.read_table(tmp_path / "index.parquet").to_pylist()
     with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))
-    assert len(table) == len(lines) == sum(map(len, parts)) and list(table[0]) == list(lines[0]) == list(COLUMNS)
-    for name, kind in COLUMNS.items():
+    assert len(table) == len(lines) == sum(map(len, parts)) and list(table[0]) == list(lines[0]) == list(column_kinds())
+    for name, kind in column_kinds().items():
         wanted = np.concatenate([rows[name] for rows in parts]).tolist()
         null = [value == "" or value != value for value in wanted]
         assert [row[name] is None for row in table] == [line[name] == "" for line in lines] == null
@@ -169,9 +169,9 @@ def test_texts_are_kept_once_in_parquet(tmp_path: Path):
     pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     write(tmp_path / "index.parquet", [made_up_rows(1000)])
     schema = parquet.read_schema(tmp_path / "index.parquet")
-    for name, kind in COLUMNS.items():
+    for name, kind in column_kinds().items():
         assert pyarrow.types.is_dictionary(schema.field(name).type) == (kind == "text")
-    assert list(COLUMNS)[-2:] == ["cpu_s", "wall_s"], "what differs between runs comes last"
+    assert list(column_kinds())[-2:] == ["cpu_s", "wall_s"], "what differs between runs comes last"
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
@@ -197,11 +197,11 @@ def test_an_index_of_nothing_has_heads_only(ending: str, tmp_path: Path):
     path = tmp_path / f"index.{ending}"
     write(path, [])
     if ending == "csv":
-        assert path.read_text() == ",".join(COLUMNS) + "\n"
+        assert path.read_text() == ",".join(column_kinds()) + "\n"
     else:
         import pyarrow.parquet
 
-        assert pyarrow.parquet.read_table(path).column_names == list(COLUMNS)
+        assert pyarrow.parquet.read_table(path).column_names == list(column_kinds())
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from batch_rows import document, failure, made_up_rows
-from grasp_refine.measures.measures import COMPARED, MEASURE
+from grasp_refine.measures.measures import COMPARED, MEASURES
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
@@ -175,14 +175,14 @@ def bars(svg: str, kind: str) -> list[float]:
 
 def test_bars_are_as_high_as_shares_and_hovering_says_them():
     found = some(made_up_rows(8, quality_before=0.1, quality_after=np.repeat([0.5, 0.97], [2, 6])))
-    svg = chart(MEASURE["quality"], found.distributions)
+    svg = chart(MEASURES["quality"], found.distributions)
     assert bars(svg, "before") == [104.0] and bars(svg, "after") == [26.0, 78.0]
     assert re.search(r"0\.960 to 1\.00\D+0\.0 %\D+75\.0 %", svg) and 'class="mark"' in svg
 
 
 def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
     found = some(made_up_rows(4, penetration_before_m=[1e-3, 1e-3, 5.0, 5.0], penetration_after_m=0.0))
-    svg = chart(MEASURE["penetration"], found.distributions)
+    svg = chart(MEASURES["penetration"], found.distributions)
     assert ">~0</text>" in svg and re.search(r"0\.0001 mm\D+0\.0 %\D+100\.0 %", svg)
     assert bars(svg, "after") == [104.0] and bars(svg, "before") == [52.0, 52.0]
     assert re.search(r" mm\D+50\.0 %", svg)
@@ -191,16 +191,16 @@ def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
 def test_the_worst_is_at_the_end_where_a_measure_is_worse():
     values = np.arange(1, 101) / 100
     found = some(made_up_rows(100, quality_after=values, penetration_after_m=values / 100, quality_before=np.nan))
-    before, after = np.split(np.array(statistics_row(MEASURE["quality"], found.distributions)), 2)
+    before, after = np.split(np.array(statistics_row(MEASURES["quality"], found.distributions)), 2)
     assert set(before) == {NONE} and after.astype(float) == pytest.approx([0.505, 0.5, 0.05, 0.01], abs=0.011)
-    depth = statistics_row(MEASURE["penetration"], found.distributions)[4:]
+    depth = statistics_row(MEASURES["penetration"], found.distributions)[4:]
     assert [float(text) for text in depth] == pytest.approx([5.05, 5.0, 9.5, 10.0], rel=0.06), "millimetres"
 
 
 def test_what_nobody_measured_is_not_drawn():
     found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_before_m=np.nan))
-    assert chart(MEASURE["moved_palm_m"], found.distributions) == ""
-    assert bars(chart(MEASURE["contact_error"], found.distributions), "before") == []
+    assert chart(MEASURES["moved_palm_m"], found.distributions) == ""
+    assert bars(chart(MEASURES["contact_error"], found.distributions), "before") == []
 
 
 @pytest.mark.parametrize("measure", CHARTED, ids=lambda one: one.key)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int
 from grasp_refine.measures.metrics import Metrics, metrics_of
 from grasp_refine.problem.problem import Group
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import MEASURED, NUMBERS, Column
+from grasp_refine_apps.viewer.model.columns import Column, measured_columns, numeric_columns
 
 BATCH_SIZE = 8
 """Number of grasps measured together; measuring can be stopped between batches."""
@@ -19,7 +19,7 @@ BATCH_SIZE = 8
 def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
     """True for grasps (N,) without measures, from a file or from measuring, whose object is cut."""
     known = np.zeros(len(collection), dtype=bool)
-    for key in MEASURED:
+    for key in measured_columns():
         if key in collection.columns:
             known |= collection.columns[key].known
     return ~known & ~np.isin(collection.group_of, list(collection.uncut))
@@ -70,10 +70,10 @@ def _batches(
 def _columns(collection: Collection, numbers: Int[np.ndarray, " some"], found: Metrics) -> list[Column]:
     """The columns that measuring fills, with new values for some grasps."""
     columns = []
-    for column in NUMBERS:
-        if column.key in MEASURED:
+    for column in numeric_columns():
+        if column.key in measured_columns():
             before = collection.columns.get(column.key)
             values = np.full(len(collection), np.nan) if before is None else before.values.copy()
-            values[numbers] = found.values[MEASURED[column.key]]
+            values[numbers] = found.values[measured_columns()[column.key]]
             columns.append(column.with_values(values))
     return columns

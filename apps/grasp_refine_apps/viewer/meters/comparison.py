@@ -6,14 +6,14 @@ from math import degrees
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances
-from grasp_refine.measures.measures import MEASURE
+from grasp_refine.measures.measures import MEASURES
 from grasp_refine_apps.viewer.meters.meter import ContactMeter
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.contacts import distances_text
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.state import State
 
-QUALITY = MEASURE["quality"]
+QUALITY = MEASURES["quality"]
 """Measure that is told where the file has it."""
 
 

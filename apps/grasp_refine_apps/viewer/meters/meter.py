@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.collision.query import query
-from grasp_refine.measures.measures import MEASURE
+from grasp_refine.measures.measures import MEASURES
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
@@ -115,7 +115,7 @@ def counted_in(work: Work, *, refining: bool = False) -> Counted | None:
 def title_of(state: State) -> str:
     """Return the name of the largest gap of the links that count in the shown pose."""
     counted = counted_of(state)
-    return MEASURE["contact_error"].title if counted is None else counted.title
+    return MEASURES["contact_error"].title if counted is None else counted.title
 
 
 def _near(prepared: HandObject, scene: Scene, pose: Pose) -> Counted | None:

@@ -18,7 +18,7 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, NUMBERS, REASON, STATUS, Column
+from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS, Column, numeric_columns
 from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.marks import Mark, Marks, marks_path
 from grasp_refine_apps.viewer.model.names import shortened
@@ -86,7 +86,10 @@ class Collection:
             refined = ~np.isnan(found.q[rows]).any(axis=1) & ~np.isnan(found.T[rows]).any(axis=(1, 2))
             T = np.where(refined[:, None, None], found.T[rows], T)
             q = np.where(refined[:, None], found.q[rows], q)
-            columns = {column.key: column.with_values(found.columns[column.key][rows]) for column in (*NUMBERS, STATUS)}
+            columns = {
+                column.key: column.with_values(found.columns[column.key][rows])
+                for column in (*numeric_columns(), STATUS)
+            }
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
         return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins, uncut or {})
@@ -98,7 +101,7 @@ class Collection:
         T, q = transform_from_pose(outcome.hand_pose_before), outcome.q_before
         known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
         recorded = {**outcome.entries(), STATUS.key: refined.status}
-        columns = [one.with_values(recorded[one.key]) for one in (*NUMBERS, STATUS) if one.key in recorded]
+        columns = [one.with_values(recorded[one.key]) for one in (*numeric_columns(), STATUS) if one.key in recorded]
         return replace(
             collection,
             T_initial=np.where(known[:, None, None], T, collection.T_initial),

@@ -84,13 +84,19 @@ def _columns(measure: Measure) -> Iterator[Column]:
         )
 
 
-NUMBERS = tuple(
-    column for measure in sorted(MEASURES, key=lambda measure: not measure.of_grasps) for column in _columns(measure)
-)
-"""Numeric columns without values, by their keys in result files and measuring; those of refinements come last."""
+def numeric_columns() -> tuple[Column, ...]:
+    """Return the columns of all measures without values; those of refinements come last.
 
-MEASURED = {measure.entries["after"]: measure.name for measure in VALIDATED}
-"""Key of a column -> the measure of `Metrics` that it is filled from."""
+    Their keys are those of result files and of measuring.
+    """
+    measures = sorted(MEASURES, key=lambda measure: not measure.of_grasps)
+    return tuple(column for measure in measures for column in _columns(measure))
+
+
+def measured_columns() -> dict[str, str]:
+    """Return key of a column -> the measure of `Metrics` that it is filled from."""
+    return {measure.entries["after"]: measure.name for measure in VALIDATED}
+
 
 STATUS = Column("status", "Status", "how the refinement ended", np.zeros(0, dtype=str))
 """The column of how refinements ended."""

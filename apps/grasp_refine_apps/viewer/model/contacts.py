@@ -14,7 +14,7 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.forces.contact_points import ContactPoints
 from grasp_refine.forces.squeeze import contacts, grasp_forces
 from grasp_refine.hands.chain import Frames
-from grasp_refine.measures.measures import MEASURE
+from grasp_refine.measures.measures import MEASURES
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.model.pose import Target
@@ -116,9 +116,9 @@ class Contacts:
         return contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
 
 
-def distances_text(contact_error: float, penetration: float, title: str = MEASURE["contact_error"].title) -> str:
+def distances_text(contact_error: float, penetration: float, title: str = MEASURES["contact_error"].title) -> str:
     """Return text on the contact error and the penetration of a grasp, metres; a NaN error: nothing should touch."""
-    measures = (title, MEASURE["contact_error"], contact_error), ("penetration", MEASURE["penetration"], penetration)
+    measures = (title, MEASURES["contact_error"], contact_error), ("penetration", MEASURES["penetration"], penetration)
     error, depth = (f"{name} {measure.text(value)} {measure.unit.symbol}" for name, measure, value in measures)
     return f"{'nothing near enough to touch' if np.isnan(contact_error) else error}, {depth}"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.measures.measures import MEASURE
+from grasp_refine.measures.measures import MEASURES
 
 REMAINING = "remaining gap"
 """Name of the largest gap of the links that an iteration of a refinement closes, which are not those of the input."""
@@ -25,4 +25,4 @@ class Counted:
     @property
     def title(self) -> str:
         """Name of their largest gap, or miss of a target."""
-        return REMAINING if self.iteration else MEASURE["contact_error"].title
+        return REMAINING if self.iteration else MEASURES["contact_error"].title

@@ -9,7 +9,7 @@ import numpy as np
 from grasp_refine.core.short_repr import labels
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import HERE, NUMBERS, STATUS, Column
+from grasp_refine_apps.viewer.model.columns import HERE, STATUS, Column, numeric_columns
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.work import Work, Works
 
@@ -63,7 +63,7 @@ def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Co
     }
     known = {key for values in entries.values() for key in values}
     columns = {}
-    for column in NUMBERS:
+    for column in numeric_columns():
         before = collection.columns.get(column.key)
         if before is None and column.key not in known:
             continue

@@ -13,7 +13,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
 from grasp_refine.grasps.poses import unit_poses
 from grasp_refine.problem.problem import Problem
-from grasp_refine_apps.viewer.model.columns import NUMBERS, STATUS
+from grasp_refine_apps.viewer.model.columns import STATUS, numeric_columns
 
 BEFORE = ("hand_pose_before", "q_before")
 """Entries of result files that hold poses and joint values before refinement."""
@@ -77,7 +77,7 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
 
 def _columns(file: NpzFile, count: int) -> dict[str, np.ndarray]:
     """Read the measures of one file; each has a value for each of its rows, known or not."""
-    columns = {column.key: np.full(count, np.nan) for column in NUMBERS} | {STATUS.key: np.full(count, "")}
+    columns = {column.key: np.full(count, np.nan) for column in numeric_columns()} | {STATUS.key: np.full(count, "")}
     # In files without provenance, entries of these names may mean anything.
     if "provenance" in file.entries:
         for key in set(columns) & set(file.entries):

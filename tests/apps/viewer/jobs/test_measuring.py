@@ -14,7 +14,7 @@ from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.viewer.jobs import measuring
-from grasp_refine_apps.viewer.jobs.measuring import MEASURED, unmeasured, with_measures
+from grasp_refine_apps.viewer.jobs.measuring import measured_columns, unmeasured, with_measures
 from grasp_refine_apps.viewer.jobs.worker import Stopped
 from grasp_refine_apps.viewer.model.collection import Collection
 from made_results import save_example_results
@@ -43,7 +43,7 @@ def test_measures_are_those_of_validate_each_in_its_place(
     for i in range(len(collection)):
         scene = collection.scene(i)
         alone = metrics(scene.hand, scene.object, scene.T_world_root, scene.q)
-        for key, name in MEASURED.items():
+        for key, name in measured_columns().items():
             assert found.columns[key].values[i] == pytest.approx(
                 getattr(alone, name)[0], rel=1e-9, abs=1e-12, nan_ok=True
             ), key
@@ -84,7 +84,7 @@ def test_what_was_measured_before_an_interruption_is_kept(
     assert unmeasured(part).tolist() == [False, False, True, True]
     whole = with_measures(collection, ignore, ignore)
     rest = with_measures(part, ignore, ignore)
-    for key in MEASURED:
+    for key in measured_columns():
         assert np.array_equal(rest.columns[key].values, whole.columns[key].values, equal_nan=True)
 
 

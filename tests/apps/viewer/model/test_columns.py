@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer.model.columns import NUMBERS, STATUS, Column
+from grasp_refine_apps.viewer.model.columns import STATUS, Column, numeric_columns
 
 NAN = float("nan")
 
@@ -38,7 +38,7 @@ def test_numbers_are_read_in_their_unit() -> None:
 
 
 def test_every_measure_has_one_key_and_one_title() -> None:
-    columns = [*NUMBERS, STATUS]
+    columns = [*numeric_columns(), STATUS]
     assert len({column.key for column in columns}) == len({column.title for column in columns}) == len(columns)
     assert {column.factor for column in columns if column.unit == "mm"} == {1e3}
     assert {column.factor for column in columns if not column.unit} == {1.0}
