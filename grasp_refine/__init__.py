@@ -121,10 +121,13 @@ if TYPE_CHECKING:
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
     from grasp_refine.scene.environment import Environment as Environment
+    from grasp_refine.scene.protocols.protocol import Protocol as Protocol
     from grasp_refine.scene.scene_file import list_scenes as list_scenes
     from grasp_refine.scene.scene_file import load_scene as load_scene
+    from grasp_refine.scene.task import Task as Task
+    from grasp_refine.scene.task_file import load_task as load_task
+    from grasp_refine.scene.task_file import save_task as save_task
     from grasp_refine.validation.margins.factors import Factors as Factors
-    from grasp_refine.validation.protocols.protocol import Protocol as Protocol
 
     __version__: str
 
@@ -149,8 +152,10 @@ _HOMES = {
     "sampling.sample": ("sample_grasps",),
     "scene.environment": ("Environment",),
     "scene.scene_file": ("list_scenes", "load_scene"),
+    "scene.task": ("Task",),
+    "scene.task_file": ("load_task", "save_task"),
     "validation.margins.factors": ("Factors",),
-    "validation.protocols.protocol": ("Protocol",),
+    "scene.protocols.protocol": ("Protocol",),
 }
 """Modules of the names below, which are loaded when one of them is used (PEP 562)."""
 

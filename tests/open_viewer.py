@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.jobs.controller import Controller

@@ -20,8 +20,8 @@ from grasp_refine.hands.hand import list_hands
 from grasp_refine.refinement import solvers
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.validation import protocols
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene import protocols
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants

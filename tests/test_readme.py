@@ -16,9 +16,9 @@ from grasp_refine.hands.files.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.measures.metrics import metrics
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.scene_file import load_scene
-from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.strict import STRICT
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs

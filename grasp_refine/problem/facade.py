@@ -36,14 +36,14 @@ from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.registry import default_protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.scene_check import surroundings_notes
 from grasp_refine.validation.engine_choice import EngineName
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.margins.factors import Factors
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.registry import default_protocol
 from grasp_refine.validation.validate import Validated, model_of, validate
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.refine import Listener
 from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.margins_table import margins_table
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.margins.draws import Draws, draw
 from grasp_refine.validation.margins.factors import JOINT, Factors
 from grasp_refine.validation.margins.margins import Margins, Worlds, check_pushes, margins, other_model_of
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import model_of
 
 

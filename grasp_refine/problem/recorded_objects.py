@@ -12,11 +12,11 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
+from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import VERBS, is_spec, resolve_spec
 from grasp_refine.problem.problem import Group
-from grasp_refine.results.result_files import read_provenance
 from grasp_refine.scene.environment import Environment
 
 if TYPE_CHECKING:

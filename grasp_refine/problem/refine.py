@@ -21,8 +21,8 @@ from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_choice import EngineName
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Trials
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from grasp_refine.motion.way_files import PlannedWays, join
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.scene import SCENE
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.scene import SCENE
 
 
 def plan_ways(

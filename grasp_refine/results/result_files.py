@@ -13,10 +13,10 @@ import numpy as np
 from grasp_refine.closing.motion import STAGES
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.json_files import dumps
-from grasp_refine.core.npz_files import load_npz
 from grasp_refine.core.short_repr import labels
 from grasp_refine.grasps.formats.folders import UNUSUAL
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage, Targets, save_npz
+from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.hands.hand import Hand
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
@@ -168,22 +168,6 @@ def fingerprint(path: Path) -> dict[str, str]:
         listing = [f"{file.relative_to(path).as_posix()} {_sha256(file.read_bytes())}\n" for file in files]
         return {"path": str(path), "sha256": _sha256("".join(listing).encode())}
     return {"path": str(path), "sha256": _sha256(path.read_bytes())}
-
-
-def read_provenance(path: Path) -> dict[str, Any]:
-    """Return the provenance of the grasps in a result file; empty for another grasp file.
-
-    Raises:
-        GraspFileError: it is damaged.
-    """
-    if path.suffix != ".npz":
-        return {}
-    text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def recorded_urdf(path: Path) -> str | None:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from grasp_refine.results.console import html_of
 from grasp_refine.results.verdict import Agreement, held_line, should_hold
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 
 

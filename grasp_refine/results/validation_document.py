@@ -19,8 +19,8 @@ from grasp_refine.core.versions import versions
 from grasp_refine.measures.measures import COUNT, MOVEMENTS, RECORDED, SECOND, Measure
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 
 QUANTILES = {0.5: "median", 0.9: "90 %", 1.0: "worst"}

@@ -24,8 +24,8 @@ from grasp_refine.results.table import (
 from grasp_refine.results.validation_document import QUANTILES
 from grasp_refine.results.verdict import Agreement, estimate_line, held_line, should_hold
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_agreement import EngineAgreement
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import BARELY, MIN_CONTACT_LINKS, Validated
 

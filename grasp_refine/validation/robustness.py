@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float, Int
 
 from grasp_refine.closing.motion import STAGES, Motion
 from grasp_refine.core.se3 import matrix_from_quaternion
+from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
 from grasp_refine.validation.engines.mujoco.world import TABLE, World
 from grasp_refine.validation.engines.simulations import Engine
-from grasp_refine.validation.protocols.noise import Noise
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Trials
 

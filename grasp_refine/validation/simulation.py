@@ -15,11 +15,11 @@ from grasp_refine.core.cores import thread_count
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import distances, exp_so3, log_so3, pose_from_transform, transform
 from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.protocols.protocol import AXES, Protocol
 from grasp_refine.scene.scene import is_out_of_reach
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows, StepCallback
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.simulations import Engine, Simulations
-from grasp_refine.validation.protocols.protocol import AXES, Protocol
 from grasp_refine.validation.trials import Reason, Trials
 
 CHUNK_GRASPS = 32

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from grasp_refine.core.array_records import take
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import labels, tallied
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 
 class Reason(IntEnum):

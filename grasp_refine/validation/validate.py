@@ -18,6 +18,8 @@ from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.metrics import Metrics, metrics_of
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engine_choice import EngineChoice, engine_of
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
@@ -26,8 +28,6 @@ from grasp_refine.validation.engines.mujoco.mounted_model import mounted_model
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.engines.simulations import Engine
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
 from grasp_refine.validation.trials import Trials
 

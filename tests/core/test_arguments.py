@@ -44,7 +44,7 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.measures.metrics import metrics
 from grasp_refine.closing.motion import Motion, closing_motion
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of, validate
 from grasp_refine.validation.engines.mujoco.world import build_world

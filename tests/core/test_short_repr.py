@@ -24,9 +24,9 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import compare
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of, validate

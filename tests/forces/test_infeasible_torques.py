@@ -17,10 +17,10 @@ from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import refine
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene, links_of
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import close
 from grasp_refine.validation.validate import model_of
 

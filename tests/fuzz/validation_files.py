@@ -10,7 +10,7 @@ from random import Random
 
 from fuzz.mutations import changed_value
 from fuzz.reader import Reader
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.files.validation_file import read_validation
 

@@ -16,9 +16,9 @@ from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import candidate_pairs, touching_pairs
 from grasp_refine.objects.object import load_object
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import model_of
 from refusals import assert_names, refused
 

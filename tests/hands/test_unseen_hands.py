@@ -23,9 +23,9 @@ from grasp_refine.refinement.refine import Config, Refinement, Scene, refine
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from spread_gripper import spread_gripper
 from underactuated import underactuated

@@ -22,11 +22,11 @@ from grasp_refine.motion.way import Way, WayOptions, WayStatus, ways
 from grasp_refine.motion.way_files import PlannedWays
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.validate import model_of
 
 THING = load_object("box:0.05,0.05,0.12")

@@ -15,10 +15,10 @@ from grasp_refine.hands.palm import palm_poses
 from grasp_refine.problem.problem import Problem
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.protocol_file import load_protocol
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of

@@ -17,12 +17,12 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Group
 from grasp_refine.problem.recorded_objects import check_objects, object_entries, pieces_digest, surface_digest
 from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine.results.result_files import read_provenance
 from grasp_refine_apps.cli import main
 
 ALLEGRO = resource_dir("robots") / "allegro"

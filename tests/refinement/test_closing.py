@@ -17,9 +17,9 @@ from grasp_refine.refinement.closing import close_hands, closing_notes, is_open
 from grasp_refine.refinement.refine import JAW_DEPTH_M, refine
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 

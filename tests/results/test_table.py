@@ -20,7 +20,7 @@ from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason, Trials
 from made_results import error_in_millimetres, with_measures, with_status
 from refusals import assert_names

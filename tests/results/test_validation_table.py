@@ -11,7 +11,7 @@ from rich.console import Console
 from grasp_refine.measures.measures import VALIDATED
 from grasp_refine.measures.metrics import Metrics
 from grasp_refine.results.validation_table import validation_table
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import Validated
 

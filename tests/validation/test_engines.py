@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from gripper import ball, gripper
 
 

@@ -10,12 +10,12 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform
 from grasp_refine.results.simulated import reason_lines, simulation_entry
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason, Trials

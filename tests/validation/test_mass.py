@@ -7,9 +7,9 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import load_object
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason

@@ -13,15 +13,15 @@ from mujoco.batch import Batch
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.se3 import distances, exp_so3, transform_from_pose
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.get_a_grip import GET_A_GRIP
+from grasp_refine.scene.protocols.graspqp import GRASPQP
+from grasp_refine.scene.protocols.hugs import HUGS
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.get_a_grip import GET_A_GRIP
-from grasp_refine.validation.protocols.graspqp import GRASPQP
-from grasp_refine.validation.protocols.hugs import HUGS
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.trials import Reason

@@ -15,16 +15,16 @@ from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.robustness import holds_at
 from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.trials import Reason

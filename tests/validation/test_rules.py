@@ -9,11 +9,11 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine_apps.viewer.model.validated import TrialResult

@@ -13,10 +13,10 @@ from grasp_refine.core.se3 import exp_se3, inverse, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from gripper import RADIUS, around, ball, gripper

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.set_points import clipping_note, set_point_excess
 from grasp_refine.validation.simulation import simulate
 from gripper import KP, RADIUS, XML, around, ball, gripper

@@ -10,12 +10,12 @@ from scipy.stats import kstest
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.se3 import distances, exp_so3, log_so3
 from grasp_refine.results.simulated import reason_lines
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.strict import STRICT
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.strict import STRICT
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, noise_score

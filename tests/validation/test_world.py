@@ -14,11 +14,11 @@ from grasp_refine.hands.files.mujoco_messages import one_line, unlogged
 from grasp_refine.hands.linkages.servos import moments
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import TABLE, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import close, simulate
 from gripper import XML, around, ball, gripper
 from refusals import refused

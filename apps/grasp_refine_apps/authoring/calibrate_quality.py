@@ -35,9 +35,9 @@ from grasp_refine.problem.refine import refine_group
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 

@@ -37,9 +37,9 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 

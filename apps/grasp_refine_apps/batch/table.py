@@ -14,7 +14,7 @@ from rich.text import Text
 from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.results.table import plain_table
 from grasp_refine.results.verdict import HOLDS, estimate_line, held_line
-from grasp_refine.validation.protocols.protocol_file import protocol_of
+from grasp_refine.scene.protocols.protocol_file import protocol_of
 from grasp_refine_apps.batch import words
 from grasp_refine_apps.batch.failed import failed_text, left_over, suspected_text
 from grasp_refine_apps.batch.statistics import UNUSABLE, Statistics, Tally

@@ -25,7 +25,7 @@ from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Done, Shard

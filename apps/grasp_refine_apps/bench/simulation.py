@@ -23,10 +23,10 @@ from grasp_refine.hands.files.mujoco_messages import unlogged
 from grasp_refine.hands.hand import Hand
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Row

@@ -28,7 +28,7 @@ from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine_apps.batch.index import IndexKind, index_path
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.lock import locked

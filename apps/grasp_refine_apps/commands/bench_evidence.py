@@ -22,9 +22,9 @@ from grasp_refine.core.json_files import check_writable, save_json, save_text
 from grasp_refine.core.plurals import count_text
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.validation.engine_choice import EngineName, check_engine
-from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.outputs import load_case
 from grasp_refine_apps.batch.pictures import draw_cases

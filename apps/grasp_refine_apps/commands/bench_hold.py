@@ -10,7 +10,7 @@ from tyro.conf import DisallowNone, arg
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.spec import AUTO
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine_apps.bench.hold.study import PRESETS, HoldStudy
 from grasp_refine_apps.commands.benchmark import BenchCommand, given
 from grasp_refine_apps.commands.inputs import Inputs

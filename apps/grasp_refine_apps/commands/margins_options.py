@@ -14,10 +14,10 @@ from rich.markup import escape
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.results.margins_document import margins_entry, margins_row, margins_totals
 from grasp_refine.results.margins_table import margins_comparison, margins_table
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.margins.draws import MAX_DRAWS, Draws, draw
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.margins.margins import Margins, check_pushes
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.validate import Validated
 from grasp_refine_apps.commands.options import OptionalFile
 from grasp_refine_apps.margins.charts import Side

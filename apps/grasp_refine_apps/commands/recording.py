@@ -16,8 +16,8 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.grasps.formats.folders import UNUSUAL, disambiguate
 from grasp_refine.problem.problem import Draft, Group, UncutGroup
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.world import World
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, save_replay

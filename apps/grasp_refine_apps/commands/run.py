@@ -32,8 +32,8 @@ from grasp_refine.results.document import run_document, settings
 from grasp_refine.results.profile import profile_table
 from grasp_refine.results.result_files import is_same_refinement, result_paths
 from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import links_of
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite

@@ -10,11 +10,11 @@ from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.problem import StageSource
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.registry import DEFAULT, PROTOCOLS, default_protocol
 from grasp_refine.validation.engine_choice import EngineChoice
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.protocol_file import load_protocol
-from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS, default_protocol
 from grasp_refine.validation.validate import Checks
 
 ProtocolOption = Annotated[

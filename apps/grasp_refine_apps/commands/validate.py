@@ -25,9 +25,9 @@ from grasp_refine.results.result_files import fingerprint
 from grasp_refine.results.simulated import closing_line
 from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.results.validation_table import comparison_table, validation_table
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.set_points import clipping_note
 from grasp_refine.validation.trials import Trials
 from grasp_refine.validation.validate import Validated, model_of, validate

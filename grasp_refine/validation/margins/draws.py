@@ -13,9 +13,9 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.margins.factors import FIELDS, JOINT, PUSH, Factors
-from grasp_refine.validation.protocols.protocol import Protocol
 
 MAX_DRAWS = 4096
 """Largest number of draws."""

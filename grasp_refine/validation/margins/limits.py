@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.short_repr import brief
+from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World
-from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 
 STEPS = 5

@@ -17,6 +17,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
@@ -26,7 +27,6 @@ from grasp_refine.validation.margins.draws import Draws
 from grasp_refine.validation.margins.factors import FIELDS, JOINT, PUSH
 from grasp_refine.validation.margins.intervals import mean_interval, wilson
 from grasp_refine.validation.margins.limits import Limits, limits
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.simulation import simulate
 
 Progress = Callable[[str, float], None]

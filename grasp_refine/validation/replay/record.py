@@ -6,9 +6,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from grasp_refine.closing.motion import Motion
+from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import World
-from grasp_refine.validation.protocols.protocol import AXES
 from grasp_refine.validation.replay.replay import Replay, Stage, qpos_names
 from grasp_refine.validation.simulation import LIFT, close, push
 from grasp_refine.validation.trials import Reason

@@ -17,8 +17,8 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.authoring.close_fingers import (

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from batch_rows import document, failure, made_up_rows
 from grasp_refine.results.document import settings
-from grasp_refine.validation.protocols.graspqp import GRASPQP
+from grasp_refine.scene.protocols.graspqp import GRASPQP
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.table import batch_table
 

@@ -11,7 +11,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner
 from grasp_refine_apps.batch.record import State, state_of

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.simulation import simulate
 from grasp_refine_apps.bench.simulation import main, plain
 from gripper import around, ball, gripper

@@ -12,9 +12,9 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.load import Loader, load_problem
 from grasp_refine.problem.problem import Draft, Group
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine.validation.simulation import simulate
 from grasp_refine_apps.commands.recording import Recording

@@ -5,8 +5,8 @@ from math import inf, radians
 import pytest
 
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.commands.options import parse
 from grasp_refine_apps.commands.run import Run
 from grasp_refine_apps.commands.settings import Settings

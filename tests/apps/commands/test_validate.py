@@ -19,8 +19,8 @@ from grasp_refine.hands.files.inertia import Inertia
 from grasp_refine.objects.object import load_object
 from grasp_refine.results.validation_document import save_table
 from grasp_refine.results.verdict import HOLDS
-from grasp_refine.validation.protocols.protocol import AXES
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.protocol import AXES
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, Stage

@@ -11,6 +11,10 @@ from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.hands.files.defaults import Actuator
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import AXES, Protocol
+from grasp_refine.scene.protocols.strict import STRICT
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation import simulation
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.drake.build import build_plant
@@ -20,10 +24,6 @@ from grasp_refine.validation.engines.drake.rows import Plants, Rows
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.protocols.strict import STRICT
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.trials import Reason, Trials
 from gripper import KP, RADIUS, around, ball, gripper, lifted, weighing
 

@@ -8,10 +8,10 @@ from scipy.stats import kstest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import exp_so3
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.validation.margins.draws import MAX_DRAWS, Draws, draw, nominal
 from grasp_refine.validation.margins.factors import FIELDS, JOINT, MEANING, PUSH, Factors
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.strict import STRICT
 
 FACTORS = Factors()
 

@@ -10,14 +10,14 @@ from mujoco.batch import Batch
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import Object
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.margins.draws import draw
 from grasp_refine.validation.margins.factors import JOINT, PUSH, Factors
 from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, TORQUE_RANGE_NM, limits
 from grasp_refine.validation.margins.margins import ALONE_SHARE, NO_FACTOR, Margins, Worlds, margins
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.simulation import Closed, close, push, simulate
 from grasp_refine.validation.trials import Reason
 from gripper import KP, RADIUS, around, ball, gripper, two_balls

@@ -19,9 +19,9 @@ from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.problem import Problem
 from grasp_refine.results.document import settings
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_choice import EngineName, engine_of
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine.validation.validate import model_of

@@ -19,8 +19,8 @@ from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Row

@@ -18,10 +18,10 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.robustness import judge
 from grasp_refine_apps.bench.jobs import Progress, part_of
 from grasp_refine_apps.bench.timing import one_thread, warmed_up

@@ -14,7 +14,7 @@ from grasp_refine.core.array_records import join
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
-from grasp_refine.validation.protocols.protocol_file import load_protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Axis, Chart, Row, of_finite

@@ -21,9 +21,9 @@ from grasp_refine.problem.refine import refine_group
 from grasp_refine.refinement.config import Config
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene_file import list_scenes, load_scene
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job, Progress, part_of

@@ -16,10 +16,10 @@ from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.grasps.grasp_set import OTHER_STAGES
 from grasp_refine.results.margins_table import LIMITS
 from grasp_refine.results.result_files import fingerprint
+from grasp_refine.scene.protocols.protocol import AXES, Protocol
+from grasp_refine.scene.protocols.protocol_file import protocol_of
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.validation.margins.factors import JOINT
-from grasp_refine.validation.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.protocols.protocol_file import protocol_of
-from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import NUMBERS, Reason
 from grasp_refine_apps.viewer.model.collection import Collection

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.protocols.registry import default_protocol
+from grasp_refine.scene.protocols.registry import default_protocol
 from grasp_refine_apps.viewer.jobs.many import ManyGrasps, now
 from grasp_refine_apps.viewer.jobs.measuring import unmeasured, with_measures
 from grasp_refine_apps.viewer.jobs.planning import plan_way

@@ -17,11 +17,11 @@ from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import World, build_world
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.robustness import offset_labels
 from grasp_refine.validation.simulation import close, push

@@ -16,9 +16,9 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, transform_from_pose
 from grasp_refine.hands.files.mujoco_messages import unlogged
 from grasp_refine.hands.hand import Hand
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import HAND, SCENE
-from grasp_refine.validation.protocols.protocol import Protocol
 from grasp_refine.validation.replay.replay import POSE_AXES, Replay, Stage, check_replay, object_contacts
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.model.pose import Pose

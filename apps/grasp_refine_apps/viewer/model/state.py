@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import Listing
 from grasp_refine_apps.viewer.model.painting import Brush

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.results.simulated import closing_line
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.trials import NUMBERS, Reason, Trials
 from grasp_refine.validation.validate import BARELY
 from grasp_refine_apps.viewer.model.margins import HoldingMargins

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from grasp_refine.motion.way import WayStatus
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.validating import MAX_FRICTION
 from grasp_refine_apps.viewer.model.shown_motion import FRAME_RATE_HZ, ShownMotion

@@ -15,10 +15,10 @@ from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.files.mujoco_messages import unlogged
+from grasp_refine.scene.protocols.contact_model import MUJOCO_CONTACT
 from grasp_refine.validation.engines.mujoco.arm_lift import ArmLift
-from grasp_refine.validation.engines.mujoco.world import HAND, OBJECT, OBJECT_GEOM, OTHER_GEOM, World
+from grasp_refine.validation.engines.mujoco.world import CONES, HAND, OBJECT, OBJECT_GEOM, OTHER_GEOM, World
 from grasp_refine.validation.engines.simulations import Simulations, Touch
-from grasp_refine.validation.protocols.contact_model import MUJOCO_CONTACT
 
 DIVERGED = [
     warning.value
@@ -145,7 +145,7 @@ class Rows(Simulations):
             self.batch.expand("geom_solref")[:, hand, 0] *= conditions.contact_time[:, None]
         if conditions.default_contact is not None:
             at = conditions.default_contact
-            self.batch.expand("opt.cone")[at] = MUJOCO_CONTACT.mujoco_cone
+            self.batch.expand("opt.cone")[at] = CONES[MUJOCO_CONTACT.cone]
             self.batch.expand("opt.impratio")[at] = MUJOCO_CONTACT.impratio
             self.batch.expand("opt.noslip_iterations")[at] = MUJOCO_CONTACT.noslip_iterations
 

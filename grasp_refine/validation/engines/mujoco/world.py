@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -21,15 +23,21 @@ from grasp_refine.hands.linkages.servos import moments
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.contact_model import Cone
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.geoms import add_piece
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
-from grasp_refine.validation.protocols.protocol import Protocol
 
 UP = np.array([0.0, 0.0, 1.0])
 """Direction in which an object is lifted off a table."""
 
 OBJECT, HAND, HOLDER, TABLE = "object", "hand", "holder", "table"
 """Names of bodies and free joints; the hand's is also the prefix of its names."""
+
+CONES: Mapping[Cone, mujoco.mjtCone] = MappingProxyType(
+    {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+)
+"""Friction cones as MuJoCo names them."""
 
 SCENE = "scene/"
 """Prefix of the names of bodies around the object."""
@@ -170,7 +178,7 @@ def _set_options(spec: mujoco.MjSpec, protocol: Protocol, up: np.ndarray) -> Non
     option, disable = spec.option, mujoco.mjtDisableBit
     option.timestep = protocol.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = protocol.contact.mujoco_cone
+    option.cone = CONES[protocol.contact.cone]
     option.noslip_iterations = protocol.contact.noslip_iterations
     option.impratio = protocol.contact.impratio
     option.gravity = -protocol.acceleration * up if protocol.tabletop else np.zeros(3)

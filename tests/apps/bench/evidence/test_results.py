@@ -11,7 +11,7 @@ import pytest
 from batch_rows import made_up_rows, shard
 from grasp_refine.objects.source import ObjectSource
 from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine.validation.protocols.registry import PROTOCOLS
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.batch.plan import Task
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.bench.evidence.cases import EvidenceCase, HandCase, ObjectCase

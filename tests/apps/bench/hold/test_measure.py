@@ -11,9 +11,9 @@ from grasp_refine.closing.motion import closing_motion
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.bench.hold.measure import GroupResult, GroupTask, Method, contact_gap, methods
 from plate_gripper import URDF

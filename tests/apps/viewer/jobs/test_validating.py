@@ -22,11 +22,11 @@ from grasp_refine.problem.problem import Group
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.strict import STRICT
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.scene import Scene
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.strict import STRICT
-from grasp_refine.validation.protocols.tabletop import TABLETOP
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason

@@ -18,11 +18,11 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import HAND, World, build_world
 from grasp_refine.validation.engines.mujoco.world import SCENE as SCENE_PREFIX
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.scene import SCENE
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import OBJECT, POSE_AXES, Replay, Stage, load_replay, save_replay
 from grasp_refine.validation.validate import model_of

@@ -8,9 +8,9 @@ from math import nan, radians
 
 import pytest
 
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.protocol import AXES, Protocol
-from grasp_refine.validation.protocols.tabletop import TABLETOP
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.protocol import AXES, Protocol
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.panels.validate_panel import motion_html, notes_html, trial_html  # noqa: E402

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.get_a_grip import GET_A_GRIP
-from grasp_refine.validation.protocols.graspqp import GRASPQP
-from grasp_refine.validation.protocols.hugs import HUGS
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.scene import SCENE
-from grasp_refine.validation.protocols.strict import STRICT
-from grasp_refine.validation.protocols.tabletop import TABLETOP
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.get_a_grip import GET_A_GRIP
+from grasp_refine.scene.protocols.graspqp import GRASPQP
+from grasp_refine.scene.protocols.hugs import HUGS
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.scene import SCENE
+from grasp_refine.scene.protocols.strict import STRICT
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
     {protocol.name: protocol for protocol in (DEXGRASPBENCH, STRICT, TABLETOP, SCENE, HUGS, GRASPQP, GET_A_GRIP)}

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.validation.protocols.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
-from grasp_refine.validation.protocols.noise import Noise
+from grasp_refine.scene.protocols.contact_model import DEXGRASPBENCH_CONTACT, ContactModel
+from grasp_refine.scene.protocols.noise import Noise
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),

@@ -8,13 +8,13 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.results.document import settings
+from grasp_refine.scene.protocols.contact_model import ContactModel
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol, protocol_of
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.validation.engines.mujoco.world import build_world
-from grasp_refine.validation.protocols.contact_model import ContactModel
-from grasp_refine.validation.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.protocol_file import load_protocol, protocol_of
-from grasp_refine.validation.protocols.registry import PROTOCOLS
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.simulation_options import Simulation, ValidationOptions

@@ -16,7 +16,7 @@ apart.
 
 from math import tau
 
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 GRASPQP = Protocol(
     name="graspqp",

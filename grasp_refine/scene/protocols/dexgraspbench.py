@@ -9,6 +9,6 @@ Differences: verdicts against the benchmark's own are in `docs/pages/benchmarks.
 ten checks of a push, as there; the hand is ours, from URDF or MJCF.
 """
 
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 DEXGRASPBENCH = Protocol(palm="soft weld")

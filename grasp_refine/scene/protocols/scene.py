@@ -7,6 +7,6 @@ Source: that of `tabletop`; that it is lifted out of a scene is ours.
 
 from dataclasses import replace
 
-from grasp_refine.validation.protocols.tabletop import TABLETOP
+from grasp_refine.scene.protocols.tabletop import TABLETOP
 
 SCENE = replace(TABLETOP, name="scene", multiccd=True)

@@ -4,6 +4,6 @@ Source: our own. Half of the sliding friction, and a tenth of the torsional fric
 all hold under the protocol of DexGraspBench.
 """
 
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 STRICT = Protocol(name="strict", friction=0.3, torsion=0.002)

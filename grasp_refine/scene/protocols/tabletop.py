@@ -7,6 +7,6 @@ Differences: gravity is 9.81 instead of 10 m/s^2. The lift takes 2 instead of 0.
 the hand would carry it at each of ten checks instead of at the end.
 """
 
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 TABLETOP = Protocol(name="tabletop", directions=(), acceleration=9.81)

@@ -11,7 +11,7 @@ have, so that it is half of the diagonal here. The volume is that of the convex 
 must stay near where the hand would carry it at each of five checks instead of at the end. Two hands are not simulated.
 """
 
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol import Protocol
 
 HUGS = Protocol(
     name="hugs",

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import mujoco
-
 from grasp_refine.core.arguments import check_positive
 from grasp_refine.core.errors import GraspRefineError
 
@@ -34,11 +32,6 @@ class ContactModel:
         check_positive(self, "impratio")
         if self.noslip_iterations < 0:
             raise GraspRefineError(f"ContactModel: noslip_iterations must be at least 0, got {self.noslip_iterations}")
-
-    @property
-    def mujoco_cone(self) -> mujoco.mjtCone:
-        """The cone as MuJoCo names it."""
-        return mujoco.mjtCone.mjCONE_ELLIPTIC if self.cone == "elliptic" else mujoco.mjtCone.mjCONE_PYRAMIDAL
 
 
 DEXGRASPBENCH_CONTACT = ContactModel()

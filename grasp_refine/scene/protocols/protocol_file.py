@@ -11,8 +11,8 @@ from grasp_refine.core.arguments import check_values, is_number
 from grasp_refine.core.errors import GraspRefineError, quote_value
 from grasp_refine.core.names import expand_user
 from grasp_refine.core.toml_file import UNREADABLE, read_toml
-from grasp_refine.validation.protocols.protocol import Protocol
-from grasp_refine.validation.protocols.registry import DEFAULT, PROTOCOLS
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import DEFAULT, PROTOCOLS
 
 SUFFIX = ".toml"
 """Suffix of the file of a protocol."""
@@ -44,14 +44,28 @@ def load_protocol(name: str) -> Protocol:
         raise GraspRefineError(f"{path}: no such file") from None
     except UNREADABLE as error:
         raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
-    base = given.pop(BASE_KEY, DEFAULT)
-    if base not in list(PROTOCOLS):
-        raise GraspRefineError(f"{path}: {BASE_KEY} must be among {', '.join(PROTOCOLS)}, got {quote_value(base)}")
-    # The soft weld of DexGraspBench belongs to its published outcomes, which another test does not reproduce.
-    found = protocol_of({"name": path.stem, "palm": "rigid", **given}, PROTOCOLS[base], where=f"{path}: ")
+    found = protocol_of_table({"name": path.stem, **given}, f"{path}: ")
     if found.name in PROTOCOLS:
         raise GraspRefineError(f"{path}: name must differ from {', '.join(PROTOCOLS)}, got {quote_value(found.name)}")
     return found
+
+
+def protocol_of_table(given: Mapping[str, Any], where: str) -> Protocol:
+    """Return the protocol of a table with some of its fields, and the name of the one that it is based on.
+
+    Args:
+        given: Field -> value, as for `protocol_of`, and `BASE_KEY`.
+        where: Prefix of messages, such as the name of a file.
+
+    Raises:
+        GraspRefineError: as `protocol_of`, or there is no such protocol to base it on.
+    """
+    given = dict(given)
+    base = given.pop(BASE_KEY, DEFAULT)
+    if base not in list(PROTOCOLS):
+        raise GraspRefineError(f"{where}{BASE_KEY} must be among {', '.join(PROTOCOLS)}, got {quote_value(base)}")
+    # The soft weld of DexGraspBench belongs to its published outcomes, which another test does not reproduce.
+    return protocol_of({"palm": "rigid", **given}, PROTOCOLS[base], where=where)
 
 
 def protocol_of(given: Mapping[str, Any], base: Protocol = PROTOCOLS[DEFAULT], *, where: str = "") -> Protocol:

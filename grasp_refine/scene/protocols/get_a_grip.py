@@ -16,8 +16,8 @@ of 1.0.
 
 from math import radians
 
-from grasp_refine.validation.protocols.noise import Noise
-from grasp_refine.validation.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.noise import Noise
+from grasp_refine.scene.protocols.protocol import Protocol
 
 GET_A_GRIP = Protocol(
     name="get-a-grip",
