@@ -14,9 +14,9 @@ from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation import robustness
 from grasp_refine.validation.engines.mujoco import world
-from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine_apps.cli import main
 
 SHORT = Config(solver=LevenbergMarquardt(iterations=1), starts=1)
