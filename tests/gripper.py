@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 
 from grasp_refine.closing.motion import Motion
-from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.files.defaults import Actuator
 from grasp_refine.objects.object import Object, load_object
@@ -70,7 +69,7 @@ def two_balls() -> Object:
     mesh = load_object(f"sphere:{RADIUS}", candidates=16).mesh
     none = np.zeros((0, 3), dtype=int)
     pieces = [Piece(np.array([[0.0, y, 0.0]]), none, 0.02) for y in (-0.02, 0.02)]
-    return Object("two balls", mesh, build_body("two balls", pieces, candidates=16), convex=False, notes=())
+    return Object("two balls", mesh, convex=False, given=tuple(pieces), candidates=16)
 
 
 def lifted(motion: Motion, height: float = 0.015, y: float = 0.0) -> Motion:

@@ -247,15 +247,16 @@ def cut_meshes(
     config: Decomposition | None = None,
     *,
     cache: Path | None = None,
+    workers: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> list[Cut]:
     """Cut named closed meshes into convex pieces: the bodies of a mesh if all are convex, else its parts by CoACD.
 
     CoACD's input is the mesh divided by its diagonal and rounded to 1e-9, so that one decomposition, and an entry of
     the folder `cache` (None: no cache), serves the same mesh at every scale. Pieces of the embedded objects come with
-    the program. As many meshes as there are cores are decomposed at a time, which changes no piece, and each is saved
-    as soon as it is done. `progress` is called with a line before and one after each decomposition, and every
-    `PROGRESS_INTERVAL_S` meanwhile.
+    the program. As many meshes as there are `workers` (None: cores) are decomposed at a time, which changes no piece,
+    and each is saved as soon as it is done. `progress` is called with a line before and one after each decomposition,
+    and every `PROGRESS_INTERVAL_S` meanwhile.
 
     On a mesh that takes longer than `config.time_limit`, coarser settings are tried on a simpler mesh for half that
     time; then its convex hull is used. Such pieces have entries of their own in the cache, and a `Cut.shortfall`.
@@ -284,7 +285,7 @@ def cut_meshes(
             report(f"{name}: {shortfalls[unit.entry]}")
         else:
             waiting.setdefault(unit.entry, unit)
-    for done, (unit, found) in enumerate(_decompose_all(list(waiting.values()), config, report), 1):
+    for done, (unit, found) in enumerate(_decompose_all(list(waiting.values()), config, workers, report), 1):
         parts[unit.entry] = solid = _solid_hulls(found.parts)
         dropped = len(found.parts) - len(solid)
         if not solid:
@@ -371,7 +372,7 @@ class _Found:
 
 
 def _decompose_all(
-    units: Sequence[_UnitMesh], config: Decomposition, report: Callable[[str], None]
+    units: Sequence[_UnitMesh], config: Decomposition, workers: int | None, report: Callable[[str], None]
 ) -> Iterator[tuple[_UnitMesh, _Found]]:
     """Yield each mesh with its parts, in order of completion; one failure ends all.
 
@@ -379,7 +380,7 @@ def _decompose_all(
         MeshError: CoACD ended without a result.
     """
     ending = threading.Event()
-    workers = max(min(usable_cores(), len(units)), 1)
+    workers = max(min(workers or usable_cores(), len(units)), 1)
     threads = max(usable_cores() // workers, 1)
 
     def check() -> None:

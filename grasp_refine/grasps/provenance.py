@@ -15,7 +15,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
     Raises:
         GraspFileError: it is damaged.
     """
-    if path.suffix != ".npz":
+    if path.suffix != ".npz" or path.is_dir():
         return {}
     text = str(load_npz(path, only=("provenance",)).entries.get("provenance", ""))
     try:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypeGuard, cast
 
@@ -35,56 +36,87 @@ PRIMITIVE_FORMS = "box:x,y,z, sphere:r, cylinder:r,h (metres)"
 
 @dataclass(frozen=True, eq=False)
 class Object:
-    """Something to grasp, at rest in its own frame."""
+    """Something to grasp, at rest in its own frame.
+
+    A concave mesh is decomposed into convex pieces when they are first needed, which may take minutes, or by `prepare`.
+    """
 
     name: str
     """Embedded name, primitive, stem of the mesh file, or name of the folder."""
     mesh: trimesh.Trimesh
     """Surface for display, metres. Watertight, unless there is a note that the surface beside given pieces is not."""
-    body: Body
-    """Convex pieces and surface candidates, for contacts."""
     convex: bool
     """Whether it is one convex piece."""
-    notes: tuple[str, ...]
+    repairs: tuple[str, ...] = ()
     """Repairs of the mesh, or faults of given pieces, for the user."""
-    rough: bool = False
-    """Whether `body` is only the convex hull of a mesh that is still to be cut."""
+    given: tuple[Piece, ...] = ()
+    """Its convex pieces where they are given; none: the mesh is decomposed."""
     file: tuple[Path, float] | None = None
     """File of the mesh, and the factor that takes it to metres; None: it is of no single file."""
+    beside: bool = False
+    """Whether the mesh came beside the given pieces, so that it may differ from them."""
+    decomposition: Decomposition = Decomposition()
+    """Settings of the decomposition."""
+    candidates: int = 1024
+    """Number of points on the surface of the body."""
+    seed: int = 0
+    """Seed of these points."""
+    cache: str | Path | None = "user"
+    """Folder of earlier decompositions; "user" is the user's cache folder, None: no cache."""
+    whole: Object | None = None
+    """Object for which this one, its convex hull, stands until that is decomposed; None: it stands for none."""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side * 1e3:.3g}" for side in self.mesh.extents)
-        return f"Object({self.name}: {size} mm, {count_text(len(self.body.pieces), 'convex piece')})"
+        pieces = count_text(len(self.body.pieces), "convex piece") if self.is_decomposed else "not decomposed"
+        return f"Object({self.name}: {size} mm, {pieces})"
 
+    @property
+    def body(self) -> Body:
+        """Convex pieces and surface candidates, for contacts.
 
-@dataclass(frozen=True, eq=False)
-class UncutObject:
-    """An object that was read and checked, but not yet cut into convex pieces."""
+        Raises:
+            MeshError: the mesh cannot be decomposed.
+        """
+        return self._decomposed[0]
 
-    name: str
-    """Name, see `Object.name`."""
-    mesh: trimesh.Trimesh
-    """Surface, see `Object.mesh`."""
-    pieces: tuple[Piece, ...]
-    """Its convex pieces where they are given; empty: the mesh is to be cut."""
-    convex: bool
-    """Whether it is one convex piece, see `Object.convex`."""
-    notes: tuple[str, ...]
-    """Notes for the user, see `Object.notes`."""
-    file: tuple[Path, float] | None = None
-    """File of the mesh, see `Object.file`."""
-    beside: bool = False
-    """Whether the mesh came beside the pieces, so that it may differ from them."""
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Repairs, and faults of its convex pieces, for the user."""
+        return (*self.repairs, *self._decomposed[1])
+
+    @property
+    def is_decomposed(self) -> bool:
+        """Whether its convex pieces are there."""
+        return "_decomposed" in vars(self)
 
     @property
     def takes_long(self) -> bool:
-        """Whether its mesh has to be cut, which may take minutes."""
-        return not self.pieces and not self.convex
+        """Whether its mesh has to be decomposed, which may take minutes."""
+        return not (self.is_decomposed or self.given or self.convex)
 
-    def rough(self) -> Object:
-        """Return the object with its convex hull instead of its pieces, to be shown until it is cut."""
-        body = build_body(self.name, [hull(self.mesh.vertices)])
-        return Object(self.name, self.mesh, body, self.convex, self.notes, rough=True, file=self.file)
+    @property
+    def rough(self) -> bool:
+        """Whether it is only the convex hull of an object that is not decomposed yet."""
+        return self.whole is not None
+
+    def as_hull(self) -> Object:
+        """Return the convex hull of the object, to be shown until this is decomposed."""
+        return Object(
+            self.name, self.mesh, self.convex, self.repairs, (hull(self.mesh.vertices),), self.file, whole=self
+        )
+
+    def with_body(self, body: Body) -> Object:
+        """Return the object with another body."""
+        found = replace(self)
+        vars(found)["_decomposed"] = body, self._decomposed[1] if self.is_decomposed else ()
+        return found
+
+    @cached_property
+    def _decomposed(self) -> tuple[Body, tuple[str, ...]]:
+        """Body, and notes on its pieces for the user."""
+        (found,) = _decompose([self])
+        return found
 
 
 def load_object(
@@ -98,9 +130,10 @@ def load_object(
     candidates: int = 1024,
     seed: int = 0,
     cache: str | Path | None = "user",
-    progress: Callable[[str], None] | None = None,
 ) -> Object:
-    """The object, cut into convex pieces, that `source` names or is: embedded, a primitive, a mesh, a folder of pieces.
+    """Return the object that `source` names or is: embedded, a primitive, a mesh, a folder of pieces.
+
+    It is read and checked, and decomposed into convex pieces when they are first needed, or by `prepare`.
 
     The hulls of the meshes in a folder (see `folders`) are the convex pieces; nothing is decomposed. The
     displayed surface is the folder's if it has one, else all pieces. A mesh file of convex bodies is not decomposed
@@ -118,7 +151,6 @@ def load_object(
         candidates: number of points on the surface.
         seed: of the surface points.
         cache: folder of earlier decompositions; "user" is the user's cache folder, None: no cache.
-        progress: called with one line when a decomposition starts and one when it is done.
 
     Raises:
         AssetError: no such name.
@@ -135,42 +167,6 @@ def load_object(
     check_kind("candidates", candidates, int)
     check_kind("seed", seed, int)
     check_kind("cache", cache, str | Path | None)
-    uncut = read_object(source, name=name, scale=scale, unit=unit, holes=holes)
-    (cut,) = cut_objects([uncut], decomposition, candidates=candidates, seed=seed, cache=cache, progress=progress)
-    return cut
-
-
-def is_mesh(source: object) -> TypeGuard[Mesh]:
-    """Return whether an object is given as a mesh in memory, see `load_object`."""
-    return isinstance(source, tuple | list) or (hasattr(source, "vertices") and hasattr(source, "faces"))
-
-
-def as_object(name: str, value: Object | Mesh) -> Object:
-    """Return an argument as an object: itself, or loaded from a mesh in memory.
-
-    Raises:
-        MeshError: the mesh cannot be used.
-        GraspRefineError: it is neither.
-    """
-    if is_mesh(value):
-        return load_object(value)
-    check_kind(name, value, Object)
-    return cast(Object, value)
-
-
-def read_object(
-    source: str | Path | Mesh,
-    *,
-    name: str | None = None,
-    scale: float = 1.0,
-    unit: Unit | None = None,
-    holes: Holes = "refuse",
-) -> UncutObject:
-    """The object that `source` names or is, read and checked, which is quick: the first half of `load_object`.
-
-    Raises:
-        AssetError, MeshError: as `load_object`.
-    """
     text = (name or "object") if is_mesh(source) else str(source)
     if not (is_number(scale) and 0 < scale < np.inf):
         raise MeshError(f"{text}: the scale must be positive and finite, got {describe_value(scale)}")
@@ -211,7 +207,37 @@ def read_object(
         # An object's notes are printed after its name.
         notes = tuple(note.removeprefix(f"{name}: ") for note in notes)
         convex = is_convex(mesh)
-    return UncutObject(name, mesh, tuple(pieces), convex, notes, file, beside)
+    return Object(
+        name,
+        mesh,
+        convex,
+        notes,
+        tuple(pieces),
+        file,
+        beside,
+        decomposition or Decomposition(),
+        candidates=candidates,
+        seed=seed,
+        cache=cache,
+    )
+
+
+def is_mesh(source: object) -> TypeGuard[Mesh]:
+    """Return whether an object is given as a mesh in memory, see `load_object`."""
+    return isinstance(source, tuple | list) or (hasattr(source, "vertices") and hasattr(source, "faces"))
+
+
+def as_object(name: str, value: Object | Mesh) -> Object:
+    """Return an argument as an object: itself, or loaded from a mesh in memory.
+
+    Raises:
+        MeshError: the mesh cannot be used.
+        GraspRefineError: it is neither.
+    """
+    if is_mesh(value):
+        return load_object(value)
+    check_kind(name, value, Object)
+    return cast(Object, value)
 
 
 def _mesh_in_memory(source: Mesh, scale: float, name: str) -> trimesh.Trimesh:
@@ -224,30 +250,52 @@ def _mesh_in_memory(source: Mesh, scale: float, name: str) -> trimesh.Trimesh:
     return mesh_of(vertices, faces, scale, name)
 
 
-def cut_objects(
-    objects: Sequence[UncutObject],
-    decomposition: Decomposition | None = None,
-    *,
-    candidates: int = 1024,
-    seed: int = 0,
-    cache: str | Path | None = "user",
-    progress: Callable[[str], None] | None = None,
-) -> list[Object]:
-    """The objects, cut into convex pieces, several at a time as by `cut_meshes`: the second half of `load_object`.
+def prepare(
+    objects: Iterable[Object], *, workers: int | None = None, progress: Callable[[str], None] | None = None
+) -> None:
+    """Decompose objects into convex pieces, unless they are, several at a time in processes of their own.
+
+    Args:
+        objects: The objects.
+        workers: Largest number of objects that are decomposed at a time; None: as many as there are cores.
+        progress: Called with a line when a decomposition starts, and when it ends.
 
     Raises:
-        MeshError: one cannot be cut.
+        MeshError: one cannot be decomposed.
     """
-    folder = default_cache() if cache == "user" else None if cache is None else Path(cache)
-    meshes = [(uncut.name, uncut.mesh) for uncut in objects if not uncut.pieces]
-    cut = iter(cut_meshes(meshes, decomposition, cache=folder, progress=progress))
+    waiting = [obj for obj in dict.fromkeys(objects) if not obj.is_decomposed]
+    for obj, found in zip(waiting, _decompose(waiting, workers, progress), strict=True):
+        vars(obj)["_decomposed"] = found
+
+
+def _decompose(
+    objects: Sequence[Object], workers: int | None = None, progress: Callable[[str], None] | None = None
+) -> list[tuple[Body, tuple[str, ...]]]:
+    """Return the body of each object, and notes on its pieces for the user."""
+    cut = {obj: Cut(obj.given) for obj in objects if obj.given}
+    of_settings: dict[tuple[Decomposition, str | Path | None], list[Object]] = {}
+    for obj in objects:
+        if not obj.given:
+            of_settings.setdefault((obj.decomposition, obj.cache), []).append(obj)
+    for (settings, cache), some in of_settings.items():
+        meshes = [(obj.name, obj.mesh) for obj in some]
+        cut |= zip(
+            some, cut_meshes(meshes, settings, cache=_folder(cache), workers=workers, progress=progress), strict=True
+        )
     found = []
-    for uncut in objects:
-        part = Cut(uncut.pieces) if uncut.pieces else next(cut)
-        notes = [*uncut.notes, *([part.shortfall] if part.shortfall else [])]
-        if uncut.beside or part.shortfall:
-            distances = default_cache("distances") if cache == "user" else folder and folder / "distances"
-            notes += filter(None, [surface_note(part.pieces, uncut.mesh, distances)])
-        body = build_body(uncut.name, part.pieces, candidates=candidates, seed=seed)
-        found.append(Object(uncut.name, uncut.mesh, body, uncut.convex, tuple(notes), file=uncut.file))
+    for obj in objects:
+        part, notes = cut[obj], list[str]()
+        if part.shortfall:
+            notes.append(part.shortfall)
+        if obj.beside or part.shortfall:
+            notes += filter(None, [surface_note(part.pieces, obj.mesh, _folder(obj.cache, "distances"))])
+        body = build_body(obj.name, part.pieces, candidates=obj.candidates, seed=obj.seed)
+        found.append((body, tuple(notes)))
     return found
+
+
+def _folder(cache: str | Path | None, *below: str) -> Path | None:
+    """Return the folder of a cache, or the one below it."""
+    if cache is None:
+        return None
+    return default_cache(*below) if cache == "user" else Path(cache, *below)

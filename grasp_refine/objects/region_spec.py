@@ -289,11 +289,11 @@ def numbered_faces(obj: Object) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndar
 
 
 def _surface_points(obj: Object) -> Float[np.ndarray, "P 3"]:
-    """Return points on the surface of an object and on its pieces, the same every time."""
+    """Return points on the surface of an object, the same every time."""
     from trimesh.sample import sample_surface
 
     points, _ = sample_surface(obj.mesh, NUM_POINTS, seed=0)
-    return np.concatenate([obj.body.candidates.points, obj.mesh.vertices, np.asarray(points)])
+    return np.concatenate([obj.mesh.vertices, np.asarray(points)])
 
 
 def _holds_any(obj: Object, distance: Float[np.ndarray, " P"]) -> bool:

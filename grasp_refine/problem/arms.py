@@ -22,7 +22,7 @@ from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.mount import mount, standing
 from grasp_refine.hands.self_collision import self_penetration
 from grasp_refine.objects.object import Object
-from grasp_refine.problem.problem import Group, Problem, aim, recorded_gaps
+from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.spec import SourceSpec
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
@@ -85,25 +85,32 @@ def whole_hand(
     return mount(load_arm(spec.arm), hand, spec.mount, pose)
 
 
-def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int = 0) -> Problem:
-    """Return the grasps of a hand as those of the hand on an arm, with their arms by inverse kinematics.
-
-    Args:
-        problem: Grasps of the hand alone, or such as begin at the base of the arm already.
-        hand: The hand on its arm; without one, the problem is returned as it is.
-        spec: Tells where the base stands.
-        seed: Seed of the starts of the inverse kinematics.
+def check_base(problem: Problem, spec: SourceSpec) -> None:
+    """Refuse grasps of the hand alone on an arm without a place.
 
     Raises:
-        GraspRefineError: the place of the base is needed, and not given.
+        GraspRefineError: names the option.
     """
-    if hand.arm is None:
-        return problem
+    hand = problem.hand
     if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
         raise GraspRefineError(
             f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or "
             "the world of the scene: `base` x,y,z,roll,pitch,yaw (metres, degrees), as in `base='-0.5,0,0,0,0,0'`"
         )
+
+
+def problem_on_arm(problem: Problem, spec: SourceSpec, *, seed: int = 0) -> Problem:
+    """Return the grasps of a hand as those of the hand on an arm, with their arms by inverse kinematics.
+
+    Args:
+        problem: The hand on its arm, and grasps of the hand alone, or such as begin at the base of the arm already;
+            without an arm, the problem is returned as it is.
+        spec: Tells where the base stands.
+        seed: Seed of the starts of the inverse kinematics.
+    """
+    hand = problem.hand
+    if hand.arm is None:
+        return problem
     T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "`base`")
     groups, notes, beyond, count = [], [*hand.notes], 0, 0
     for group in problem.groups:
@@ -114,7 +121,7 @@ def problem_on_arm(problem: Problem, hand: Hand, spec: SourceSpec, *, seed: int 
     if beyond:
         notes.append(f"{beyond} of {count_text(count, 'grasp')} out of reach of the arm")
         notes += first_of(out_of_reach_texts(problem.groups, groups, seed), MAX_REASONS)
-    return replace(problem, hand=hand, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, *notes))))
+    return replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, *notes))))
 
 
 def group_on_arm(
@@ -128,14 +135,11 @@ def group_on_arm(
     grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
     notes = (*notes, *_sunk_notes(hand, T_object_base, scene))
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
-    targets = aim(hand, grasps.targets, np.arange(len(grasps)))
-    moved = Scene(
+    moved = scene_of(
         hand,
         scene.object,
-        transform_from_pose(grasps.hand_pose),
+        grasps,
         grasps.q[:, columns],
-        *targets,
-        contact_gap=recorded_gaps(hand, grasps),
         table=scene.table,
         environment=scene.environment,
         regions=scene.regions,
@@ -232,24 +236,28 @@ def _why_out_of_reach(scene: Scene, T_base: np.ndarray, q: np.ndarray, T_palm: n
     )
 
 
-def within_reach(
-    grasps: GraspSet, hand: Hand, spec: SourceSpec, scene: Scene, *, seed: int = 0
-) -> Bool[np.ndarray, " N"]:
-    """Return a mask (N,) of grasps of a hand alone that the hand on an arm reaches.
+def reach_of(
+    problem: Problem, spec: SourceSpec, seed: int = 0
+) -> Callable[[GraspSet, Scene], Bool[np.ndarray, " N"]] | None:
+    """Return a mask (N,) of grasps of the hand alone, in a scene, that the hand on its arm reaches; None: it has none.
 
     Args:
-        grasps: Poses of the palm.
-        hand: The hand on its arm.
+        problem: The hand on its arm.
         spec: Tells where the base stands.
-        scene: Object, table and bodies.
         seed: Seed of the starts of the inverse kinematics.
     """
-    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "`base`")
-    if scene.environment is not None:
-        T_base = inverse(scene.environment.T_world_object) @ T_base
-    clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
-    placed, _ = on_arm(grasps, hand, T_base, clearance=clearance, seed=seed)
-    return np.isfinite(placed.q).all(axis=1)
+    hand = problem.hand
+    if hand.arm is None or spec.base is None:
+        return None
+    T_base = read_pose(spec.base, "`base`")
+
+    def reaches(grasps: GraspSet, scene: Scene) -> Bool[np.ndarray, " N"]:
+        at = T_base if scene.environment is None else inverse(scene.environment.T_world_object) @ T_base
+        clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
+        placed, _ = on_arm(grasps, hand, at, clearance=clearance, seed=seed)
+        return np.isfinite(placed.q).all(axis=1)
+
+    return reaches
 
 
 def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:

@@ -16,16 +16,16 @@ from grasp_refine.core.arguments import as_numbers, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import inverse, is_rigid, transform_from_pose
+from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region_spec import Regions
 from grasp_refine.problem.arms import arm_clearance
-from grasp_refine.problem.frame_check import frame_notes
+from grasp_refine.problem.examine import examined
 from grasp_refine.problem.margins import GraspMargins, problem_margins
-from grasp_refine.problem.problem import Group, Problem, aim, recorded_gaps
+from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.refinement.config import Config
@@ -33,14 +33,11 @@ from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.scene.protocols.registry import default_protocol
-from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.scene_check import surroundings_notes
 from grasp_refine.validation.engine_choice import EngineName
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.margins.factors import Factors
@@ -112,29 +109,14 @@ def problem_of(
         )
     q, matched = match_joints(grasps, hand)
     rows = np.arange(len(grasps))
-    targets = aim(hand, grasps.targets, rows)
-    made = Scene(
-        hand,
-        obj,
-        transform_from_pose(grasps.hand_pose),
-        q,
-        *targets,
-        contact_gap=recorded_gaps(hand, grasps),
-        table=plane,
-        environment=scene,
-        regions=regions_of(obj, touch, avoid, scene),
-    )
+    regions = regions_of(obj, touch, avoid, scene)
+    made = scene_of(hand, obj, grasps, q, table=plane, environment=scene, regions=regions)
     name, scale = (names[0], float(grasps.scale[0])) if names else (obj.name, 1.0)
     group = Group(name, scale, made, grasps, rows, rows, rows)
-    doubts = convention_notes([made])
-    if not as_is:
-        refuse_conventions(doubts)
-    for note in doubts:
+    problem = examined(Problem(hand, (), (group,), (*hand.notes, *notes, *matched)), as_is=as_is)
+    for note in problem.convention_notes:
         warnings.warn(note, stacklevel=2)
-    around = surroundings_notes([made])
-    frames = () if doubts else frame_notes([made])
-    all_notes = dict.fromkeys((*hand.notes, *obj.notes, *notes, *matched, *around, *doubts, *frames))
-    return Problem(hand, (), (group,), tuple(all_notes), convention_notes=doubts)
+    return problem
 
 
 def refine(

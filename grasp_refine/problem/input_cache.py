@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
-MAX_ENTRIES = {"file": 2, "hand": 4, "uncut": 16, "object": 16}
+MAX_ENTRIES = {"file": 2, "hand": 4, "object": 16}
 """Largest number of entries of each kind, of any other kind 4, which bounds the memory of a worker."""
 
 Value = TypeVar("Value")

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
 
 from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
 from grasp_refine.core.profiling import stage
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
@@ -25,22 +23,19 @@ from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.files.source import check_known
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
-from grasp_refine.objects.object import Object, UncutObject, cut_objects, read_object
+from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
-from grasp_refine.problem.arms import check_arm, problem_on_arm, whole_hand, within_reach
+from grasp_refine.problem.arms import check_arm, check_base, problem_on_arm, reach_of, whole_hand
+from grasp_refine.problem.examine import examined
 from grasp_refine.problem.example import example_grasps
-from grasp_refine.problem.frame_check import frame_notes
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.named_inputs import in_scene, on_disk, other_urdf, with_actuators
-from grasp_refine.problem.problem import Draft, Group, Problem, UncutGroup, aim, recorded_gaps
+from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
-from grasp_refine.problem.sampled import check_sampled, sample_group, sampled_problem
+from grasp_refine.problem.sampled import check_sampled, with_samples
 from grasp_refine.problem.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
 from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.scene_check import surroundings_notes
 from grasp_refine.scene.scene_file import load_scene
 
 
@@ -70,7 +65,7 @@ def load_problem(
         GraspRefineError: something is missing, cannot be used, or does not fit the rest.
     """
     loader = Loader(spec, seed, on_message, on_wait, cache or NoCache())
-    problem = loader.cut(loader.draft())
+    problem = loader.prepare(loader.problem())
     for note in problem.convention_notes:
         warnings.warn(note, stacklevel=2)
     return problem
@@ -78,7 +73,7 @@ def load_problem(
 
 @dataclass(frozen=True)
 class Loader:
-    """Loads a specification in two halves: `draft` reads and checks everything, `cut` decomposes the objects."""
+    """Loads a specification: `problem` reads and checks everything, `prepare` decomposes the objects."""
 
     spec: ProblemSpec
     """Names and files."""
@@ -100,7 +95,7 @@ class Loader:
         object.__setattr__(self, "spec", in_scene(self.spec))
 
     @stage("loading")
-    def draft(self) -> Draft:
+    def problem(self) -> Problem:
         """Read and check everything that the specification names; no object is decomposed yet.
 
         Raises:
@@ -108,22 +103,50 @@ class Loader:
         """
         spec = self.spec
         if str(spec.grasps).startswith(SAMPLE):
-            return self.draft_sampled(check_sampled(spec))
+            return self.to_sample(check_sampled(spec))
         path = self.grasp_path() if spec.grasps is not None else example_grasps(spec)
-        return self.draft_read(self._read_file(path), path)
+        return self.of_grasps(self._read_file(path), path)
+
+    @stage("loading")
+    def prepare(self, problem: Problem, *, draw: int = 0, rough: Collection[int] = ()) -> Problem:
+        """Decompose the objects of a problem, several at a time, and return it with the checks that this allows.
+
+        Grasps are sampled now where that is asked for, and joint values of arms found.
+
+        Args:
+            problem: As read.
+            draw: Number of the draw, of several with one seed; each samples other grasps.
+            rough: Groups whose objects are not decomposed yet, see `Object.as_hull`.
+
+        Raises:
+            ConventionError: the grasps are most likely in another convention.
+            GraspRefineError: an object cannot be decomposed, or is in a body around it.
+        """
+        groups = list(problem.groups)
+        for at in rough:
+            groups[at] = groups[at].on(groups[at].scene.object.as_hull())
+        problem = replace(problem, groups=tuple(groups))
+        prepare((group.scene.object for group in groups), progress=self.on_message)
+        if problem.sampled:
+            seed = (self.seed, draw) if draw else self.seed
+            reaches = reach_of(problem, self.spec, self.seed)
+            problem = with_samples(problem, self.spec.index, seed, self.on_wait, reaches)
+        else:
+            problem = examined(problem, as_is=self.spec.as_is)
+        return problem_on_arm(problem, self.spec, seed=self.seed)
 
     def grasp_path(self) -> Path:
         """Return the path of the grasp file, fetched where it is an asset."""
         assert self.spec.grasps is not None
         return on_disk(self.spec.grasps, self.on_message)
 
-    def draft_read(self, read: Reading, path: Path) -> Draft:
-        """Return the draft of grasps that were read from `path` already."""
+    def of_grasps(self, read: Reading, path: Path) -> Problem:
+        """Return the problem of grasps that were read from `path` already."""
         spec, of_files = self.spec, recorded_scene(read.files)
         spec.check()
         check_arm(spec)
         if spec.scene is None and of_files is not None:
-            return replace(self, spec=replace(spec, scene=of_files.source)).draft_read(read, path)
+            return replace(self, spec=replace(spec, scene=of_files.source)).of_grasps(read, path)
         regions_notes: tuple[str, ...] = ()
         if not (spec.touch or spec.avoid):
             touch, avoid, regions_notes = recorded_regions(read.files)
@@ -138,7 +161,6 @@ class Loader:
         grasps = replace(grasps, targets=self._targets(grasps, path))
         hand, grasps, resting = self._hand(grasps, path)
         whole = self._whole(spec.hand or grasps.hand, hand)
-        targets = grasps.targets
         q, notes = match_joints(grasps, hand)
         check_collides(hand)
         notes = (
@@ -149,7 +171,7 @@ class Loader:
             *notes,
             *other_urdf(path, hand, chosen=bool(spec.hand)),
         )
-        groups: list[UncutGroup] = []
+        groups: list[Group] = []
         count = 0
         for name, rows in chosen.items():
             index = np.asarray(spec.index) if spec.index else np.arange(len(rows))
@@ -157,51 +179,20 @@ class Loader:
             scales = self.scales(grasps, rows)
             for scale in np.unique(scales):
                 at = np.flatnonzero(scales == scale)
-                uncut = self.read_object(sources[name], float(scale))
-                notes += tuple(f"{name}: {note}" for note in uncut.notes)
-                file_scale = float(grasps.scale[rows[at[0]]])
-                groups.append(UncutGroup(name, spec.metres(scale), uncut, file_scale, rows[at], index[at], place[at]))
-        aims = [aim(hand, targets, group.rows) for group in groups]
-        notes += check_objects(read.files, {group.key: group.uncut for group in groups}, other=spec.other_object)
-        files, table = self._files(path, read), spec.plane
-
-        def finish(objects: Sequence[Object]) -> Problem:
-            found = []
-            for group, obj, points in zip(groups, objects, aims, strict=True):
-                some = grasps.select(group.rows)
-                scene = Scene(
-                    hand,
-                    obj,
-                    transform_from_pose(some.hand_pose),
-                    q[group.rows],
-                    *points,
-                    contact_gap=recorded_gaps(hand, some),
-                    table=table,
-                    environment=environment,
-                    regions=regions_of(obj, spec.touch, spec.avoid, environment),
+                some, obj = grasps.select(rows[at]), self.read_object(sources[name], float(scale))
+                notes += tuple(f"{name}: {note}" for note in obj.repairs)
+                regions = regions_of(obj, spec.touch, spec.avoid, environment)
+                scene = scene_of(
+                    hand, obj, some, q[rows[at]], table=spec.plane, environment=environment, regions=regions
                 )
-                found.append(Group(group.object, group.scale, scene, some, group.rows, group.index, group.place))
-            cut = {group.key: obj for group, obj in zip(groups, objects, strict=True)}
-            scenes = [group.scene for group in found]
-            doubts = convention_notes(scenes)
-            if not spec.as_is:
-                refuse_conventions(doubts, str(path))
-            frames = () if doubts else frame_notes(scenes)
-            of_pieces = (f"{group.object}: {note}" for group in found for note in group.scene.object.notes)
-            checked = (*of_pieces, *check_objects(read.files, cut, other=True), *surroundings_notes(scenes))
-            all_notes = dict.fromkeys((*notes, *checked, *doubts, *frames))
-            alone = Problem(hand, files, tuple(found), tuple(all_notes), convention_notes=doubts)
-            return problem_on_arm(alone, whole, spec, seed=self.seed)
+                groups.append(Group(name, spec.metres(scale), scene, some, rows[at], index[at], place[at]))
+        notes += check_objects(read.files, groups, other=spec.other_object)
+        problem = Problem(whole, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
+        check_base(problem, spec)
+        return problem
 
-        names_of_grasps = tuple(name for name, rows in chosen.items() for _ in rows)
-        return Draft(whole, files, names_of_grasps, targets is not None, tuple(groups), finish, environment=environment)
-
-    def draft_sampled(self, count: int, draw: int = 0) -> Draft:
-        """Return the draft of `count` new grasps of the hand on the object, which are sampled once it is decomposed.
-
-        Args:
-            count: Number of grasps.
-            draw: Number of the draw, of several with one seed; each returns other grasps.
+    def to_sample(self, count: int) -> Problem:
+        """Return the problem of `count` new grasps of the hand on the object, which `prepare` samples.
 
         Raises:
             GraspRefineError: hand or object cannot be used.
@@ -215,38 +206,14 @@ class Loader:
         whole = self._whole(spec.hand, hand)
         source = chosen_object(spec.object, self.on_message)
         scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
-        uncut = self.read_object(source, scale)
-        seed = (self.seed, draw) if draw else self.seed
-
-        environment = self.environment()
-
-        def finish(objects: Sequence[Object]) -> Problem:
-            def reaches(grasps: GraspSet, scene: Scene) -> Bool[np.ndarray, " N"]:
-                return within_reach(grasps, whole, spec, scene, seed=self.seed)
-
-            needed = None if whole.arm is None or spec.base is None else reaches
-            alone = sampled_problem(spec, hand, objects[0], scale, count, seed, self.on_wait, environment, needed)
-            return problem_on_arm(alone, whole, spec, seed=self.seed)
-
-        group = sample_group(uncut, spec.metres(scale))
-        return Draft(whole, (hand.urdf,), (uncut.name,), False, (group,), finish, f"{SAMPLE}{count}", environment)
-
-    @stage("loading")
-    def cut(self, draft: Draft, rough: Collection[int] = ()) -> Problem:
-        """Decompose the objects of a draft into convex pieces, several at a time, and return the problem.
-
-        Args:
-            draft: The draft.
-            rough: Groups whose objects are not decomposed yet, see `UncutObject.rough`.
-        """
-        uncut = [group.uncut for group in draft.groups]
-        cut = iter(self._cut([one for at, one in enumerate(uncut) if at not in rough]))
-        return draft.finish([one.rough() if at in rough else next(cut) for at, one in enumerate(uncut)])
-
-    def cut_object(self, uncut: UncutObject) -> Object:
-        """Decompose one object."""
-        (found,) = self._cut([uncut])
-        return found
+        obj, environment = self.read_object(source, scale), self.environment()
+        none = GraspSet.of(hand, np.zeros((0, 7)), np.zeros((0, len(hand.joint_names))), object=obj.name)
+        regions = regions_of(obj, spec.touch, spec.avoid, environment)
+        scene = scene_of(hand, obj, none, none.q, table=spec.plane, environment=environment, regions=regions)
+        group = Group(obj.name, spec.metres(scale), scene, none, *(np.zeros(0, dtype=np.int64),) * 3)
+        problem = Problem(whole, (hand.urdf,), (group,), hand.notes, f"{SAMPLE}{count}")
+        check_base(problem, spec)
+        return problem
 
     def read(self, path: Path) -> Reading:
         """Return all grasps of the file `path`, with the targets of the specification.
@@ -293,19 +260,26 @@ class Loader:
         load = partial(load_hand, source, base_link=base_link, **options, progress=self.on_message)
         return self.cache.get("hand", (source, base_link, *options.values()), load)
 
-    def read_object(self, source: ObjectSource, scale: float) -> UncutObject:
+    def read_object(self, source: ObjectSource, scale: float) -> Object:
         """Return an object of the specified size, still to be decomposed.
 
         Raises:
             GraspRefineError: it cannot be read or used.
         """
-        spec = self.spec
+        spec, seed = self.spec, self.seed
 
-        def read() -> UncutObject:
-            found = read_object(source.source, scale=scale, unit=spec.unit, holes=spec.holes)
-            return found if source.asset is None else replace(found, name=source.asset.name)
+        def load() -> Object:
+            return load_object(
+                source.source,
+                name=None if source.asset is None else source.asset.name,
+                scale=scale,
+                unit=spec.unit,
+                decomposition=Decomposition(threshold=spec.threshold),
+                holes=spec.holes,
+                seed=seed,
+            )
 
-        return self.cache.get("uncut", (source.source, scale, spec.unit, spec.holes), read)
+        return self.cache.get("object", (source.source, scale, spec.unit, spec.holes, spec.threshold, seed), load)
 
     def environment(self) -> Environment | None:
         """Return the bodies around the object of the specified scene; None: there is none.
@@ -317,20 +291,6 @@ class Loader:
         if source in (None, NO_SCENE):
             return None
         return self.cache.get("scene", source, lambda: load_scene(source, on_message=self.on_message))
-
-    def _cut(self, objects: Sequence[UncutObject]) -> Sequence[Object]:
-        settings = Decomposition(threshold=self.spec.threshold)
-
-        def cut(uncut: Sequence[UncutObject]) -> Sequence[Object]:
-            return cut_objects(uncut, settings, seed=self.seed, progress=self.on_message)
-
-        if isinstance(self.cache, NoCache):
-            return cut(objects)
-
-        def one(uncut: UncutObject) -> Object:
-            return self.cache.get("object", (uncut, settings.threshold, self.seed), lambda: cut([uncut])[0])
-
-        return [one(uncut) for uncut in objects]
 
     def _read_file(self, path: Path) -> Reading:
         """Return the grasps of a file, or of a folder, of any format."""

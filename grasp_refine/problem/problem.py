@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion, closing_motion, motion_of
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets
 from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.object import Object
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene, links_of
 
 StageSource = Literal["auto", "file", "own"]
@@ -40,6 +43,15 @@ class Group:
     place: np.ndarray
     """Positions of the grasps (N,) among all requested ones."""
 
+    @property
+    def key(self) -> tuple[str, float]:
+        """Name and scale of the object in the grasp file."""
+        return self.object, float(self.grasps.scale[0]) if len(self.grasps) else self.scale
+
+    def on(self, obj: Object) -> Group:
+        """Return the grasps on another object."""
+        return replace(self, scene=replace(self.scene, object=obj))
+
     def motion(self, source: StageSource = "auto") -> Motion:
         """Return the motion that closes the hand to the grasps.
 
@@ -57,58 +69,15 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class UncutGroup:
-    """N grasps on one object at one scale, before the object is cut; the fields are those of `Group`."""
-
-    object: str
-    """Name of the object, as `Group.object`."""
-    scale: float
-    """Factor that takes the object's mesh to metres, as `Group.scale`."""
-    uncut: UncutObject
-    """The object."""
-    file_scale: float
-    """Scale of the grasps in their file."""
-    rows: np.ndarray
-    """Rows of the grasps in their file, as `Group.rows`; empty for grasps to be sampled."""
-    index: np.ndarray
-    """Numbers of the grasps, as `Group.index`."""
-    place: np.ndarray
-    """Positions of the grasps, as `Group.place`."""
-
-    @property
-    def key(self) -> tuple[str, float]:
-        """Name and scale of the object in the grasp file."""
-        return self.object, self.file_scale
-
-
-@dataclass(frozen=True, eq=False)
-class Draft:
-    """All requested grasps, when everything is read and checked and no object is decomposed yet."""
-
-    hand: Hand
-    """The hand, as `Problem.hand`."""
-    files: tuple[Path, ...]
-    """Input files, as `Problem.files`."""
-    names: tuple[str, ...]
-    """Name of each grasp's object, in the requested order; one name for grasps to be sampled."""
-    aimed: bool
-    """Whether links have targets."""
-    groups: tuple[UncutGroup, ...]
-    """The grasps, by object and scale."""
-    finish: Callable[[Sequence[Object]], Problem]
-    """Function that returns the problem, given the decomposed objects of the groups."""
-    sampled: str = ""
-    """Request of sampled grasps, as `Problem.sampled`."""
-    environment: Environment | None = None
-    """Bodies around the objects, as `Scene.environment`."""
-
-
-@dataclass(frozen=True, eq=False)
 class Problem:
-    """Problem of refinement or validation: all requested grasps."""
+    """Problem of refinement or validation: all requested grasps.
+
+    Until its objects are decomposed, grasps of a hand on an arm are those of the hand alone, and those to be sampled
+    are none.
+    """
 
     hand: Hand
-    """The hand, below the base link of the grasp file."""
+    """The hand, below the base link of the grasp file, on its arm where there is one."""
     files: tuple[Path, ...]
     """Grasp file, or the folder and its files, and the file of the targets if it is another; for sampled grasps, the
     file of the hand."""
@@ -125,6 +94,22 @@ class Problem:
         """Return the number of grasps."""
         return sum(len(group.rows) for group in self.groups)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each grasp's object, in the requested order."""
+        each = [name for group in self.groups for name in [group.object] * len(group.rows)]
+        return tuple(each[row] for row in self.order.tolist())
+
+    @property
+    def aimed(self) -> bool:
+        """Whether links have targets."""
+        return any(group.scene.target_link is not None for group in self.groups)
+
+    @property
+    def environment(self) -> Environment | None:
+        """Bodies around the objects; None: there are none."""
+        return next((group.scene.environment for group in self.groups), None)
+
     def closing(self, source: StageSource = "auto") -> dict[str, str]:
         """Return the source of pregrasps and squeezes of `Group.motion`: stage -> "file" or "own"."""
         grasps = self.groups[0].grasps
@@ -137,13 +122,45 @@ class Problem:
         return np.argsort(np.concatenate([group.place for group in self.groups]))
 
 
-def recorded_gaps(hand: Hand, grasps: GraspSet) -> np.ndarray | None:
-    """Return `contact_gap` of a scene of some grasps; None: no contact links are recorded."""
-    return None if grasps.contact_links is None else grasps.contact_links.on(links_of(hand))
+def scene_of(
+    hand: Hand,
+    obj: Object,
+    grasps: GraspSet,
+    q: Float[np.ndarray, "N n"],
+    *,
+    table: Plane | None = None,
+    environment: Environment | None = None,
+    regions: ContactRegions | None = None,
+) -> Scene:
+    """Return the scene of grasps of one object, with the targets and contact links of their file.
+
+    Args:
+        hand: The hand.
+        obj: The object.
+        grasps: The grasps.
+        q: Their joint values (N, n) in the order of `hand.joint_names`.
+        table: As `Scene.table`.
+        environment: As `Scene.environment`.
+        regions: As `Scene.regions`.
+
+    Raises:
+        GraspFileError: a link with targets is none of the hand.
+    """
+    return Scene(
+        hand,
+        obj,
+        transform_from_pose(grasps.hand_pose),
+        q,
+        *aim(hand, grasps.targets),
+        contact_gap=None if grasps.contact_links is None else grasps.contact_links.on(links_of(hand)),
+        table=table,
+        environment=environment,
+        regions=regions,
+    )
 
 
-def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return `target_link` and `target_object` of a scene with some rows of a grasp file; None each without targets.
+def aim(hand: Hand, targets: Targets | None) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return `target_link` and `target_object` of a scene of grasps with targets; None each without targets.
 
     Raises:
         GraspFileError: a link has no target column.
@@ -152,7 +169,7 @@ def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarr
         return None, None
     links = links_of(hand)
     columns = list(links)
-    points = np.full((2, len(rows), len(columns), 3), np.nan)
+    points = np.full((2, len(targets.point_link), len(columns), 3), np.nan)
     for k, link in enumerate(targets.links):
         if link not in columns:
             raise GraspFileError(
@@ -162,5 +179,5 @@ def aim(hand: Hand, targets: Targets | None, rows: np.ndarray) -> tuple[np.ndarr
         at = columns.index(link)
         # A link with several contact points has as many columns.
         columns[at] = ""
-        points[0, :, at], points[1, :, at] = targets.point_link[rows, k], targets.point_object[rows, k]
+        points[0, :, at], points[1, :, at] = targets.point_link[:, k], targets.point_object[:, k]
     return points[0], points[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.provenance import read_provenance
-from grasp_refine.objects.object import Object, UncutObject
+from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import VERBS, is_spec, resolve_spec
 from grasp_refine.problem.problem import Group
@@ -154,22 +154,19 @@ def pieces_digest(pieces: Sequence[Piece]) -> str:
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
-def check_objects(
-    files: Iterable[Path], present: Mapping[tuple[str, float], UncutObject | Object], *, other: bool
-) -> tuple[str, ...]:
+def check_objects(files: Iterable[Path], groups: Iterable[Group], *, other: bool) -> tuple[str, ...]:
     """Return notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
 
     Args:
         files: The grasp files; other files than results, and results without recorded objects, are skipped.
-        present: (name, scale) as in the files -> the present object; if it is not decomposed yet, pieces are not
-            compared.
+        groups: The grasps on the present objects; pieces of those that are not decomposed yet are not compared.
         other: Whether another object is accepted.
 
     Raises:
         GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
             that is not accepted.
     """
-    notes = []
+    notes, present = [], {group.key: group.scene.object for group in groups}
     for file in files:
         entries = read_provenance(file).get("objects")
         for entry in entries if isinstance(entries, list) else ():
@@ -203,8 +200,8 @@ def check_objects(
     return tuple(dict.fromkeys(notes))
 
 
-def _digests(obj: UncutObject | Object) -> dict[str, str]:
-    pieces = {"pieces": pieces_digest(obj.body.pieces)} if isinstance(obj, Object) and not obj.rough else {}
+def _digests(obj: Object) -> dict[str, str]:
+    pieces = {"pieces": pieces_digest(obj.body.pieces)} if obj.is_decomposed and not obj.rough else {}
     return {"mesh": surface_digest(obj.mesh), **pieces}
 
 

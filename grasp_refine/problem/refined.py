@@ -108,11 +108,12 @@ class RefinedGrasps:
         after, hand = self.after, self.problem.hand
         groups = []
         for group in self.problem.groups:
-            targets = aim(hand, after.targets, group.place)
             part = self.outcome.select(group.place)
             moved = replace(part.posed(group.scene), direction=None, contact_gap=part.contact_gap)
+            grasps = after.select(group.place)
+            targets = aim(hand, grasps.targets)
             scene = replace(moved, target_link=targets[0], target_object=targets[1])
-            groups.append(replace(group, scene=scene, grasps=after.select(group.place)))
+            groups.append(replace(group, scene=scene, grasps=grasps))
         return replace(self.problem, files=(), groups=tuple(groups))
 
     def table(self, *, verbose: bool = False) -> RenderableType:

@@ -14,14 +14,10 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.rows import choose_rows
-from grasp_refine.hands.hand import Hand
-from grasp_refine.objects.object import Object, UncutObject
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import check_object
-from grasp_refine.problem.problem import Group, Problem, UncutGroup
+from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
-from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.scene_check import surroundings_notes
 
@@ -51,57 +47,54 @@ def check_sampled(spec: ProblemSpec) -> int:
     return int(count)
 
 
-def sample_group(uncut: UncutObject, scale: float) -> UncutGroup:
-    """Return the group of grasps that are still to be sampled on an object; `scale` takes its mesh to metres."""
-    none = np.zeros(0, dtype=np.int64)
-    return UncutGroup(uncut.name, scale, uncut, scale, none, none, none)
-
-
-def sampled_problem(
-    spec: ProblemSpec,
-    hand: Hand,
-    obj: Object,
-    scale: float,
-    count: int,
+def with_samples(
+    problem: Problem,
+    index: tuple[int, ...],
     seed: int | tuple[int, ...],
     on_wait: Callable[[str], None],
-    environment: Environment | None = None,
     reaches: Callable[[GraspSet, Scene], Bool[np.ndarray, " N"]] | None = None,
 ) -> Problem:
-    """Return `count` new grasps of a hand on an object among bodies around it.
+    """Return a problem with the grasps that it asks for, sampled on its object among the bodies around that.
 
     Args:
-        spec: What is sampled.
-        hand: The hand alone.
-        obj: The object.
-        scale: Factor of its mesh.
-        count: Number of grasps.
+        problem: Request of grasps, with one group without any.
+        index: Numbers of those that are kept; none: all.
         seed: Seed of the first draw.
         on_wait: Called with a line on what takes time.
-        environment: Bodies around the object.
         reaches: Mask (N,) of grasps that an arm reaches, in a scene: others are replaced by those of further draws, up
             to `MAX_DRAWS` in all; where none is reached, they are those of the first draw. None: there is no arm.
     """
     from grasp_refine.sampling.sample import sample_grasps
 
-    table = spec.plane
+    (group,) = problem.groups
+    empty, count = group.scene, int(problem.sampled.removeprefix(SAMPLE))
+    hand, obj = empty.hand, empty.object
     began = time.perf_counter()
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
-    regions = regions_of(obj, spec.touch, spec.avoid, environment)
-    where = regions or ContactRegions()
+    where = empty.regions or ContactRegions()
 
     def draw(number: int) -> GraspSet:
         given = seed if number == 0 else (*(seed if isinstance(seed, tuple) else (seed, 0)), number)
         return sample_grasps(
-            hand, obj, count, seed=given, table=table, environment=environment, touch=where.touch, avoid=where.avoid
+            hand,
+            obj,
+            count,
+            seed=given,
+            table=empty.table,
+            environment=empty.environment,
+            touch=where.touch,
+            avoid=where.avoid,
         )
+
+    def posed(grasps: GraspSet) -> Scene:
+        return replace(empty, T_world_root=transform_from_pose(grasps.hand_pose), q=grasps.q)
 
     grasps = draw(0)
     drawn, lacking = len(grasps), f"of {count_text(count, 'grasp')} of '{hand.name}' on '{obj.name}'"
-    notes = [*hand.notes, *(f"{obj.name}: {note}" for note in obj.notes)]
+    notes = [f"{obj.name}: {note}" for note in obj.notes]
     found = len(grasps)
     if reaches is not None:
-        scene = Scene(hand, obj, transform_from_pose(grasps.hand_pose), grasps.q, table=table, environment=environment)
+        scene = posed(grasps)
         reached = [grasps.select(np.flatnonzero(reaches(grasps, scene)))]
         while (got := sum(map(len, reached))) < count and len(reached) < (MAX_DRAWS if got else MAX_VAIN_DRAWS):
             more = draw(len(reached))
@@ -116,11 +109,9 @@ def sampled_problem(
         notes.append(f"the first {found} of them within reach of the arm are taken")
     if found < count:
         notes.append(f"found only {found} {lacking}")
-    grasps = replace(grasps, scale=np.full(len(grasps), spec.metres(scale)))
-    rows = choose_rows(grasps.object, object_name=None, index=spec.index or None)
-    grasps = grasps.select(rows)
-    T = transform_from_pose(grasps.hand_pose)
-    scene = Scene(hand, obj, T, grasps.q, table=table, environment=environment, regions=regions)
+    rows = choose_rows(grasps.object, object_name=None, index=index or None)
+    grasps = replace(grasps, scale=np.full(len(grasps), group.scale)).select(rows)
+    scene = posed(grasps)
+    group = replace(group, scene=scene, grasps=grasps, rows=rows, index=rows, place=np.arange(len(rows)))
     notes += surroundings_notes([scene])
-    group = Group(obj.name, spec.metres(scale), scene, grasps, rows, rows, np.arange(len(rows)))
-    return Problem(hand, (hand.urdf,), (group,), tuple(dict.fromkeys(notes)), f"{SAMPLE}{count}")
+    return replace(problem, groups=(group,), notes=tuple(dict.fromkeys((*problem.notes, *notes))))

@@ -14,7 +14,7 @@ from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.geometry.units import PLAUSIBLE_DIAGONALS_M, size_text
 from grasp_refine.hands.chain import Chain
-from grasp_refine.objects.object import Object, read_object
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.environment import Environment, swept
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
@@ -145,7 +145,7 @@ def _check_own(obj: Object, environment: Environment) -> None:
     if environment.object is None:
         return
     # Bounds do not depend on the treatment of holes.
-    own = read_object(environment.object, scale=environment.scale, unit="m", holes="hull")
+    own = load_object(environment.object, scale=environment.scale, unit="m", holes="hull")
     share = float(np.linalg.norm(own.mesh.extents)) * OTHER_SHARE
     if np.abs(own.mesh.bounds - obj.mesh.bounds).max() > share:
         raise GraspRefineError(

@@ -19,7 +19,7 @@ from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule
 from grasp_refine.geometry.shapes import EMBEDDED
 from grasp_refine.geometry.units import UNITS
-from grasp_refine.objects.object import UncutObject, cut_objects, read_object
+from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.region_spec import VERBS, check_spec, resolve_spec
 from grasp_refine.scene.environment import DEFAULT_MARGIN_M, LIFT_M, Environment, EnvironmentBody
 from grasp_refine.scene.furniture import FURNITURE
@@ -78,15 +78,15 @@ def load_scene(
     margin = _length(raw.get("margin", DEFAULT_MARGIN_M), f"{where}margin", least=0.0)
     lift = _length(raw.get("lift", LIFT_M), f"{where}lift", least=0.0)
     obj, scale = _grasped_object(raw, path)
-    drafts = [_Draft.furniture(kind, one, w, margin) for kind in FURNITURE for one, w in _tables(raw, kind, where)]
-    drafts += [_Draft.body(one, path.parent, w, margin) for one, w in _tables(raw, "body", where)]
-    if len(drafts) > MAX_BODIES:
-        raise GraspRefineError(f"{where}has {len(drafts)} bodies, of at most {MAX_BODIES}")
-    uncut = {draft.key: draft.uncut for draft in drafts if draft.uncut is not None}
-    cut = cut_objects(list(uncut.values()), cache=cache, progress=on_message)
-    found = dict(zip(uncut, (one.body for one in cut), strict=True))
+    entries = [_Entry.furniture(kind, one, w, margin) for kind in FURNITURE for one, w in _tables(raw, kind, where)]
+    loaded: dict[tuple[str, float], Object] = {}
+    for one, w in _tables(raw, "body", where):
+        entries.append(_Entry.body(one, path.parent, w, margin, loaded, cache))
+    if len(entries) > MAX_BODIES:
+        raise GraspRefineError(f"{where}has {len(entries)} bodies, of at most {MAX_BODIES}")
+    prepare(loaded.values(), progress=on_message)
     taken: set[str] = set()
-    bodies = tuple(draft.finish(found, taken, where) for draft in drafts)
+    bodies = tuple(entry.made(taken, where) for entry in entries)
     try:
         pose, regions = _pose(raw["object"], f"{where}[object] "), _regions(raw["object"], path)
         return Environment(bodies, pose, name, lift, obj, scale, source, **regions)
@@ -165,21 +165,18 @@ def scene_path(source: str | Path) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class _Draft:
-    """A body whose mesh is not cut yet."""
+class _Entry:
+    """Entry of a body."""
 
     name: str
-    key: tuple[str, float]
-    """Source and scale, by which equal bodies are cut once."""
-    uncut: UncutObject | None
-    pieces: tuple[Piece, ...]
-    """Pieces of shapes; empty: those of `uncut`."""
+    solid: Object | tuple[Piece, ...]
+    """Object, or pieces of shapes."""
     raw: Mapping[str, Any]
     where: str
     margin: float
 
     @staticmethod
-    def furniture(kind: str, raw: Mapping[str, Any], where: str, margin: float) -> _Draft:
+    def furniture(kind: str, raw: Mapping[str, Any], where: str, margin: float) -> _Entry:
         """Return a body that is made of boxes."""
         made = FURNITURE[kind]
         _check_keys(raw, (*made.sizes, *COMMON_KEYS), where)
@@ -190,11 +187,18 @@ class _Draft:
                 sizes[key] = _lengths(value, len(default), f"{where}{key}")
             else:
                 sizes[key] = _length(value, f"{where}{key}")
-        return _Draft(raw.get("name", kind), ("", 0.0), None, made.pieces(sizes), raw, where, margin)
+        return _Entry(raw.get("name", kind), made.pieces(sizes), raw, where, margin)
 
     @staticmethod
-    def body(raw: Mapping[str, Any], folder: Path, where: str, margin: float) -> _Draft:
-        """Return a body of a shape, an object or files."""
+    def body(
+        raw: Mapping[str, Any],
+        folder: Path,
+        where: str,
+        margin: float,
+        loaded: dict[tuple[str, float], Object],
+        cache: str | Path | None,
+    ) -> _Entry:
+        """Return a body of a shape, an object or files; objects are `loaded` once, by source and scale."""
         _check_keys(raw, BODY_KEYS, where)
         kinds = [key for key in SOURCES if key in raw]
         if len(kinds) != 1:
@@ -206,15 +210,17 @@ class _Draft:
                 raise GraspRefineError(f"{where}{kind} has lengths in metres; scale and unit are for files and objects")
             value = raw[kind]
             lengths = _lengths([value] if kind == "sphere" else value, SHAPES[kind], f"{where}{kind}")
-            return _Draft(raw.get("name", kind), ("", 0.0), None, _shape(kind, lengths), raw, where, margin)
+            return _Entry(raw.get("name", kind), _shape(kind, lengths), raw, where, margin)
         source, scale = _source(raw[kind], folder, f"{where}{kind}"), _factor(raw, where)
         try:
-            uncut = read_object(source, scale=scale, unit="m")
+            if (source, scale) not in loaded:
+                loaded[source, scale] = load_object(source, scale=scale, unit="m", cache=cache)
         except GraspRefineError as error:
             raise GraspRefineError(f"{where}{kind}: {error}") from None
-        return _Draft(raw.get("name", uncut.name), (source, scale), uncut, (), raw, where, margin)
+        obj = loaded[source, scale]
+        return _Entry(raw.get("name", obj.name), obj, raw, where, margin)
 
-    def finish(self, cut: Mapping[tuple[str, float], Body], taken: set[str], file: str) -> EnvironmentBody:
+    def made(self, taken: set[str], file: str) -> EnvironmentBody:
         """Return the body, with a number after a name that was not given and is `taken`."""
         raw, where = self.raw, self.where
         name = _text(self.name, f"{where}name")
@@ -226,7 +232,8 @@ class _Draft:
         movable = raw.get("movable", False)
         if not isinstance(movable, bool):
             raise GraspRefineError(f"{where}movable must be true or false, got {quote_value(movable)}")
-        body = cut[self.key] if self.uncut is not None else build_body(name, self.pieces, candidates=64)
+        solid = self.solid
+        body = solid.body if isinstance(solid, Object) else build_body(name, solid, candidates=64)
         margin = _length(raw.get("margin", self.margin), f"{where}margin", least=0.0)
         try:
             return EnvironmentBody(name, body, _pose(raw, where), margin, movable, self._mass(body))

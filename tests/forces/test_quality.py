@@ -280,7 +280,7 @@ def test_torques_are_about_the_centre_of_mass(tmp_path: Path) -> None:
     shift = np.array([0.5, -1.0, 2.0])
     mesh = obj.mesh.copy()
     mesh.apply_translation(shift)
-    away = Object("away", mesh, obj.body, True, ())
+    away = replace(obj, name="away", mesh=mesh).with_body(obj.body)
     moved = Witness(
         witness.point_a + shift, witness.point_b + shift, witness.normal, witness.distance, witness.status,
         witness.winner, witness.num_queries,

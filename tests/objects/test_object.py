@@ -65,7 +65,8 @@ def test_the_scale_takes_everything_along(cube: Path, cache: Path):
 
 def test_a_convex_mesh_is_its_hull_and_needs_no_decomposition(cube: Path, cache: Path):
     lines: list[str] = []
-    thing = load_object(cube, scale=0.03, candidates=64, cache=cache, progress=lines.append)
+    thing = load_object(cube, scale=0.03, candidates=64, cache=cache)
+    object.prepare([thing], progress=lines.append)
     assert thing.name == "cube"
     assert thing.convex
     assert len(thing.body.pieces) == 1
@@ -116,24 +117,27 @@ def test_a_mesh_in_memory_is_checked_as_a_file(source, named: tuple[str, ...]):
 
 def test_a_concave_mesh_is_decomposed_once_for_all_scales(corner: Path, cache: Path):
     lines: list[str] = []
-    first = load_object(corner, candidates=64, cache=cache, progress=lines.append)
+    first = load_object(corner, candidates=64, cache=cache)
+    object.prepare([first], progress=lines.append)
     assert not first.convex
     assert len(first.body.pieces) == 2
     assert len(lines) == 2 and "corner" in lines[0]
-    again = load_object(corner, candidates=64, cache=cache, progress=lines.append)
+    again = load_object(corner, candidates=64, cache=cache)
+    object.prepare([again], progress=lines.append)
     assert len(lines) == 2
     for one, other in zip(first.body.pieces, again.body.pieces, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
-    small = load_object(corner, scale=0.02, candidates=64, cache=cache, progress=lines.append)
+    small = load_object(corner, scale=0.02, candidates=64, cache=cache)
+    object.prepare([small], progress=lines.append)
     assert len(lines) == 2
     np.testing.assert_allclose(small.body.diagonal, 0.02 * first.body.diagonal)
 
 
 def test_the_users_cache_is_used_unless_another_is_named(corner: Path, tmp_path: Path, monkeypatch):
     monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "user"))
-    load_object(corner, candidates=64, cache=None)
+    object.prepare([load_object(corner, candidates=64, cache=None)])
     assert not (tmp_path / "user").exists()
-    load_object(corner, candidates=64)
+    object.prepare([load_object(corner, candidates=64)])
     assert len(list((tmp_path / "user" / "pieces").iterdir())) == 1
 
 
@@ -204,7 +208,7 @@ def test_a_cavity_is_no_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     cavity = trimesh.creation.box(extents=(1, 1, 1))
     cavity.invert()
     trimesh.util.concatenate([shell, cavity]).export(tmp_path / "hollow.obj")
-    load_object(tmp_path / "hollow.obj", candidates=64, cache=None)
+    object.prepare([load_object(tmp_path / "hollow.obj", candidates=64, cache=None)])
     assert [len(vertices) for vertices in cut] == [16]
 
 
@@ -327,7 +331,8 @@ def dexgraspnet(tmp_path: Path) -> Path:
 def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.FixtureRequest, cache: Path):
     folder = request.getfixturevalue(layout)
     lines: list[str] = []
-    thing = load_object(folder, candidates=64, cache=cache, progress=lines.append)
+    thing = load_object(folder, candidates=64, cache=cache)
+    object.prepare([thing], progress=lines.append)
     assert thing.name == folder.name
     assert corners(thing.body.pieces) == [[list(map(float, corner)) for corner in box] for box in (ARM, LEG)]
     assert not thing.convex and thing.notes == ()

@@ -18,9 +18,8 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.grasps.provenance import read_provenance
-from grasp_refine.objects.object import Object, load_object
+from grasp_refine.objects.object import load_object
 from grasp_refine.problem.load import load_problem
-from grasp_refine.problem.problem import Group
 from grasp_refine.problem.recorded_objects import check_objects, object_entries, pieces_digest, surface_digest
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.cli import main
@@ -113,16 +112,12 @@ def test_a_mesh_that_was_exported_anew_is_taken_with_a_note(result: Path):
         load_problem(ProblemSpec(object="shifted.obj", scale=1e3, grasps=result))
 
 
-def present(*groups: Group) -> dict[tuple[str, float], Object]:
-    return {(group.object, float(group.grasps.scale[0])): group.scene.object for group in groups}
-
-
 def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
     (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
     coarse = load_problem(ProblemSpec(hand="allegro", index=(0,), threshold=0.5)).groups
     save_npz(tmp_path / "r.npz", {"provenance": np.array(json.dumps({"objects": _plain(object_entries([group]))}))})
-    assert not check_objects([tmp_path / "r.npz"], present(group), other=False)
-    (note,) = check_objects([tmp_path / "r.npz"], present(*coarse), other=False)
+    assert not check_objects([tmp_path / "r.npz"], [group], other=False)
+    (note,) = check_objects([tmp_path / "r.npz"], coarse, other=False)
     assert "pieces" in note and "mug" in note
 
 
@@ -164,4 +159,4 @@ def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.C
 def test_results_without_hashes_are_read_as_before(tmp_path: Path, objects: object):
     (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
     save_npz(tmp_path / "old.npz", {"provenance": np.array(json.dumps({"objects": objects}))})
-    assert check_objects([tmp_path / "old.npz", tmp_path / "foreign.npy"], present(group), other=False) == ()
+    assert check_objects([tmp_path / "old.npz", tmp_path / "foreign.npy"], [group], other=False) == ()

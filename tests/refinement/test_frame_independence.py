@@ -13,7 +13,6 @@ from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces, squeezed
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.sampling import Candidates
-from grasp_refine.objects.object import Object
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
@@ -30,7 +29,7 @@ def moved(scene: Scene) -> Scene:
     points = old.body.candidates
     samples = Candidates(transform_points(T, points.points), points.normals @ R.T, points.areas)
     body = Body(old.body.name, tuple(piece.transformed(T) for piece in old.body.pieces), samples)
-    obj = Object(old.name, old.mesh.copy().apply_transform(T), body, old.convex, old.notes)
+    obj = replace(old, mesh=old.mesh.copy().apply_transform(T)).with_body(body)
     return replace(scene, object=obj, T_world_root=T @ scene.T_world_root)
 
 

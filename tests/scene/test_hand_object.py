@@ -1,6 +1,5 @@
 """What is known of a hand and an object: bounding boxes along any axes."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ def test_boxes_hold_the_object_and_touch_it(tmp_path: Path, name: str) -> None:
     obj = objects()["box"]
     if name == "round":
         pieces = [capsule(0.01, [0, 0, 0.1], [0, 0.1, 0.1]), sphere(0.02, [0.3, 0, 0])]
-        obj = replace(obj, body=build_body("round", pieces, candidates=64))
+        obj = obj.with_body(build_body("round", pieces, candidates=64))
     prepared = HandObject(claw(tmp_path), obj)
     axes = np.concatenate([np.eye(3)[None], exp_so3(np.random.default_rng(0).normal(size=(600, 3)))])
     low, high = prepared.boxes(axes)

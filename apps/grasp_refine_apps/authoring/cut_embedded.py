@@ -12,7 +12,7 @@ from pathlib import Path
 from grasp_refine.geometry.cache import save
 from grasp_refine.geometry.pieces import SHIPPED, unit_pieces
 from grasp_refine.geometry.shapes import EMBEDDED
-from grasp_refine.objects.object import read_object
+from grasp_refine.objects.object import load_object
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -20,8 +20,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=SHIPPED, help=f"folder to write to [{SHIPPED}]")
     out = parser.parse_args(arguments).out
-    concave = [uncut for uncut in map(read_object, EMBEDDED) if not uncut.convex]
-    made = dict(unit_pieces(uncut.mesh, name=uncut.name) for uncut in concave)
+    concave = [obj for obj in map(load_object, EMBEDDED) if not obj.convex]
+    made = dict(unit_pieces(obj.mesh, name=obj.name) for obj in concave)
     for path in out.glob("*.npz"):
         path.unlink()
     for entry, pieces in made.items():

@@ -168,7 +168,7 @@ def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -
     heartbeat("loading", 0.0)
     if task.sampled is not None:
         count, draw = task.sampled
-        return loader.cut(loader.draft_sampled(count, draw))
+        return loader.prepare(loader.to_sample(count), draw=draw)
     path = loader.grasp_path()
     read = loader.read(path)
     planned = (task.source["sha256"], *task.hand, task.object, task.object_digest)
@@ -177,7 +177,7 @@ def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -
     # Targets were read with the file.
     targets = NEAREST if inputs.targets == NEAREST else AUTO
     aimed = replace(loader, spec=replace(inputs, object_name=task.object, targets=targets))
-    return aimed.cut(aimed.draft_read(some, path))
+    return aimed.prepare(aimed.of_grasps(some, path))
 
 
 def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -> dict[int, Failed]:

@@ -15,7 +15,7 @@ from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable
 from grasp_refine.grasps.formats.folders import UNUSUAL, disambiguate
-from grasp_refine.problem.problem import Draft, Group, UncutGroup
+from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.replay.export import export_xml
@@ -42,14 +42,14 @@ class Recording:
     """Write a short film (.gif) beside each replay, which takes some ten seconds."""
 
     def check(
-        self, protocol: Protocol | None, files: Sequence[Path], drafts: Sequence[Draft], *, overwrite: bool
+        self, protocol: Protocol | None, files: Sequence[Path], problems: Sequence[Problem], *, overwrite: bool
     ) -> None:
         """Refuse recordings that cannot be made.
 
         Args:
             protocol: Protocol of the simulation; None: grasps are not simulated.
             files: Grasp files.
-            drafts: Grasps of each file.
+            problems: Grasps of each file.
             overwrite: Whether existing files may be replaced.
 
         Raises:
@@ -64,17 +64,17 @@ class Recording:
         names = protocol.directions or LIFT
         if self.direction is not None and self.direction not in names:
             raise GraspRefineError(f"--direction {self.direction}: there are {', '.join(names)}")
-        count = sum(len(draft.names) for draft in drafts)
+        count = sum(map(len, problems))
         if count > MAX_RECORDED:
             raise GraspRefineError(
                 f"--replays records at most {MAX_RECORDED} grasps, here are {count}: choose with --index"
             )
         # The worst direction is known only after the simulation.
         directions = names if self.direction is None else (self.direction,)
-        for folder, draft in zip(self.folders(files), drafts, strict=True):
-            for group, direction in product(draft.groups, directions):
+        for folder, problem in zip(self.folders(files), problems, strict=True):
+            for group, direction in product(problem.groups, directions):
                 for number in group.index:
-                    path = _path(folder, draft.hand.name, group, number, direction)
+                    path = _path(folder, problem.hand.name, group, number, direction)
                     suffixes = (".npz", ".xml", *([".gif"] if self.film else []))
                     written = (path.with_suffix(suffix) for suffix in suffixes)
                     check_writable(*written, overwrite=overwrite, inside=self.replays)
@@ -134,7 +134,7 @@ class Recording:
         return message
 
 
-def _path(folder: Path, hand: str, group: Group | UncutGroup, number: int, direction: str) -> Path:
+def _path(folder: Path, hand: str, group: Group, number: int, direction: str) -> Path:
     """Path of the replay of a grasp; those of one call differ in grasp, object, size or folder."""
     # An object in another size counts as another object.
     name = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"

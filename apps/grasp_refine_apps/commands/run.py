@@ -19,7 +19,7 @@ from grasp_refine.motion.way import WayOptions
 from grasp_refine.motion.way_files import check_way_file
 from grasp_refine.objects.region_spec import is_of_file
 from grasp_refine.problem.load import Loader
-from grasp_refine.problem.problem import Draft, Problem, UncutGroup
+from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.problem.refine import refine_problem
 from grasp_refine.problem.refined import RefinedGrasps
@@ -111,17 +111,17 @@ class Run:
             way = self._way_options()
             check_writable(self.output.json, self.output.way, overwrite=self.output.overwrite, inside=self.output.out)
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
-            draft = loader.draft()
+            problem = loader.problem()
             if protocol is not None:
-                protocol = protocol.for_contacts(draft.hand.patches)
+                protocol = protocol.for_contacts(problem.hand.patches)
                 described["protocol"] = settings(protocol)
-            self._check_applicable(draft, config)
-            stamps = self._stamps(draft, described["refine"])
-            paths = self._paths(draft, stamps, protocol)
-            problem = loader.cut(draft)
+            self._check_applicable(problem, config)
+            stamps = self._stamps(problem, described["refine"])
+            paths = self._paths(problem, stamps, protocol)
+            problem = loader.prepare(problem)
             for note in problem.notes:
                 reporter.note(note)
-            held = config.holds and not _aimed(draft, config)
+            held = config.holds and not _aimed(problem, config)
             most = most_iterations(config) if held else config.solver.iterations
             reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
             objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
@@ -210,60 +210,60 @@ class Run:
         # Any free port, so that this does not fail at the end.
         return View(inputs=inputs, settings=self.settings, serving=Serving(port=0)).execute()
 
-    def _check_applicable(self, draft: Draft, config: Config) -> None:
+    def _check_applicable(self, problem: Problem, config: Config) -> None:
         """Refuse options that have no effect for these grasps.
 
         Raises:
             GraspRefineError: names them.
         """
         touching = config.contact_selection
-        touching.named(draft.hand, links_of(draft.hand))
-        if touching != ContactSelection() and draft.aimed:
+        touching.named(problem.hand, links_of(problem.hand))
+        if touching != ContactSelection() and problem.aimed:
             raise GraspRefineError(
                 "--contacts, --reach and --other-link-distance are for grasps without targets: the targets choose the "
                 "contact links"
             )
-        if _aimed(draft, config):
+        if _aimed(problem, config):
             self.settings.check_aimed()
 
-    def _stamps(self, draft: Draft, refine: Any) -> dict[str, str]:
+    def _stamps(self, problem: Problem, refine: Any) -> dict[str, str]:
         """Object name -> hash of everything that its refined grasps depend on, apart from the simulation."""
         digests = Digests()
-        _, hand = digests.hand(self.inputs.hand or draft.hand.name, self.inputs, lambda line: None)
-        source = draft.sampled or digests.file(draft.files[0])["sha256"]
-        around = draft.environment
+        _, hand = digests.hand(self.inputs.hand or problem.hand.name, self.inputs, lambda line: None)
+        source = problem.sampled or digests.file(problem.files[0])["sha256"]
+        around = problem.environment
         regions = (*self.inputs.touch, *self.inputs.avoid, *(() if around is None else (*around.touch, *around.avoid)))
         # Colours and the order of faces are no part of a surface.
         reads_faces = any(map(is_of_file, regions))
 
-        def stamp(groups: Iterable[UncutGroup]) -> str:
+        def stamp(groups: Iterable[Group]) -> str:
             return digests.stamp(
                 self.inputs,
                 refine=refine,
                 engine=chosen("auto"),
                 source=source,
                 hand=hand,
-                objects=[(group.key, surface_digest(group.uncut.mesh)) for group in groups],
-                pieces=[pieces_digest(group.uncut.pieces) for group in groups],
+                objects=[(group.key, surface_digest(group.scene.object.mesh)) for group in groups],
+                pieces=[pieces_digest(group.scene.object.given) for group in groups],
                 rows=[group.rows for group in groups],
                 **({} if around is None else {"scene": around.digest}),
-                **({"files": [_file_digest(group.uncut.file, digests) for group in groups]} if reads_faces else {}),
+                **({"files": [_file_digest(group, digests) for group in groups]} if reads_faces else {}),
             )
 
-        names = dict.fromkeys(group.object for group in draft.groups)
-        return {name: stamp([group for group in draft.groups if group.object == name]) for name in names}
+        names = dict.fromkeys(group.object for group in problem.groups)
+        return {name: stamp([group for group in problem.groups if group.object == name]) for name in names}
 
-    def _paths(self, draft: Draft, stamps: Mapping[str, str], protocol: Protocol | None) -> dict[str, Path]:
+    def _paths(self, problem: Problem, stamps: Mapping[str, str], protocol: Protocol | None) -> dict[str, Path]:
         """Object name -> result file, which may overwrite no input, and only the same result.
 
         Raises:
             GraspRefineError: names the file.
         """
         out = self.output
-        paths = result_paths(out.out, draft.hand.name, tuple(stamps))
+        paths = result_paths(out.out, problem.hand.name, tuple(stamps))
         for path in filter(None, (*paths.values(), out.json, out.way)):
             check_no_input(
-                path, draft.files, "the results would overwrite an input; give another --out, --json or --way"
+                path, problem.files, "the results would overwrite an input; give another --out, --json or --way"
             )
         for name, path in paths.items():
             again = is_same_refinement(path, stamps[name], settings(protocol))
@@ -286,8 +286,9 @@ def _joint_values(text: str) -> tuple[float, ...]:
         ) from None
 
 
-def _file_digest(file: tuple[Path, float] | None, digests: Digests) -> str:
-    """Return the hash of the file of a mesh; empty: it is of none."""
+def _file_digest(group: Group, digests: Digests) -> str:
+    """Return the hash of the file of an object's mesh; empty: it is of none."""
+    file = group.scene.object.file
     return "" if file is None else str(digests.file(file[0])["sha256"])
 
 
@@ -297,6 +298,6 @@ def _floats(problem: Problem) -> bool:
     return any(scene.table is None and scene.environment is None for scene in scenes)
 
 
-def _aimed(draft: Draft, config: Config) -> bool:
+def _aimed(problem: Problem, config: Config) -> bool:
     """Return True if links have targets."""
-    return config.nearest or draft.aimed
+    return config.nearest or problem.aimed

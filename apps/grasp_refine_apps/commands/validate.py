@@ -18,7 +18,7 @@ from grasp_refine.core.json_files import check_no_input, check_writable, save_js
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.problem.load import Loader
-from grasp_refine.problem.problem import Draft, Group, Problem
+from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
@@ -96,15 +96,15 @@ class Validate:
         self._check(protocol, files)
         with Reporter(screen(stderr=True)) as reporter:
             loaders = [Loader(self.sources.of(path), self.robustness.seed, reporter.say) for path in files]
-            drafts = [loader.draft() for loader in loaders]
+            problems = [loader.problem() for loader in loaders]
             if self.output.compare is not None:
-                _check_comparable(*drafts)
-            self.recording.check(protocol, files, drafts, overwrite=self.output.overwrite)
-            if protocol is not None and any(draft.environment is not None for draft in drafts):
+                _check_comparable(*problems)
+            self.recording.check(protocol, files, problems, overwrite=self.output.overwrite)
+            if protocol is not None and any(problem.environment is not None for problem in problems):
                 protocol = self.simulation.chosen_protocol(in_scene=True)
-            if protocol is not None and len(kinds := {draft.hand.patches for draft in drafts}) == 1:
+            if protocol is not None and len(kinds := {problem.hand.patches for problem in problems}) == 1:
                 protocol = protocol.for_contacts(kinds.pop())
-            problems = [loader.cut(draft) for loader, draft in zip(loaders, drafts, strict=True)]
+            problems = [loader.prepare(problem) for loader, problem in zip(loaders, problems, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.note(note)
             examined = [self._examine(problem, protocol, reporter) for problem in problems]
@@ -326,7 +326,7 @@ def _measured(files: Sequence[Path], examined: Sequence[_Examined]) -> list[Meas
     ]
 
 
-def _check_comparable(before: Draft, after: Draft) -> None:
+def _check_comparable(before: Problem, after: Problem) -> None:
     """Refuse two files that evidently hold different grasps.
 
     Raises:

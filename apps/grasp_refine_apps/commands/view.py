@@ -11,7 +11,6 @@ import time
 import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -175,15 +174,11 @@ class View:
 
         # A suspected convention is seen best.
         inputs = replace(inputs, as_is=True)
-        loader, quiet = Loader(inputs, self.settings.seed, say, wait), Loader(inputs, self.settings.seed)
-        draft = loader.draft()
-        first = next((at for at, group in enumerate(draft.groups) if 0 in group.place), 0) if shown else None
-        uncut = {
-            at: partial(quiet.cut_object, group.uncut)
-            for at, group in enumerate(draft.groups)
-            if at != first and group.uncut.takes_long
-        }
-        return Collection.of(loader.cut(draft, uncut), uncut=uncut)
+        loader = Loader(inputs, self.settings.seed, say, wait)
+        problem = loader.problem()
+        first = next((at for at, group in enumerate(problem.groups) if 0 in group.place), 0) if shown else None
+        rough = [at for at, group in enumerate(problem.groups) if at != first and group.scene.object.takes_long]
+        return Collection.of(loader.prepare(problem, rough=rough))
 
     def _replay_controller(self, path: Path, reporter: Reporter) -> Controller:
         """Load the grasp of a replay, with its motion."""
@@ -197,7 +192,7 @@ class View:
         loader = Loader(self.inputs, self.settings.seed, reporter.say)
         hand = loader.load_hand(self.inputs.hand or replay.hand, None)
         motion = shown_motion(hand, model_of(hand), replay)
-        problem = loader.cut(loader.draft_read(_grasp_of(motion, hand), path))
+        problem = loader.prepare(loader.of_grasps(_grasp_of(motion, hand), path))
         # The grasp keeps the number that it had where it was simulated.
         number = re.search(r" (\d+)$", replay.name)
         if number is not None:

@@ -10,7 +10,7 @@ import pytest
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.load import Loader, load_problem
-from grasp_refine.problem.problem import Draft, Group
+from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
@@ -39,10 +39,10 @@ def group() -> Group:
 
 
 @pytest.fixture(scope="module")
-def drafts(group: Group) -> list[Draft]:
-    draft = Loader(ProblemSpec(index=(2, 3), grasps=EXAMPLE)).draft()
-    groups = tuple(replace(group, object="ball") for group in draft.groups)
-    return [replace(draft, hand=replace(draft.hand, name="gripper"), groups=groups)]
+def problems(group: Group) -> list[Problem]:
+    problem = Loader(ProblemSpec(index=(2, 3), grasps=EXAMPLE)).problem()
+    groups = tuple(replace(group, object="ball") for group in problem.groups)
+    return [replace(problem, hand=replace(problem.hand, name="gripper"), groups=groups)]
 
 
 def recorded(recording: Recording, group: Group, world: World, folder: Path) -> list[str]:
@@ -125,33 +125,33 @@ def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path:
     assert names(tmp_path) and not [name for name in names(tmp_path) if "_2_" in name]
 
 
-def test_a_place_that_cannot_be_written_is_found_out_before_the_work(drafts: list[Draft], tmp_path: Path) -> None:
-    Recording(tmp_path / "new" / "folder").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
+def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
+    Recording(tmp_path / "new" / "folder").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
     assert not names(tmp_path)
     (tmp_path / "file").write_text("")
     for folder in (Path("/proc/x"), tmp_path / "file", tmp_path / ("x" * 300)):
         with refused(GraspRefineError, folder):
-            Recording(folder).check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
+            Recording(folder).check(DEXGRASPBENCH, FILES, problems, overwrite=False)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".xml", ".gif"])
-def test_replays_that_exist_are_kept(drafts: list[Draft], tmp_path: Path, suffix: str) -> None:
+def test_replays_that_exist_are_kept(problems: list[Problem], tmp_path: Path, suffix: str) -> None:
     there = tmp_path / f"gripper_ball_3_-y{suffix}"
     there.write_text("kept")
     for direction in ("-y", None):
         recording = Recording(tmp_path, direction=direction, film=suffix == ".gif")
         with refused(GraspRefineError, there, "`overwrite`"):
-            recording.check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
-        replace(recording, film=False).check(DEXGRASPBENCH, FILES, drafts, overwrite=True)
-    Recording(tmp_path, direction="+y").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
+            recording.check(DEXGRASPBENCH, FILES, problems, overwrite=False)
+        replace(recording, film=False).check(DEXGRASPBENCH, FILES, problems, overwrite=True)
+    Recording(tmp_path, direction="+y").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
 
 
-def test_only_directions_that_there_are_can_be_recorded(drafts: list[Draft]) -> None:
-    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, drafts, overwrite=False)
+def test_only_directions_that_there_are_can_be_recorded(problems: list[Problem]) -> None:
+    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, problems, overwrite=False)
     with refused(GraspRefineError, "--direction +x", "lift"):
-        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, drafts, overwrite=False)
+        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, problems, overwrite=False)
     with refused(GraspRefineError, "--direction lift", "+x, -x, +y, -y, +z, -z"):
-        Recording(Path("replays"), direction="lift").check(DEXGRASPBENCH, FILES, drafts, overwrite=False)
+        Recording(Path("replays"), direction="lift").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:

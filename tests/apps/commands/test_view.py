@@ -20,10 +20,10 @@ import trimesh
 from command_line import PROGRAM, interruptible, subprocess_environment
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.interruption import INTERRUPTED
+from grasp_refine.geometry.pieces import Cut, cut_meshes
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.objects.object import Object, UncutObject, cut_objects
-from grasp_refine.problem import load
+from grasp_refine.objects import object as object_module
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine_apps.cli import main
@@ -199,11 +199,11 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
     """All objects were cut before anything was shown: 15 minutes for 14."""
     done: list[str] = []
 
-    def cut_and_note(objects: Sequence[UncutObject], *given: Any, **options: Any) -> list[Object]:
-        done.extend(uncut.name for uncut in objects)
-        return cut_objects(objects, *given, **options)
+    def cut_and_note(meshes: Sequence[tuple[str, Any]], *given: Any, **options: Any) -> list[Cut]:
+        done.extend(name for name, _ in meshes)
+        return cut_meshes(meshes, *given, **options)
 
-    monkeypatch.setattr(load, "cut_objects", cut_and_note)
+    monkeypatch.setattr(object_module, "cut_meshes", cut_and_note)
     viewer = View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
     try:
         assert done == ["one"] and len(viewer.state.collection) == 4
@@ -233,7 +233,7 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
 
 
 def test_units_of_all_objects_are_checked_before_any_is_cut(several: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load, "cut_objects", None)
+    monkeypatch.setattr(object_module, "cut_meshes", None)
     trimesh.load(several / "meshes" / "three.stl").apply_scale(1000.0).export(several / "meshes" / "three.stl")
     with refused(GraspRefineError, "three", "`unit="):
         View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()

@@ -179,7 +179,7 @@ def test_a_limit_held_and_the_next_step_did_not(worlds: Worlds) -> None:
 def test_a_thicker_object_is_pressed_as_one_of_larger_pieces(make: Callable[[], Object], by: float) -> None:
     obj, motion = make(), around(4.0)
     pieces = tuple(replace(piece, radius=piece.radius + by) for piece in obj.body.pieces)
-    exact = build_world(gripper(), replace(obj, body=replace(obj.body, pieces=pieces)), DEXGRASPBENCH)
+    exact = build_world(gripper(), obj.with_body(replace(obj.body, pieces=pieces)), DEXGRASPBENCH)
     world = build_world(gripper(), obj, DEXGRASPBENCH)
     if make is two_balls:
         motion.q[0, 1:] -= 2 * (RADIUS - 0.02)

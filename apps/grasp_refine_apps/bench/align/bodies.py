@@ -15,7 +15,7 @@ from grasp_refine.geometry.mesh import SUFFIXES, load_mesh
 from grasp_refine.geometry.pieces import Piece, hull
 from grasp_refine.geometry.sampling import Candidates
 from grasp_refine.geometry.shapes import EMBEDDED
-from grasp_refine.objects.object import load_object
+from grasp_refine.objects.object import load_object, prepare
 
 Kind = Literal["convex", "concave"]
 KINDS: tuple[Kind, ...] = ("convex", "concave")
@@ -123,7 +123,8 @@ def _load(source: str | Path, kind: Kind, candidates: int, seed: int, say: Calla
             embedded = EMBEDDED.get(str(source))
             name, mesh = (str(source), embedded()) if embedded else (Path(source).stem, load_mesh(source))
             return build_body(name, [hull(mesh.vertices, name=name)], candidates=candidates, seed=seed)
-        found = load_object(source, unit="m", candidates=candidates, seed=seed, progress=say)
+        found = load_object(source, unit="m", candidates=candidates, seed=seed)
+        prepare([found], progress=say)
     except GraspRefineError as error:
         say(f"skipped: {error}")
         return None

@@ -63,7 +63,7 @@ class Tasks:
         if variant.pieces is not None:
             if not can_be_sliced(scene.object.body):
                 return None
-            scene = replace(scene, object=replace(scene.object, body=slice_body(scene.object.body, variant.pieces)))
+            scene = replace(scene, object=scene.object.with_body(slice_body(scene.object.body, variant.pieces)))
         return replace(self, scene=scene)
 
 

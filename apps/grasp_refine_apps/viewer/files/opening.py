@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import NAMES, UNITS, Unit
@@ -18,10 +16,10 @@ from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.files.source import list_hands
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.objects.object import Object, UncutObject, cut_objects, load_object, read_object
+from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
-from grasp_refine.problem.problem import Group, Problem, aim, recorded_gaps
+from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import check_objects
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
@@ -30,7 +28,6 @@ from grasp_refine_apps.viewer.files.mesh_bounds import check_faces, check_mesh_f
 from grasp_refine_apps.viewer.files.unpacking import UploadError
 from grasp_refine_apps.viewer.files.uploads import Upload
 from grasp_refine_apps.viewer.jobs.worker import Control
-from grasp_refine_apps.viewer.model.collection import Cut
 from grasp_refine_apps.viewer.model.pose import Pose
 
 NUM_SAMPLED_GRASPS = 8
@@ -62,8 +59,6 @@ class Opened:
     """The grasps."""
     stand_ins: frozenset[str] = frozenset()
     """Names of the objects whose meshes are not known: their grasps are shown on another object."""
-    uncut: Mapping[int, Cut] = field(default_factory=dict)
-    """Groups whose objects are to be cut when they are opened, as `Collection.uncut`."""
     attached: str = ""
     """Name of the object of the open grasps that an uploaded mesh was attached to; empty: none."""
 
@@ -124,8 +119,7 @@ def _for_uploader(text: str, upload: Upload) -> str:
 
 def _with_object(upload: Upload, scene: Scene, pose: Pose, options: MeshOptions, control: Control) -> Problem:
     """Return the present grasp on an uploaded object."""
-    obj = load_object(upload.source, unit=options.unit, holes=options.holes, progress=control.describe)
-    check_faces(len(obj.mesh.faces), upload.name)
+    obj = _load_mesh(upload, 1.0, options, control)
     scale = UNITS[options.unit or "m"]
     grasps = GraspSet.of(scene.hand, pose.T_object_root[None], pose.q[None], object=obj.name, scale=scale)
     notes = [f"{obj.name}: {note}" for note in obj.notes]
@@ -137,21 +131,23 @@ def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions,
     problem, groups, notes = open_now.problem, [], []
     for group in problem.groups:
         if group.object == name:
-            obj = _load_mesh(upload.source, group.scale, options, control)
-            check_faces(len(obj.mesh.faces), upload.name)
+            obj = _load_mesh(upload, group.scale, options, control)
             notes += [f"{name}: {note}" for note in obj.notes]
             scale = group.scale * UNITS[options.unit or "m"]
-            group = replace(group, scale=scale, scene=replace(group.scene, object=obj))
+            group = replace(group.on(obj), scale=scale)
         groups.append(group)
     others = [note for note in problem.notes if not note.startswith(_stand_in_note(name))]
     doubts = [note for note in convention_notes([group.scene for group in groups]) if note not in others]
     changed = replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys([*others, *notes, *doubts])))
-    return Opened(changed, open_now.stand_ins - {name}, open_now.uncut, name)
+    return Opened(changed, open_now.stand_ins - {name}, name)
 
 
-def _load_mesh(path: Path, scale: float, options: MeshOptions, control: Control) -> Object:
-    """Load a mesh of an upload, `scale` from its unit to metres as grasp files have it."""
-    return load_object(path, scale=scale, unit=options.unit, holes=options.holes, progress=control.describe)
+def _load_mesh(upload: Upload, scale: float, options: MeshOptions, control: Control) -> Object:
+    """Load and decompose the mesh of an upload, `scale` from its unit to metres as grasp files have it."""
+    obj = load_object(upload.source, scale=scale, unit=options.unit, holes=options.holes)
+    check_faces(len(obj.mesh.faces), upload.name)
+    prepare([obj], progress=control.describe)
+    return obj
 
 
 def _is_named(path: Path, name: str) -> bool:
@@ -208,39 +204,30 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
     hand = _hand_of(grasps, scene.hand, upload, control)
     notes, stand_ins = [*read.notes, *hand.notes], set()
     objects: dict[tuple[str, float], Object] = {}
-    uncut: dict[int, Cut] = {}
     first = grasps.object[0], grasps.scale[0]
     meshes = [path for path in sorted(upload.folder.rglob("*")) if path.suffix.lower() in MESH_SUFFIXES]
     for name, scale in sorted(keys, key=lambda key: named.index(key[0])):
         control.check()
         mesh = next((path for path in meshes if _is_named(path, name)), None)
         if needs_no_file(name):
-            objects[name, scale] = load_object(name, scale=scale, progress=control.describe)
+            objects[name, scale] = load_object(name, scale=scale)
         elif mesh is not None:
             check_faces(check_mesh_file(mesh, f"{upload.name}: {mesh.name}"), upload.name)
-            known = read_object(mesh, scale=scale, unit=options.unit, holes=options.holes)
-            cut = partial(_cut, known)
-            if (name, scale) != first and known.takes_long:
-                uncut[len(objects)] = cut
-            objects[name, scale] = known.rough() if len(objects) in uncut else cut()
+            known = load_object(mesh, scale=scale, unit=options.unit, holes=options.holes)
+            objects[name, scale] = known.as_hull() if (name, scale) != first and known.takes_long else known
         else:
             # A name is never taken as a path.
             objects[name, scale] = scene.object
             if name != scene.object.name:
                 stand_ins.add(name)
                 notes.append(f"{_stand_in_note(name)} '{scene.object.name}'; upload its mesh")
+    prepare(objects.values(), progress=control.describe)
     problem = _problem(upload, scene, hand, grasps, objects, notes)
     doubts = convention_notes([group.scene for group in problem.groups])
-    others = (_for_uploader(note, upload) for note in check_objects(read.files, objects, other=True))
+    others = (_for_uploader(note, upload) for note in check_objects(read.files, problem.groups, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
     found = replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
-    return Opened(found, frozenset(stand_ins), uncut)
-
-
-def _cut(uncut: UncutObject) -> Object:
-    """Cut an object into convex pieces."""
-    (found,) = cut_objects([uncut])
-    return found
+    return Opened(found, frozenset(stand_ins))
 
 
 def _stand_in_note(name: str) -> str:
@@ -281,14 +268,12 @@ def _problem(
     for (name, scale), obj in objects.items():
         of_object = np.flatnonzero(grasps.object == name)
         rows = of_object[grasps.scale[of_object] == scale]
-        some, targets = grasps.select(rows), aim(hand, grasps.targets, rows)
-        new = Scene(
+        some = grasps.select(rows)
+        new = scene_of(
             hand,
             obj,
-            transform_from_pose(some.hand_pose),
+            some,
             q[rows],
-            *targets,
-            contact_gap=recorded_gaps(hand, some),
             table=scene.table,
             environment=scene.environment,
             regions=scene.regions if obj is scene.object else None,

@@ -167,7 +167,7 @@ class Controller(ManyGrasps):
             job = self._state.job
             self._measuring &= job is None or job.kind != "measure"
             if job is not None and job.kind == "cut":
-                self._not_cut |= set(self._state.collection.uncut.values())
+                self._not_cut |= set(self._state.collection.rough.values())
             super().stop()
 
     def _ended(self) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from grasp_refine.objects.object import Object, prepare
 from grasp_refine_apps.viewer.jobs.region_editing import RegionEditor
 from grasp_refine_apps.viewer.jobs.worker import Control
-from grasp_refine_apps.viewer.model.collection import Collection, Cut
+from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.state import State
 
 
@@ -16,8 +17,8 @@ class Cutter(RegionEditor):
     def __init__(self, state: State) -> None:
         """Start with what the state has."""
         super().__init__(state)
-        self._not_cut: set[Cut] = set()
-        """Functions that the user stopped, or that failed."""
+        self._not_cut: set[Object] = set()
+        """Objects whose decomposition the user stopped, or that failed."""
         self._measuring = False
         """Whether measuring resumes when the worker is free."""
         self._measured = False
@@ -27,10 +28,10 @@ class Cutter(RegionEditor):
         """Return whether the object of the shown grasp is cut; otherwise it is cut now, and the user is told."""
         with self._lock:
             state = self._state
-            cut = state.collection.uncut.get(state.collection.group_of[state.number])
-            if cut is None:
+            obj = state.scene.object.whole
+            if obj is None:
                 return True
-            self._not_cut.discard(cut)
+            self._not_cut.discard(obj)
             self.notify("its object is cut into convex pieces first: try again when that is done")
             self._cut_shown()
             return False
@@ -46,8 +47,8 @@ class Cutter(RegionEditor):
         with self._lock:
             collection = self._state.collection
             at = int(collection.group_of[self._state.number])
-            cut = collection.uncut.get(at)
-            if cut is None or cut in self._not_cut:
+            obj = collection.rough.get(at)
+            if obj is None or obj in self._not_cut:
                 return False
             what = f"cutting {collection.problem.groups[at].object} into convex pieces"
             return self.run_job("cut", what, lambda control: self._cut(at, control))
@@ -55,19 +56,19 @@ class Cutter(RegionEditor):
     def _cut(self, at: int, control: Control) -> None:
         """Cut the object of a group of the open grasps, unless it is cut, for a job."""
         before = self._state.collection
-        cut = before.uncut.get(at)
-        if cut is None:
+        obj = before.rough.get(at)
+        if obj is None:
             return
         control.describe(f"cutting {before.problem.groups[at].object} into convex pieces")
         try:
-            obj = cut()
+            prepare([obj])
         except BaseException:
-            self._not_cut.add(cut)
+            self._not_cut.add(obj)
             raise
         with self._lock:
             # Also after a stop: it has taken long.
             collection = self._state.collection
-            if collection.same_grasps(before) and at in collection.uncut:
+            if collection.same_grasps(before) and at in collection.rough:
                 collection = collection.with_object(at, obj)
                 self._set(collection=collection, scene=collection.scene(self._state.number))
                 self._measuring |= self._measured

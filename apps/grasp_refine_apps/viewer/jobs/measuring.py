@@ -22,7 +22,7 @@ def unmeasured(collection: Collection) -> Bool[np.ndarray, " N"]:
     for key in measured_columns():
         if key in collection.columns:
             known |= collection.columns[key].known
-    return ~known & ~np.isin(collection.group_of, list(collection.uncut))
+    return ~known & ~np.isin(collection.group_of, list(collection.rough))
 
 
 def with_measures(

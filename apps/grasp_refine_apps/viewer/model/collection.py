@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,9 +26,6 @@ from grasp_refine_apps.viewer.model.pose import Pose, targets_of
 from grasp_refine_apps.viewer.model.recorded import read_records
 from grasp_refine_apps.viewer.model.validated import TrialResult
 from grasp_refine_apps.viewer.model.work import Work
-
-Cut = Callable[[], Object]
-"""Function that cuts an object into convex pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +54,12 @@ class Collection:
     """User marks of the grasps of each of `files`; without files, one entry for all grasps."""
     stand_ins: frozenset[str] = frozenset()
     """Names of the objects whose meshes are not known: their grasps are shown on another object."""
-    uncut: Mapping[int, Cut] = field(default_factory=dict)
-    """Number of a group whose object is only its convex hull yet -> function that cuts it, which may take minutes."""
     trials: Mapping[int, TrialResult] = field(default_factory=dict)
     """Simulation results of the grasps as in their file, by number, where known."""
 
     @staticmethod
-    def of(
-        problem: Problem, stand_ins: frozenset[str] = frozenset(), uncut: Mapping[int, Cut] | None = None
-    ) -> Collection:
-        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` and `uncut` as the fields.
+    def of(problem: Problem, stand_ins: frozenset[str] = frozenset()) -> Collection:
+        """Return the grasps of a problem, with recorded measures and marks; `stand_ins` as the field.
 
         Raises:
             GraspFileError: a result file, or the file of marks beside it, is damaged.
@@ -92,7 +85,7 @@ class Collection:
             }
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
-        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins, uncut or {})
+        return Collection(problem, group_of, member, files, file_of, row, T, q, columns, marks, stand_ins)
 
     @staticmethod
     def of_refined(refined: RefinedGrasps) -> Collection:
@@ -123,17 +116,21 @@ class Collection:
         """The name of each grasp's object (N,)."""
         return np.array([group.object for group in self.problem.groups])[self.group_of]
 
+    @property
+    def rough(self) -> Mapping[int, Object]:
+        """Number of a group whose object is only a convex hull yet -> the object, whose decomposition takes long."""
+        objects = [group.scene.object for group in self.problem.groups]
+        return {at: obj.whole for at, obj in enumerate(objects) if obj.whole is not None}
+
     def same_grasps(self, other: Collection) -> bool:
         """Return whether another collection has the same grasps, perhaps with more known of them."""
         return self.row is other.row
 
     def with_object(self, at: int, obj: Object) -> Collection:
-        """Return the collection with the object of group `at`, which has been cut now."""
-        problem, group = self.problem, self.problem.groups[at]
-        cut = replace(group, scene=replace(group.scene, object=obj))
-        groups = (*problem.groups[:at], cut, *problem.groups[at + 1 :])
-        uncut = {other: make for other, make in self.uncut.items() if other != at}
-        return replace(self, problem=replace(problem, groups=groups), uncut=uncut)
+        """Return the collection with the object of group `at`, which is decomposed now."""
+        problem = self.problem
+        groups = (*problem.groups[:at], problem.groups[at].on(obj), *problem.groups[at + 1 :])
+        return replace(self, problem=replace(problem, groups=groups))
 
     def with_regions(self, at: int, regions: ContactRegions) -> Collection:
         """Return the collection with other regions of the object of group `at`."""

@@ -56,7 +56,7 @@ def posed_scene(scene: Scene, pose: Pose, targets: Sequence[Target] = ()) -> Sce
     Raises:
         GraspFileError: a link of a target cannot touch anything.
     """
-    link, obj = aim(scene.hand, file_targets(targets), np.zeros(1, dtype=int))
+    link, obj = aim(scene.hand, file_targets(targets))
     T, q = pose.T_object_root[None], pose.q[None]
     return replace(scene, T_world_root=T, q=q, target_link=link, target_object=obj, direction=None, contact_gap=None)
 

@@ -362,7 +362,7 @@ def metrics_html(collection: Collection, number: int, work: Work | None = None) 
 
 def _without_measures(collection: Collection, number: int, *, edited: bool) -> str:
     """Text on a grasp without measures."""
-    if collection.group_of[number] in collection.uncut:
+    if collection.group_of[number] in collection.rough:
         return "its object is not cut yet"
     if edited:
         return "not measured"
