@@ -199,7 +199,7 @@ class View:
             groups = tuple(replace(group, index=np.array([int(number[1])])) for group in problem.groups)
             problem = replace(problem, groups=groups)
         controller = Controller(Collection.of(problem), self.settings)
-        controller.show_motion(motion)
+        controller.player.show(motion)
         return controller
 
 

@@ -207,14 +207,14 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
     viewer = View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
     try:
         assert done == ["one"] and len(viewer.state.collection) == 4
-        viewer.set_joint(0, 0.1)
-        viewer.measure()
+        viewer.editor.set_joint(0, 0.1)
+        viewer.background.measure()
         settled(viewer)
         quality = "penetration_after"
         assert np.isnan(viewer.state.collection.columns[quality].values).tolist() == [False, True, True, True]
-        viewer.show(2)
+        viewer.grasps.show(2)
         assert viewer.state.scene.object.rough and viewer.state.job.kind == "cut"
-        viewer.start()
+        viewer.refinement.start()
         assert viewer.state.job.kind == "cut"
         settled(viewer)
         assert done == ["one", "two"] and not viewer.state.scene.object.rough
@@ -223,8 +223,8 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
         assert np.isnan(viewer.state.collection.columns[quality].values).tolist() == [False, False, False, True]
         assert viewer.state.unsaved == (0,) and not viewer.state.shelf
         # For a command on all, the rest is cut.
-        viewer.set_settings(Settings(geometry_only=True, iterations=2))
-        viewer.refine_many(range(4))
+        viewer.set(settings=Settings(geometry_only=True, iterations=2))
+        viewer.many.refine(range(4))
         settled(viewer, 60.0)
         assert done == ["one", "two", "three"] and len(viewer.state.works) == 4
         assert not any(group.scene.object.rough for group in viewer.state.collection.problem.groups)
@@ -269,7 +269,7 @@ def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
 def test_settings_of_the_command_line_are_those_of_the_page() -> None:
     controller = View(settings=Settings(geometry_only=True))._controller()
     try:
-        controller.start()
+        controller.refinement.start()
         settled(controller)
         assert controller.state.settings.geometry_only and controller.state.outcome is not None
         assert not any(phase.name in label for phase in PHASES for label in controller.state.trace.label)

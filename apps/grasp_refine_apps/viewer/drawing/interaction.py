@@ -83,12 +83,12 @@ class Interaction:
         if event.client is not None and self._moves(event.phase):
             self._dragged = time.monotonic()
             T = inverse(self._controller.state.T_world_object) @ _pose_of(event.target)
-            self._controller.move_root(T, self._drag)
+            self._controller.editor.move_root(T, self._drag)
 
     async def _drag_object(self, event: Any) -> None:
         if event.client is not None and self._moves(event.phase):
             self._dragged = time.monotonic()
-            self._controller.move_object(_pose_of(event.target), self._drag)
+            self._controller.editor.move_object(_pose_of(event.target), self._drag)
 
     def _moves(self, phase: str) -> bool:
         """Return whether a phase of a drag moves anything; a start begins another drag."""
@@ -115,20 +115,20 @@ class Interaction:
         body = state.scene.hand.links_by_name[shape.link].body
         if hit is not None:
             # The visual mesh may differ from the collision geometry.
-            self._controller.pick_link(shape.link, hit if body is None else nearest_on_surface(body, hit))
+            self._controller.targets.pick_link(shape.link, hit if body is None else nearest_on_surface(body, hit))
 
     def _clicked_object(self, origin: np.ndarray, direction: np.ndarray) -> None:
         state = self._controller.state
         point = None if state.motion is not None else self._on_surface(state, origin, direction)
         if point is not None:
-            self._controller.pick_object(point)
+            self._controller.targets.pick_object(point)
 
     def _drag_target(self, k: int, event: Any) -> None:
         self._drag += event.phase == "start"
         eye = np.array(event.client.camera.position)
         point = self._on_surface(self._controller.state, eye, np.array(event.end_position) - eye)
         if point is not None:
-            self._controller.move_target(k, point, self._drag)
+            self._controller.targets.move(k, point, self._drag)
 
     def _on_surface(self, state: State, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
         """First point (3,) of the object on a ray in the world frame; object frame."""
@@ -151,7 +151,7 @@ class Interaction:
     def _drew_rectangle(self, event: Any) -> None:
         camera = event.client.camera
         T = transform_from_pose(np.concatenate([camera.position, camera.wxyz])[None])[0]
-        self._controller.paint(Camera(T, camera.fov, camera.aspect, event.screen_min, event.screen_max))
+        self._controller.regions.paint(Camera(T, camera.fov, camera.aspect, event.screen_min, event.screen_max))
 
     def remove(self) -> None:
         """Remove the gizmos, and listen no longer."""

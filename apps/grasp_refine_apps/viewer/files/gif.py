@@ -69,9 +69,9 @@ def recorded_gif(
         raise GraspRefineError(f"there is no GIF: the browser drew no picture ({error}); try again") from None
     finally:
         if state.motion is not None:
-            controller.show_motion_frame(state.motion_frame)
+            controller.player.show_frame(state.motion_frame)
         else:
-            controller.scrub(state.frame)
+            controller.player.scrub(state.frame)
     return gif(pictures)
 
 
@@ -82,10 +82,10 @@ def _frames(controller: Controller, state: State) -> tuple[Callable[[int], None]
         GraspRefineError: there are none.
     """
     if state.motion is not None:
-        return controller.show_motion_frame, subsample(len(state.motion), MAX_FRAMES).tolist()
+        return controller.player.show_frame, subsample(len(state.motion), MAX_FRAMES).tolist()
     if state.trace is None:
         raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
-    return controller.scrub, subsample(len(state.trace), MAX_FRAMES).tolist()
+    return controller.player.scrub, subsample(len(state.trace), MAX_FRAMES).tolist()
 
 
 def gif(pictures: Sequence[UInt8[np.ndarray, "H W 3"]]) -> bytes:

@@ -27,6 +27,7 @@ from grasp_refine.validation.robustness import offset_labels
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.viewer.jobs.worker import Control
+from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.shown_motion import ShownMotion, shown_motion
 from grasp_refine_apps.viewer.model.validated import TrialResult
@@ -90,6 +91,16 @@ class PosedGrasp:
     """Row of the grasp in its file, on which offsets of the object depend."""
     prepared: HandObject | None = None
     """Prepared hand and object; None: built when needed."""
+
+    @staticmethod
+    def of(collection: Collection, number: int, pose: Pose) -> PosedGrasp:
+        """Return a grasp of a collection at a pose, as in its file with pregrasp and squeeze."""
+        row, group = collection.member[number : number + 1], collection.group(number)
+        return PosedGrasp(collection.scene(number), pose, group.grasps.select(row), row=int(group.rows[row[0]]))
+
+    def with_bodies(self, prepare: Callable[[Hand, Object], HandObject]) -> PosedGrasp:
+        """Return the grasp with its hand and object prepared for queries."""
+        return replace(self, prepared=prepare(self.scene.hand, self.scene.object))
 
     def motion(self, check: Callable[[], None] = lambda: None) -> tuple[Motion, Mapping[str, str]]:
         """Return the closing motion, and the source of pregrasp and squeeze: stage -> "file" or "own".

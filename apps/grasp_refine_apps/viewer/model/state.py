@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from grasp_refine.objects.region import ContactRegions
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.registry import default_protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import Listing
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 
 JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "way", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
+
+MAX_SHELVED = 6
+"""Number of the last opened files that are kept; those with unsaved grasps are kept in any case."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +160,27 @@ class State:
     change: int = 0
     """Running number of the state."""
 
+    @staticmethod
+    def first(collection: Collection, number: int, settings: Any) -> State:
+        """Return the state that shows a grasp as in its file, without anything made of any."""
+        works = {number: collection.work(number)}
+        scene = collection.scene(number)
+        protocol = default_protocol(in_scene=scene.environment is not None).name, None
+        return State(collection, number, scene, Pose(*collection.initial(number)), works, settings, protocol)
+
+    def showing(self, collection: Collection, number: int) -> State:
+        """Return the state with another grasp shown; works on grasps of the same file stay, and so do options."""
+        shown = State.first(collection, number, self.settings)
+        options = ("job", "gizmo", "brush", "display", "side_by_side", "notice", "protocol", "change")
+        shown = replace(shown, **{name: getattr(self, name) for name in options})
+        if collection.same_grasps(self.collection):
+            works = {**shown.works, **self.works}
+            return replace(shown, works=works, listing=self.listing, shelf=self.shelf, compared=self.compared)
+        # The same grasps, with more known of their objects, take the place of the old ones.
+        better = self.collection.files == collection.files and collection.stand_ins < self.collection.stand_ins
+        shelf = self.shelf if better and not self.unsaved else (self.shelved, *self.shelf)
+        return replace(shown, shelf=tuple(each for at, each in enumerate(shelf) if at < MAX_SHELVED or each.unsaved))
+
     def evolve(self, **changes: Any) -> State:
         """Return the state with other fields, of itself or of the shown grasp's work."""
         own = {name: value for name, value in changes.items() if name not in _OF_WORK}
@@ -165,6 +191,11 @@ class State:
     def with_work(self, number: int, work: Work) -> State:
         """Return the state with other work on a grasp."""
         return replace(self, works={**self.works, number: work})
+
+    def with_regions(self, regions: ContactRegions) -> State:
+        """Return the state with other regions of the shown object, for all grasps on it."""
+        collection = self.collection.with_regions(int(self.collection.group_of[self.number]), regions)
+        return self.evolve(collection=collection, scene=collection.scene(self.number))
 
     @property
     def work(self) -> Work:

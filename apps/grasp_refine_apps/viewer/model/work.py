@@ -92,3 +92,8 @@ NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "heeded", "refi
 
 Works = Mapping[int, Work]
 """Number of a grasp -> what was made of it; grasps that were never shown or refined have none."""
+
+
+def now() -> datetime:
+    """Return the present time, of this machine's clock."""
+    return datetime.now().astimezone()

@@ -117,7 +117,7 @@ class Viewer:
     def _change_tab(self, tab: str) -> None:
         """End a replay when another tab is opened that is about the grasp itself."""
         if tab in GRASP_TABS and self.controller.state.motion is not None:
-            self.controller.end_motion()
+            self.controller.player.show(None)
 
     def _draw_heading(self, state: State) -> None:
         text = _heading(state, self.controller)
@@ -141,7 +141,7 @@ class Viewer:
         """Load what the first refinement needs, and measure grasps whose files have no measures."""
         import grasp_refine.hands.kinematics  # noqa: F401 - loads PyTorch
 
-        self.controller.measure()
+        self.controller.background.measure()
 
     @property
     def address(self) -> str:

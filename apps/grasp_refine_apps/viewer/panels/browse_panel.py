@@ -152,21 +152,21 @@ class BrowsePanel:
         on_change(self.key, lambda label: self._sort(self._keys().get(label, NUMBER)))
         on_change(self.descending, lambda descending: self._list(descending=descending))
         on_change(self.measure_of, lambda title: self._choose_histogram())
-        on_change(self.beside, self._controller.set_side_by_side)
+        on_change(self.beside, lambda beside: self._controller.set(side_by_side=beside))
         on_change(self.compared, self._compare)
         for name, widget in self.filters.items():
             on_change(widget, partial(self._filter, name))
         on_choice(self.steps, self.go)
         on_choice(self.marks, self._mark)
-        on_click(self.measure, self._controller.measure)
-        on_click(self.refine, lambda: self._controller.refine_many(self._chosen()))
-        on_click(self.test, lambda: self._controller.run_trials(self._chosen()))
+        on_click(self.measure, self._controller.background.measure)
+        on_click(self.refine, lambda: self._controller.many.refine(self._chosen()))
+        on_click(self.test, lambda: self._controller.many.test(self._chosen()))
         on_click(self.stop, self._controller.stop)
         self.download.on_click(self._send_marks)
 
     def _compare(self, title: str) -> None:
         titles = shelf_titles(self._controller.state)[1:]
-        self._controller.compare(titles.index(title) if title in titles else None)
+        self._controller.grasps.compare(titles.index(title) if title in titles else None)
 
     def _draw_compared(self, state: State) -> None:
         """Show what the open grasps can be compared with, and are."""
@@ -186,7 +186,7 @@ class BrowsePanel:
 
     def _list(self, **changes: Any) -> None:
         """List other grasps, or in another order."""
-        self._controller.set_listing(replace(self._controller.state.listing, **changes))
+        self._controller.set(listing=replace(self._controller.state.listing, **changes))
 
     def _sort(self, key: str) -> None:
         """Sort by a column, the best first; by the same one again: in reverse."""
@@ -215,7 +215,7 @@ class BrowsePanel:
         except ValueError:
             return
         if column is not None and not column.is_text and isfinite(left + right):
-            self._controller.set_listing(listing.with_range(key, brushed_range(column, left, right)))
+            self._controller.set(listing=listing.with_range(key, brushed_range(column, left, right)))
 
     def _draw_histogram(self, collection: Collection) -> None:
         """Update the histogram, and the choice of its measure."""
@@ -249,7 +249,7 @@ class BrowsePanel:
         if what == "sort" and value in self._keys().values():
             self._sort(value)
         if what == "open" and value.isascii() and value.isdigit():
-            self._controller.show(int(value[:9]))
+            self._controller.grasps.show(int(value[:9]))
 
     def go(self, where: str) -> None:
         """Open another grasp of the list."""
@@ -268,12 +268,12 @@ class BrowsePanel:
         if found is None:
             self._controller.notify(f"the worst grasp is not known yet: press {MEASURE} first", bad=True)
         else:
-            self._controller.show(found)
+            self._controller.grasps.show(found)
 
     def _mark(self, what: str) -> None:
         """Mark the grasp that is shown."""
         marks: dict[str, Mark] = {GOOD: "good", BAD: "bad"}
-        self._controller.mark(self._controller.state.number, marks.get(what, ""))
+        self._controller.grasps.mark(self._controller.state.number, marks.get(what, ""))
 
     def _send_marks(self, event: viser.GuiEvent) -> None:
         """Send the marks to the browser that requests them."""

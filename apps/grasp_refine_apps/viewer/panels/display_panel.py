@@ -32,7 +32,12 @@ class DisplayPanel:
         left_out = ("surroundings",) if alone else ()
         shown = [name for name in names if name not in left_out]
         self.form = Form(
-            server.gui, state.display, controller.set_display, controller.notify, first=shown, left_out=left_out
+            server.gui,
+            state.display,
+            lambda display: controller.set(display=display),
+            controller.notify,
+            first=shown,
+            left_out=left_out,
         )
         server.gui.add_html(_legend())
         server.gui.add_html(keys_html())

@@ -41,7 +41,7 @@ class EditPanel:
         with gui.add_folder("Targets"):
             self.picking = LiveInput(
                 gui.add_checkbox("Set by clicks", False, hint="Click a link of the hand, then the object"),
-                controller.set_picking,
+                controller.targets.set_picking,
             )
             self.targets = gui.add_markdown("")
             self.delete = gui.add_button_group("Delete", ("-",), visible=False, hint="Delete one target")
@@ -61,11 +61,11 @@ class EditPanel:
                 gui.add_vector3("Rotation, °", (0.0, 0.0, 0.0), step=0.1, hint="Axis times angle, object frame"),
                 self._turn,
             )
-        on_click(self.undo, controller.undo)
-        on_click(self.redo, controller.redo)
-        on_click(self.reset, controller.reset)
-        on_click(self.auto, controller.clear_targets)
-        on_click(self.nearest, controller.target_nearest_points)
+        on_click(self.undo, controller.editor.undo)
+        on_click(self.redo, controller.editor.redo)
+        on_click(self.reset, controller.editor.reset)
+        on_click(self.auto, controller.targets.clear)
+        on_click(self.nearest, controller.targets.set_nearest)
         self.joints = Joints(gui, controller)
         self.slow_draws = (self._draw_numbers,)
 
@@ -101,25 +101,25 @@ class EditPanel:
 
     def _show_gizmo(self, body: Gizmo, shown: bool) -> None:
         """Show or hide the arrows and rings that move the hand or the object."""
-        self._controller.set_gizmo(body if shown else "none")
+        self._controller.set(gizmo=body if shown else "none")
 
     def _delete(self, link: str) -> None:
         """Delete the target of a link."""
         links = [target.link for target in self._controller.state.targets]
         if link in links:
-            self._controller.delete_target(links.index(link))
+            self._controller.targets.delete(links.index(link))
 
     def _move(self, position: tuple[float, float, float]) -> None:
         """Move the hand to a position in mm."""
         T = self._controller.state.standing.T_object_root.copy()
         T[:3, 3] = 1e-3 * np.array(position)
-        self._controller.move_root(T)
+        self._controller.editor.move_root(T)
 
     def _turn(self, rotation: tuple[float, float, float]) -> None:
         """Turn the hand to a rotation vector in degrees."""
         T = self._controller.state.standing.T_object_root.copy()
         T[:3, :3] = exp_so3(np.radians(np.array(rotation)))
-        self._controller.move_root(T)
+        self._controller.editor.move_root(T)
 
 
 def targets_text(state: State, contacts: Contacts) -> str:

@@ -169,8 +169,8 @@ class ExportPanel:
             opened = open_upload(upload, now.scene, pose, control, options, open_now)
             found = Collection.of(opened.problem, opened.stand_ins)
             control.check()
-            self._controller.change_collection(found, now.number if opened.attached else 0)
-            self._controller.measure()
+            self._controller.grasps.open(found, now.number if opened.attached else 0)
+            self._controller.background.measure()
             self._controller.notify(opened_text(shown, found, opened, now.collection))
 
         self._run("load", f"opening {shown}", work)
@@ -179,14 +179,14 @@ class ExportPanel:
         """Show grasps again that were open before."""
         titles = shelf_titles(self._controller.state)
         if title in titles[1:]:
-            self._controller.reopen(titles.index(title) - 1)
+            self._controller.grasps.reopen(titles.index(title) - 1)
 
     # export
 
     def _save_grasp(self, event: viser.GuiEvent) -> None:
         """Send the grasp that is shown, as a file."""
         now, to, client = self._controller.state, self.format.value, event.client
-        if client is None or not self._controller.ready():
+        if client is None or not self._controller.background.ready():
             return
         pose = now.standing
         group, counted = now.collection.group(now.number), self._controller.contacts.counted(now)
@@ -198,7 +198,7 @@ class ExportPanel:
             saved = grasp_file(now.collection.hand, grasps, to, number)
             control.check()
             self._send(client, saved)
-            self._controller.mark_saved({now.number: pose})
+            self._controller.grasps.mark_saved({now.number: pose})
             if saved.notes:
                 self._controller.notify(f"{saved.name}: {'; '.join(saved.notes)}")
 
@@ -217,14 +217,14 @@ class ExportPanel:
 
         def work(control: Control) -> None:
             control.describe(what)
-            collection = self._controller.cut_all(works, control)
+            collection = self._controller.background.cut_all(works, control)
             grasps = grasp_sets(collection, works, lambda share: control.report(share, what), control.check)
             control.check()
             saved = grasp_file(now.collection.hand, grasps, to)
             saved = with_results(saved, to, present(replace(now, collection=collection)), works)
             control.check()
             self._send(client, saved)
-            self._controller.mark_saved({number: one.standing for number, one in works.items()})
+            self._controller.grasps.mark_saved({number: one.standing for number, one in works.items()})
             notes = "".join(f"; {note}" for note in saved.notes)
             self._controller.notify(f"{count_text(len(works), 'grasp')} saved as {saved.name}{notes}")
 
@@ -236,7 +236,7 @@ class ExportPanel:
         if client is None or scene.regions is None:
             return
         try:
-            faces = self._controller.painted_faces(scene.object)
+            faces = self._controller.regions.painted_faces(scene.object)
         except GraspRefineError as error:
             self._controller.notify(str(error), bad=True)
             return

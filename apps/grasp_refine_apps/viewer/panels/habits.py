@@ -70,8 +70,8 @@ class Habits:
             **commands,
             "good": lambda: self._mark("good"),
             "bad": lambda: self._mark("bad"),
-            "undo": controller.undo,
-            "redo": controller.redo,
+            "undo": controller.editor.undo,
+            "redo": controller.editor.redo,
         }
         self._last = ""
         self.channel = server.gui.add_text("page", "", visible=False)
@@ -96,7 +96,7 @@ class Habits:
         if what in self._commands:
             self._commands[what]()
         elif what == "open" and value.isascii() and value.isdigit():
-            self._controller.show(int(value[:9]))
+            self._controller.grasps.show(int(value[:9]))
         elif what == "scheme":
             set_theme(client.gui, dark=value == "dark")
         elif what == "brush":
@@ -122,7 +122,7 @@ class Habits:
     def _mark(self, mark: Any) -> None:
         """Mark the shown grasp; once more: take the mark back."""
         state = self._controller.state
-        self._controller.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
+        self._controller.grasps.mark(state.number, "" if state.collection.mark(state.number) == mark else mark)
 
     def _fit_to(self, client: Any, value: str, *, first: bool) -> None:
         """Fit the camera of a page whose scene has this aspect ratio; the first time only if it is unusual."""

@@ -77,7 +77,7 @@ class Joints:
         return LiveInput(handle, partial(self._set, i, scale))
 
     def _set(self, i: int, scale: float, value: float) -> None:
-        self._controller.set_joint(i, value / scale)
+        self._controller.editor.set_joint(i, value / scale)
 
 
 def units(hand: Hand) -> Float[np.ndarray, " n"]:

@@ -66,7 +66,7 @@ class RefinePanel:
             self.form = Form(
                 gui,
                 settings,
-                controller.set_settings,
+                lambda settings: controller.set(settings=settings),
                 lambda words: controller.notify(words, bad=True),
                 check=lambda settings: settings.config(),
                 unused=lambda settings: [name for name, _ in settings.unused()],
@@ -75,12 +75,12 @@ class RefinePanel:
                 units=SETTING_UNITS,
             )
             self.defaults = gui.add_button("Default settings", icon=viser.Icon.RESTORE, hint="Reset all settings")
-        on_click(self.start, controller.start)
-        on_click(self.pause, controller.pause)
-        on_click(self.step, controller.step_once)
+        on_click(self.start, controller.refinement.start)
+        on_click(self.pause, controller.refinement.pause)
+        on_click(self.step, controller.refinement.step)
         on_click(self.stop, controller.stop)
-        on_click(self.reset, controller.reset)
-        on_click(self.defaults, lambda: controller.set_settings(settings))
+        on_click(self.reset, controller.editor.reset)
+        on_click(self.defaults, lambda: controller.set(settings=settings))
 
     def draw(self, state: State) -> None:
         """Show a state."""

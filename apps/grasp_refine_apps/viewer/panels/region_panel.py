@@ -39,9 +39,9 @@ class RegionPanel:
             self.advice = gui.add_markdown(f"{BRUSH_HINT}.", visible=False)
         self._drawn = ContactRegions()
         # Not in turn with other changes: many faces take a moment.
-        self.apply.on_click(lambda event: controller.set_regions(self.touch.value, self.avoid.value))
-        self.clear.on_click(lambda event: controller.clear_regions())
-        on_change(self.brush, lambda brush: controller.set_brush(cast(Brush, brush)))
+        self.apply.on_click(lambda event: controller.regions.set(self.touch.value, self.avoid.value))
+        self.clear.on_click(lambda event: controller.regions.clear())
+        on_change(self.brush, lambda brush: controller.set(brush=cast(Brush, brush)))
 
     def draw(self, state: State) -> None:
         """Show a state; what a user is writing stays until there are other regions."""

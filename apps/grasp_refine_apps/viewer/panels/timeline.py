@@ -39,8 +39,9 @@ class Timeline:
     def _scrub(self, frame: int) -> None:
         """Show an iteration; at the last one of a refinement that runs, follow it."""
         state = self._controller.state
-        runs = state.job is not None and state.job.kind == "refine"
-        self._controller.scrub(None if runs and state.trace is not None and frame >= len(state.trace) - 1 else frame)
+        follows = state.job is not None and state.job.kind == "refine" and state.trace is not None
+        at_end = state.trace is not None and frame >= len(state.trace) - 1
+        self._controller.player.scrub(None if follows and at_end else frame)
 
 
 def _shown(state: State) -> tuple[Trace | None, int]:

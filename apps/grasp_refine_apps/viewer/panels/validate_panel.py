@@ -88,16 +88,16 @@ class ValidatePanel:
         )
         self.line = gui.add_html("", visible=False)
         self.slider = gui.add_slider("Seconds", 0.0, 1.0, 1.0 / FRAME_RATE_HZ, 0.0, hint="Time in the replay")
-        self.replay = PlayBar(gui, self.slider, self._shown, controller.show_motion_frame)
+        self.replay = PlayBar(gui, self.slider, self._shown, controller.player.show_frame)
         self.replay.set_visible(False)
         self.end = gui.add_button("Close replay", visible=False, hint="Back to the grasp")
         self.notes = gui.add_html("")
         on_change(self.protocol, self._choose)
         on_change(self.friction, lambda friction: self._set_protocol())
-        on_click(self.test, controller.run_trial)
-        on_click(self.plan, controller.plan_way)
+        on_click(self.test, controller.simulation.test)
+        on_click(self.plan, controller.simulation.plan_way)
         on_click(self.stop, controller.stop)
-        on_choice(self.watch, controller.record)
+        on_choice(self.watch, controller.simulation.record)
         on_click(self.end, self._end)
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class ValidatePanel:
 
     def _set_protocol(self) -> None:
         """Choose the protocol of the next simulations, and their friction."""
-        self._controller.set_protocol(self.protocol.value, self._other_friction())
+        self._controller.set(protocol=(self.protocol.value, self._other_friction()))
 
     def _other_friction(self) -> float | None:
         """The coefficient of friction; None where it is that of the protocol."""
@@ -134,7 +134,7 @@ class ValidatePanel:
     def _end(self) -> None:
         """Return to the grasp."""
         self.replay.pause()
-        self._controller.end_motion()
+        self._controller.player.show(None)
 
     def _draw_job(self, job: Job | None) -> None:
         """Show the progress of a simulation."""

@@ -60,7 +60,7 @@ def test_a_contact_at_the_border_is_not_named(viewer: Controller, above: float, 
 
 
 def test_a_refined_grasp_touches_where_it_should(viewer: Controller) -> None:
-    viewer.start()
+    viewer.refinement.start()
     settled(viewer)
     assert viewer.elsewhere(viewer.state) == () and elsewhere_text(()) == ""
 
@@ -80,7 +80,7 @@ def test_the_whole_surface_is_tinted_by_the_regions(viewer: Controller) -> None:
         (k,) = [k for k, shape in enumerate(view.nodes.hand.shapes) if shape.link == link]
         red = tuple(view.nodes.hand.nodes[k].color)
         assert red != view.nodes.hand.shapes[k].color
-        viewer.set_display(replace(viewer.state.display, regions=False))
+        viewer.set(display=replace(viewer.state.display, regions=False))
         view.draw(viewer.state)
         assert not view.nodes.regions.meshes
     finally:

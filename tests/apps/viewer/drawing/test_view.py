@@ -56,7 +56,7 @@ def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, vie
         for shape, node in zip(view.nodes.hand.shapes, view.nodes.hand.nodes, strict=True):
             np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
         for joint in range(len(hand.joint_names)):
-            viewer.set_joint(joint, shown.q[joint] + 0.1)
+            viewer.editor.set_joint(joint, shown.q[joint] + 0.1)
         view.draw(viewer.state)
 
 
@@ -88,7 +88,7 @@ def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> 
     zeros, q = np.zeros(count), np.tile(shown.q, (count, 1))
     names = "allegro", "mug", "lift", "tabletop", "lost"
     numbers = zeros, np.full(count, 2), zeros, T_root, q, T_object, zeros, zeros, np.zeros(3), ()
-    viewer.show_motion(ShownMotion(*names, *numbers))
+    viewer.player.show(ShownMotion(*names, *numbers))
     view.draw(viewer.state)
     for T in (T_root[0], T_root[-1]):
         assert_sees(view.server.initial_camera, view.nodes.corners(Pose(T, shown.q)))
@@ -109,26 +109,26 @@ def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View
         if tuple(node.color) != shape.color
     }
     assert deep and red == deep
-    viewer.set_display(DisplayOptions(contacts=False))
+    viewer.set(display=DisplayOptions(contacts=False))
     view.draw(viewer.state)
     assert not view.nodes.points_link.nodes
 
 
 def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Controller) -> None:
     assert not view.nodes.ghost.nodes[0].visible
-    viewer.start()
+    viewer.refinement.start()
     settled(viewer)
     view.draw(viewer.state)
     tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
     ghost = pose(view.nodes.ghost.nodes[tip])
     end = pose(view.nodes.hand.nodes[tip])
-    viewer.scrub(0)
+    viewer.player.scrub(0)
     view.draw(viewer.state)
     first = pose(view.nodes.hand.nodes[tip])
     assert np.linalg.norm(end[:3, 3] - first[:3, 3]) > 2e-3
     np.testing.assert_allclose(first, ghost, atol=1e-7)
     assert not view.nodes.ghost.nodes[0].visible
-    viewer.scrub(5)
+    viewer.player.scrub(5)
     view.draw(viewer.state)
     assert view.nodes.ghost.nodes[0].visible
     np.testing.assert_array_equal(pose(view.nodes.ghost.nodes[tip]), ghost)
@@ -138,48 +138,48 @@ def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Co
     obj = viewer.state.scene.object
     assert len(view.nodes.object.nodes) == 1 and view.nodes.cones.node is None
     prepared = view.nodes.prepared
-    viewer.set_display(DisplayOptions(object="pieces", hand="collision", forces=True, frames=True, transparent=False))
+    viewer.set(display=DisplayOptions(object="pieces", hand="collision", forces=True, frames=True, transparent=False))
     view.draw(viewer.state)
     nodes = view.nodes
     assert len(nodes.object.nodes) == len(obj.body.pieces) > 1
     assert nodes.object.nodes[0].opacity is None and nodes.prepared is prepared
     assert nodes.cones.node is not None and nodes.forces.node is not None and all(node.visible for node in nodes.axes)
-    viewer.set_display(DisplayOptions(object="wireframe", forces=False))
+    viewer.set(display=DisplayOptions(object="wireframe", forces=False))
     view.draw(viewer.state)
     assert view.nodes.object.nodes[0].wireframe and view.nodes.cones.node is None
 
 
 def test_gaps_are_drawn_on_links_that_are_near_when_asked_for(view: View, viewer: Controller) -> None:
     assert not view.nodes.gaps.nodes
-    viewer.set_display(DisplayOptions(gaps=True))
+    viewer.set(display=DisplayOptions(gaps=True))
     view.draw(viewer.state)
     found = view.contacts
     assert 0 < len(view.nodes.gaps.nodes) <= len(found.link)
     T = viewer.state.pose.T_object_root.copy()
     T[2, 3] += 0.5
-    viewer.move_root(T)
+    viewer.editor.move_root(T)
     view.draw(viewer.state)
     assert not view.nodes.gaps.nodes
 
 
 def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
     T = transform(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.02, 0.0, 0.01]))
-    viewer.move_object(T)
-    viewer.set_side_by_side(True)
+    viewer.editor.move_object(T)
+    viewer.set(side_by_side=True)
     view.draw(viewer.state)
     nodes = view.nodes
     np.testing.assert_allclose(pose(nodes.root), T, atol=1e-7)
     assert nodes.input_frame.visible and not nodes.ghost.nodes[0].visible
     apart = pose(nodes.input_frame)[:3, 3] - T[:3, 3]
     assert np.linalg.norm(apart) > 0.1
-    viewer.set_side_by_side(False)
+    viewer.set(side_by_side=False)
     view.draw(viewer.state)
     assert not nodes.input_frame.visible and nodes.ghost.nodes[0].visible
 
 
 def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: View, viewer: Controller) -> None:
-    viewer.move_object(transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, 0.0, 0.01])))
-    viewer.set_picking(True)
+    viewer.editor.move_object(transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, 0.0, 0.01])))
+    viewer.targets.set_picking(True)
     view.draw(viewer.state)
     state, nodes = viewer.state, view.nodes
     tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
@@ -210,14 +210,14 @@ def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: 
 
 
 def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
-    viewer.set_gizmo("hand")
+    viewer.set(gizmo="hand")
     view.draw(viewer.state)
     node = view.nodes.interaction.gizmos["hand"]
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
     node.position = np.array(node.position) + np.array([0.01, 0.0, 0.0])
     done(view.nodes.interaction._drag_hand(SimpleNamespace(client=object(), target=node, phase="update")))
     np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
-    viewer.set_gizmo("object")
+    viewer.set(gizmo="object")
     view.draw(viewer.state)
     assert list(view.nodes.interaction.gizmos) == ["object"]
     # What Python sets is no drag.
@@ -228,7 +228,7 @@ def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
 def test_another_object_takes_the_place_of_the_first(view: View, viewer: Controller) -> None:
     before = view.nodes
     other = controller(example(object="bottle", hand="allegro"))
-    viewer.change_collection(other.state.collection)
+    viewer.grasps.open(other.state.collection)
     other.close()
     view.draw(viewer.state)
     assert view.nodes is not before and view.nodes.prepared.object is viewer.state.scene.object
@@ -244,12 +244,12 @@ def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) 
 
 def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Controller) -> None:
     # The first example grasp that holds with the usual friction: what is ejected while the hand closes is not pushed.
-    viewer.show(1)
-    viewer.run_trial("dexgraspbench", 0.15)
+    viewer.grasps.show(1)
+    viewer.simulation.test("dexgraspbench", 0.15)
     settled(viewer)
-    viewer.record("+z")
+    viewer.simulation.record("+z")
     settled(viewer)
-    viewer.show_motion_frame(10_000)
+    viewer.player.show_frame(10_000)
     view.draw(viewer.state)
     nodes = view.nodes
     np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
@@ -257,7 +257,7 @@ def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Co
     # From the middle of the object along the axis of its frame in which it was pushed at the start.
     ((start, end),) = nodes.push.node.points
     np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), [0.0, 0.0, 1.0], atol=1e-5)
-    viewer.end_motion()
+    viewer.player.show(None)
     view.draw(viewer.state)
     np.testing.assert_allclose(pose(nodes.object_frame), np.eye(4), atol=1e-12)
     assert nodes.push.node is None

@@ -48,7 +48,7 @@ def test_the_ghost_is_the_grasp_of_the_same_number(viewer: Controller, other: Co
     try:
         view = View(server, viewer)
         for number in (0, 2):
-            viewer.show(number)
+            viewer.grasps.show(number)
             view.draw(viewer.state)
             ghost = view.nodes.ghost
             first = ghost.shapes[0].link
@@ -56,7 +56,7 @@ def test_the_ghost_is_the_grasp_of_the_same_number(viewer: Controller, other: Co
             wanted = ghost.poses(other.pose(number).T_object_root, other.pose(number).q)[first]
             np.testing.assert_allclose(found, wanted, atol=1e-7)
             assert ghost.nodes[0].visible
-        viewer.compare(None)
+        viewer.grasps.compare(None)
         view.draw(viewer.state)
         assert not view.nodes.ghost.nodes[0].visible, "the grasp is as in its file"
     finally:
@@ -70,21 +70,21 @@ def test_its_numbers_are_those_that_the_other_file_would_show(viewer: Controller
     text = compared_text(viewer.state, viewer.contacts)
     assert f"{error:.2f} mm" in text and f"{1e3 * AWAY_M:.1f} mm" in text
     # The last grasp has no other.
-    viewer.show(len(other))
+    viewer.grasps.show(len(other))
     assert compared_pose(viewer.state) is None and str(len(other)) in compared_text(viewer.state, viewer.contacts)
 
 
 def test_opening_the_other_file_compares_it_with_the_first(viewer: Controller, other: Collection) -> None:
     first = viewer.state.collection
-    viewer.reopen(0)
+    viewer.grasps.reopen(0)
     assert viewer.state.collection.same_grasps(other)
     compared = viewer.state.compared
     assert compared is not None and compared.collection.same_grasps(first)
     # An edit of the one that is not shown is compared, too.
-    viewer.reopen(0)
-    viewer.set_joint(0, viewer.state.pose.q[0] + 0.05)
+    viewer.grasps.reopen(0)
+    viewer.editor.set_joint(0, viewer.state.pose.q[0] + 0.05)
     edited = viewer.state.pose
-    viewer.reopen(0)
+    viewer.grasps.reopen(0)
     pose = compared_pose(viewer.state)
     assert pose is not None and pose.same(edited)
 

@@ -31,7 +31,7 @@ def page(problem: Problem) -> np.ndarray:
     viewer, found = controller(problem), []
     try:
         for number in range(len(problem)):
-            viewer.show(number)
+            viewer.grasps.show(number)
             assert title_of(viewer.state) == "contact error"
             found.append(viewer.contacts(viewer.state).contact_error)
     finally:
@@ -70,22 +70,22 @@ def test_the_input_grasp_is_iteration_0_with_the_same_number(problem: Problem) -
     viewer = controller(problem)
     try:
         opened = viewer.contacts(viewer.state).contact_error
-        viewer.start()
+        viewer.refinement.start()
         settled(viewer)
         outcome, trace = viewer.state.outcome, viewer.state.trace
         assert outcome is not None and trace is not None
         after = viewer.contacts(viewer.state).contact_error
         np.testing.assert_allclose([opened, after], outcome["contact_error"][0], atol=ROUNDING_M)
-        viewer.scrub(0)
+        viewer.player.scrub(0)
         assert viewer.contacts(viewer.state).contact_error == pytest.approx(opened, abs=ROUNDING_M)
         assert title_of(viewer.state) == "contact error"
-        viewer.scrub(1)
+        viewer.player.scrub(1)
         assert title_of(viewer.state) == "remaining gap" and "remaining gap" in trace.text(1)
         assert viewer.contacts(viewer.state).contact_error == pytest.approx(trace.remaining[1], abs=ROUNDING_M)
-        viewer.scrub(len(trace) - 1)
+        viewer.player.scrub(len(trace) - 1)
         assert viewer.contacts(viewer.state).contact_error == pytest.approx(after, abs=ROUNDING_M)
-        viewer.scrub(None)
-        viewer.reset()
+        viewer.player.scrub(None)
+        viewer.editor.reset()
         assert viewer.contacts(viewer.state).contact_error == pytest.approx(opened, abs=ROUNDING_M)
     finally:
         viewer.close()

@@ -76,7 +76,7 @@ def test_the_link_in_a_body_is_named_with_its_depth(viewer: Controller) -> None:
 
 
 def test_refining_in_the_viewer_leaves_the_body(viewer: Controller) -> None:
-    viewer.start()
+    viewer.refinement.start()
     settled(viewer)
     assert viewer.overlaps(viewer.state) == ()
 
@@ -118,10 +118,10 @@ def test_bodies_are_drawn_where_the_scene_has_them_and_red_where_a_link_is_in_th
         # Moved out of the way, it has its own colour.
         T = viewer.state.pose.T_object_root.copy()
         T[0, 3] -= 0.1
-        viewer.move_root(T)
+        viewer.editor.move_root(T)
         view.draw(viewer.state)
         assert tuple(nodes.meshes[0].nodes[0].color) == nodes.meshes[0].shapes[0].color
-        viewer.set_display(replace(viewer.state.display, surroundings=False))
+        viewer.set(display=replace(viewer.state.display, surroundings=False))
         view.draw(viewer.state)
         assert view.nodes.environment is None
     finally:

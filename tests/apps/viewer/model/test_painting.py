@@ -48,8 +48,8 @@ def specs(viewer: Controller) -> tuple[list[str], list[str]]:
 
 
 def paint(viewer: Controller, brush: str, *, camera: np.ndarray = DOWN, rectangle: tuple = WHOLE) -> None:
-    viewer.set_brush(brush)
-    viewer.paint(Camera(camera, 0.6, 1.2, *rectangle))
+    viewer.set(brush=brush)
+    viewer.regions.paint(Camera(camera, 0.6, 1.2, *rectangle))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -115,7 +115,7 @@ def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> Non
     page = Page(server)
     try:
         view = View(server, viewer)
-        viewer.set_brush("avoid")
+        viewer.set(brush="avoid")
         view.draw(viewer.state)
         page.look((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.5))
         page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
@@ -125,15 +125,15 @@ def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> Non
         facing = np.einsum("fi,fi->f", normal, [0.0, 0.0, 0.5] - painted.triangles.mean(axis=1)) > 0
         assert painted.chosen.any() and not (painted.chosen & ~facing).any()
         # Other display options make new nodes.
-        viewer.set_display(viewer.state.display.__class__(ground=False))
+        viewer.set(display=viewer.state.display.__class__(ground=False))
         view.draw(viewer.state)
-        viewer.set_brush("erase")
+        viewer.set(brush="erase")
         view.draw(viewer.state)
         page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
         until(lambda: viewer.state.scene.regions is None)
         assert len(viewer.state.undo_steps) == 2
         # Without a brush, Shift and the mouse do what they did before.
-        viewer.set_brush("off")
+        viewer.set(brush="off")
         view.draw(viewer.state)
         until(
             lambda: (
@@ -149,25 +149,25 @@ def test_regions_are_undone_where_they_were_set_and_hold_for_all_grasps(viewer: 
     paint(viewer, "avoid")
     painted = specs(viewer)
     assert painted == ([], ["faces:mug_avoid.txt"])
-    viewer.set_joint(0, 0.2)
-    viewer.undo()
+    viewer.editor.set_joint(0, 0.2)
+    viewer.editor.undo()
     assert specs(viewer) == painted
-    viewer.show(1)
+    viewer.grasps.show(1)
     assert specs(viewer) == painted
-    viewer.set_joint(0, 0.2)
-    viewer.set_regions("", f"{painted[1][0]}; below:z=0.02")
+    viewer.editor.set_joint(0, 0.2)
+    viewer.regions.set("", f"{painted[1][0]}; below:z=0.02")
     both = specs(viewer)
     assert both == ([], [*painted[1], "below:z=0.02"])
-    viewer.undo()
+    viewer.editor.undo()
     assert specs(viewer) == painted
-    viewer.redo()
+    viewer.editor.redo()
     assert specs(viewer) == both
-    viewer.show(0)
-    viewer.undo()
+    viewer.grasps.show(0)
+    viewer.editor.undo()
     assert specs(viewer) == ([], []) and viewer.state.scene.regions is None
-    viewer.redo()
+    viewer.editor.redo()
     assert specs(viewer) == both
-    viewer.clear_regions()
+    viewer.regions.clear()
     assert viewer.state.scene.regions is None
 
 
@@ -175,9 +175,9 @@ def test_regions_are_undone_where_they_were_set_and_hold_for_all_grasps(viewer: 
     ("touch", "named"), [("abov:z=0.1", "above"), ("above:z=3", "0.09"), ("faces:no_such.txt", "no_such.txt")]
 )
 def test_wrong_regions_are_refused_by_name(viewer: Controller, touch: str, named: str) -> None:
-    viewer.set_regions("", "above:z=0.08")
+    viewer.regions.set("", "above:z=0.08")
     before = viewer.state.scene.regions
-    viewer.set_regions(touch, "above:z=0.08")
+    viewer.regions.set(touch, "above:z=0.08")
     assert viewer.state.notice.bad and named in viewer.state.notice.text
     assert viewer.state.scene.regions is before
 
@@ -190,9 +190,9 @@ def test_a_rectangle_beside_the_object_and_a_brush_that_is_off_paint_nothing(vie
 
 
 def test_refinements_heed_the_regions_and_saved_results_tell_them(viewer: Controller) -> None:
-    viewer.set_regions("", "above:z=0.06")
+    viewer.regions.set("", "above:z=0.06")
     assert viewer.elsewhere(viewer.state)
-    viewer.start()
+    viewer.refinement.start()
     settled(viewer)
     assert viewer.state.outcome["region_miss"][0, 1] < 5e-4 and not viewer.elsewhere(viewer.state)
     works = {0: viewer.state.work}
@@ -200,10 +200,10 @@ def test_refinements_heed_the_regions_and_saved_results_tell_them(viewer: Contro
     assert recorded["regions"] == {"touch": [], "avoid": ["above:z=0.06"]}
     # With other regions it is to be refined again.
     first = viewer.state.outcome
-    viewer.refine_many([0])
+    viewer.many.refine([0])
     settled(viewer)
     assert viewer.state.outcome is first
-    viewer.clear_regions()
-    viewer.refine_many([0])
+    viewer.regions.clear()
+    viewer.many.refine([0])
     settled(viewer)
     assert viewer.state.outcome is not first and np.isnan(viewer.state.outcome["region_miss"]).all()

@@ -86,7 +86,7 @@ def test_a_post_below_a_finger_is_met_in_the_frame_in_which_the_finger_reaches_i
 
 
 def test_planning_is_kept_until_the_grasp_is_moved(viewer: Controller) -> None:
-    viewer.plan_way()
+    viewer.simulation.plan_way()
     settled(viewer, 60.0)
     way = viewer.state.work.way
     assert isinstance(way, ShownWay) and viewer.state.motion is way and len(way) > 20
@@ -95,11 +95,11 @@ def test_planning_is_kept_until_the_grasp_is_moved(viewer: Controller) -> None:
         way.q - viewer.state.pose.q
     ).max(axis=1)
     assert way.status != WayStatus.FREE or closest.min() < 0.02
-    viewer.end_motion()
-    viewer.plan_way()
+    viewer.player.show(None)
+    viewer.simulation.plan_way()
     assert viewer.state.job is None and viewer.state.motion is way
-    viewer.end_motion()
-    viewer.set_joint(0, viewer.state.pose.q[0] + 0.05)
+    viewer.player.show(None)
+    viewer.editor.set_joint(0, viewer.state.pose.q[0] + 0.05)
     assert viewer.state.work.way is None
 
 

@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import load_hand
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.viewer.jobs import editing
+from grasp_refine_apps.viewer.jobs import editor
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.panels.edit_panel import EditPanel, targets_text
@@ -66,7 +66,7 @@ def test_there_is_a_slider_for_each_joint_by_finger_within_its_limits(shown: Sho
 
 
 def test_a_slider_that_is_dragged_is_one_step_of_undo(shown: Shown, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(editing, "MERGE_WINDOW_S", np.inf)  # a busy machine takes its time for each change
+    monkeypatch.setattr(editor, "MERGE_WINDOW_S", np.inf)  # a busy machine takes its time for each change
     before = shown.q.copy()
     slider = shown.sliders[1]
     for degrees in np.linspace(10.0, 40.0, 16):
@@ -117,9 +117,9 @@ def test_targets_are_set_listed_and_deleted(shown: Shown):
     shown.page.change(shown.panel.picking.handle, True)
     until(lambda: text.content != without)
     assert TIP not in text.content
-    shown.controller.pick_link(TIP, np.zeros(3))
+    shown.controller.targets.pick_link(TIP, np.zeros(3))
     until(lambda: TIP in text.content)
-    shown.controller.pick_object(np.array([0.01, 0.02, 0.03]))
+    shown.controller.targets.pick_object(np.array([0.01, 0.02, 0.03]))
     until(lambda: f"| {TIP} |" in text.content and "| 10, 20, 30 |" in text.content)
     until(lambda: delete.visible and delete.options == (TIP,))
     shown.page.change(delete, TIP)
@@ -138,7 +138,7 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
     (tmp_path / "plates.urdf").write_text(URDF)
     inputs = Inputs(hand=str(tmp_path / "plates.urdf"), object="sphere:0.03", grasps=Path("sample:1"))
     first = shown.sliders[0]
-    shown.controller.change_collection(Collection.of(load_problem(inputs)))
+    shown.controller.grasps.open(Collection.of(load_problem(inputs)))
     until(lambda: [slider.label for slider in shown.sliders] == ["l", "r"])
     assert first._impl.removed
     assert (shown.sliders[0].min, shown.sliders[0].max) == (0.0, 70.0)
@@ -149,7 +149,7 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
 def test_the_list_of_targets_tells_the_error_of_the_heading(problem: Problem):
     """The list measured between the points of a target, the heading from the points where link and object are near."""
     made = controller(problem)
-    made.target_nearest_points()
+    made.targets.set_nearest()
     settled(made)
     targets = made.state.targets
     moved = replace(targets[0], point_object=targets[0].point_object + np.array([0.003, 0.0, 0.004]))

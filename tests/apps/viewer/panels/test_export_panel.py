@@ -110,7 +110,7 @@ def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
 
 def test_what_was_open_before_comes_back_as_it_was_left(shown: Shown):
     before = shown.controller.state.collection
-    shown.controller.set_joint(0, 0.1)
+    shown.controller.editor.set_joint(0, 0.1)
     left = shown.controller.state.work
     shown.one.upload(shown.panel.upload, "My Box.stl", BOX)
     assert shown.told("My Box.stl", "Show")
@@ -138,7 +138,7 @@ def test_a_stand_in_is_told_over_the_scene_until_its_mesh_comes(shown: Shown):
     assert shown.told("grasps.npz", "5 grasps")
     assert_names(banner_text(shown.controller.state), "Stand-in", "'core/my box'", "'sphere:0.03'")
     until(lambda: shown.controller.state.job is None)
-    shown.controller.show(3)
+    shown.controller.grasps.show(3)
     shown.one.upload(shown.panel.upload, "My Box.stl", BOX, key="2")
     assert shown.told("My Box.stl", "'core/my box'", "5 grasps")
     state = shown.controller.state
@@ -157,9 +157,9 @@ def test_many_are_saved_together_as_they_stand(shown: Shown):
     shown.one.upload(shown.panel.upload, "grasps.npz", content.getvalue())
     assert shown.told("grasps.npz", "3 grasps")
     until(lambda: shown.controller.state.job is None)
-    shown.controller.show(1)
-    shown.controller.set_joint(2, 0.3)
-    shown.controller.refine_many((2,))
+    shown.controller.grasps.show(1)
+    shown.controller.editor.set_joint(2, 0.3)
+    shown.controller.many.refine((2,))
     until(lambda: shown.controller.state.job is None and shown.controller.state.unsaved == (1, 2))
     works = shown.controller.state.works
     shown.one.change(shown.panel.save_all, True)
@@ -212,7 +212,7 @@ def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
 
 def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
     T = exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
-    shown.controller.move_root(T)
+    shown.controller.editor.move_root(T)
     shown.one.change(shown.panel.save, True)
     name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_0_ours.npz"
@@ -227,7 +227,7 @@ def test_painted_faces_go_to_the_browser_that_asks(shown: Shown, tmp_path: Path)
     obj = shown.controller.state.scene.object
     assert not shown.panel.faces.visible
     (tmp_path / "some.txt").write_text("0 7 12")
-    shown.controller.set_regions("", f"above:z=0.02; faces:{tmp_path / 'some.txt'}")
+    shown.controller.regions.set("", f"above:z=0.02; faces:{tmp_path / 'some.txt'}")
     assert shown.panel.faces.visible
     shown.one.change(shown.panel.faces, True)
     name, content = shown.one.download()
@@ -251,7 +251,7 @@ def test_the_animation_needs_something_to_show(shown: Shown):
 
 
 def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
-    shown.controller.start()
+    shown.controller.refinement.start()
     until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None)
     shown.one.change(shown.panel.animation, True)
     name, content = shown.one.download()

@@ -39,7 +39,7 @@ def test_what_pages_send_is_done_and_garbage_is_not(viewer: Viewer):
     assert state.state.collection.mark(3) == "good"
     habits.receive("good 2", nobody)
     assert state.state.collection.mark(3) == ""
-    state.set_joint(2, 0.3)
+    state.editor.set_joint(2, 0.3)
     habits.receive("undo 3", nobody)
     assert state.state.undo_steps == ()
     habits.receive("redo 4", nobody)

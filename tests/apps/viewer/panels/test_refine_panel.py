@@ -199,7 +199,7 @@ def test_lengths_are_typed_in_millimetres_and_angles_in_degrees(shown: Shown):
     shown.page.change(move, "10, 6, 12")
     until(lambda: shown.controller.state.settings.max_move is not None)
     np.testing.assert_allclose(shown.controller.state.settings.max_move, [0.01, np.radians(6.0), np.radians(12.0)])
-    shown.controller.set_settings(Settings(margin=0.0025))
+    shown.controller.set(settings=Settings(margin=0.0025))
     until(lambda: margin.value == "2.5" and move.value == "")
     for name in ("margin", "reach", "other_link_distance", "max_move", "scales.rotation"):
         hint = form.handles[name].hint
@@ -208,8 +208,8 @@ def test_lengths_are_typed_in_millimetres_and_angles_in_degrees(shown: Shown):
 
 
 def test_the_outcome_is_told_with_advice(shown: Shown):
-    shown.controller.set_settings(Settings(solver="descent", iterations=3))
-    shown.controller.start()
+    shown.controller.set(settings=Settings(solver="descent", iterations=3))
+    shown.controller.refinement.start()
     outcome = until(lambda: shown.controller.state.outcome)
     head, *_, advice, table = outcome_text(outcome).split("\n\n")
     assert_names(head, "**Budget**", "3 iterations")

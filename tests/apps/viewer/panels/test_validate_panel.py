@@ -119,7 +119,7 @@ def test_a_setting_brings_its_friction(shown: Shown) -> None:
     # An edited grasp is no longer the one that was tested.
     T = shown.controller.state.pose.T_object_root.copy()
     T[2, 3] += 0.001
-    shown.controller.move_root(T)
+    shown.controller.editor.move_root(T)
     until(lambda: shown.widget("result").content == untested and not shown.widget("watch").visible)
 
 

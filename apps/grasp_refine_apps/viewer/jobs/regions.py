@@ -9,25 +9,21 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine_apps.viewer.jobs.editing import Editor
-from grasp_refine_apps.viewer.model.painting import Brush, Camera, PaintedFaces, given_regions, seen_faces
-from grasp_refine_apps.viewer.model.state import State
+from grasp_refine_apps.viewer.jobs.editor import Editor
+from grasp_refine_apps.viewer.jobs.store import Store
+from grasp_refine_apps.viewer.model.painting import Camera, PaintedFaces, given_regions, seen_faces
 
 
-class RegionEditor(Editor):
-    """Editor of regions; its commands take up to a second with many faces, and wait for each other."""
+class RegionEditor:
+    """Edits of regions; commands take up to a second with many faces, and wait for each other."""
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, store: Store, editor: Editor) -> None:
         """Start with what the state has."""
-        super().__init__(state)
+        self._store, self._editor = store, editor
         self._changing = Lock()
         self._faces: PaintedFaces | None = None
 
-    def set_brush(self, brush: Brush) -> None:
-        """Choose what the mouse paints."""
-        self._set(brush=brush)
-
-    def set_regions(self, touch: str, avoid: str) -> None:
+    def set(self, touch: str, avoid: str) -> None:
         """Set the regions by lines of specifications; empty: none."""
 
         def change(obj: Object, now: ContactRegions) -> ContactRegions:
@@ -37,13 +33,13 @@ class RegionEditor(Editor):
 
         self._change(change)
 
-    def clear_regions(self) -> None:
+    def clear(self) -> None:
         """Let links touch the object anywhere."""
         self._change(lambda obj, now: ContactRegions())
 
     def paint(self, camera: Camera) -> None:
         """Paint the faces that a camera sees in its rectangle."""
-        state = self._state
+        state = self._store.state
         if state.brush == "off" or state.motion is not None:
             return
 
@@ -64,12 +60,13 @@ class RegionEditor(Editor):
         return self._faces
 
     def _change(self, change: Callable[[Object, ContactRegions], ContactRegions]) -> None:
-        """Change the regions of the shown object; of what is refused the user is notified."""
+        """Change the regions of the shown object; where they are refused, notify the user."""
         with self._changing:
-            obj, before = self._state.scene.object, self._state.scene.regions or ContactRegions()
-            after = self._checked(lambda: change(obj, before))
+            scene = self._store.state.scene
+            before = scene.regions or ContactRegions()
+            after = self._store.checked(lambda: change(scene.object, before))
             if after is None or (after.touch, after.avoid) == (before.touch, before.avoid):
                 return
-            with self._lock:
-                if self._state.scene.object is obj:
-                    self._edit_regions(after)
+            with self._store.lock:
+                if self._store.state.scene.object is scene.object:
+                    self._editor.edit_regions(after)

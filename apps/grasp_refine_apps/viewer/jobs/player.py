@@ -1,0 +1,34 @@
+"""Playing: the shown iteration of a refinement, and the shown frame of a simulation or a way."""
+
+from __future__ import annotations
+
+from grasp_refine_apps.viewer.jobs.store import Store
+from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.model.shown_way import ShownWay
+
+
+class Player:
+    """Choice of the shown frame."""
+
+    def __init__(self, store: Store) -> None:
+        """Play what the state has."""
+        self._store = store
+
+    def scrub(self, frame: int | None) -> None:
+        """Show an iteration; None: the present pose of the hand."""
+        with self._store.lock:
+            trace = self._store.state.trace
+            if trace is not None:
+                frame = None if frame is None else min(max(frame, 0), len(trace) - 1)
+                self._store.set(frame=frame, motion=None)
+
+    def show_frame(self, frame: int) -> None:
+        """Show a frame of the simulation or the way."""
+        with self._store.lock:
+            motion = self._store.state.motion
+            if motion is not None:
+                self._store.set(motion_frame=min(max(frame, 0), len(motion) - 1))
+
+    def show(self, motion: ShownMotion | ShownWay | None) -> None:
+        """Show a simulation, or a way, from its start; None: the grasp again."""
+        self._store.set(motion=motion, motion_frame=0)
