@@ -14,7 +14,6 @@ import pytest
 
 from grasp_refine import witness
 from grasp_refine.assets.manifest import read_manifest
-from grasp_refine.grasps.formats.listing import FORMATS, FormatName
 from grasp_refine.hands.files.source import needs_urdf
 from grasp_refine.hands.hand import list_hands
 from grasp_refine.refinement import solvers
@@ -156,7 +155,3 @@ def test_the_guide_lists_all_protocols():
     guide = (ROOT / "docs" / "pages" / "guides" / "validate.md").read_text(encoding="utf-8")
     (table,) = (part for part in guide.split("\n\n") if part.startswith("| Protocol |"))
     assert re.findall(r"^\| `([a-z][a-z-]+)` \| ", table, re.MULTILINE) == list(PROTOCOLS)
-
-
-def test_formats_are_listed():
-    assert [known.name for known in FORMATS] == list(get_args(FormatName))

@@ -13,7 +13,6 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
-from grasp_refine.grasps.formats.listing import FormatName
 from grasp_refine.hands.files.link_geometry import HULL_LIMIT
 from grasp_refine.objects.region_spec import check_specs
 from grasp_refine.scene.plane import Plane
@@ -79,7 +78,7 @@ class SourceSpec:
     """Unit of the object's mesh after scaling."""
     holes: Holes = "refuse"
     """Treatment of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
-    format: FormatName | None = None
+    format: str | None = None
     """Format of the grasp file, or of the files in the folder; the help of `refine-grasp convert` describes them."""
     index: tuple[int, ...] = ()
     """Numbers of the grasps of each object; 0 is its first one in the file."""

@@ -21,7 +21,7 @@ from grasp_refine.core.json_files import check_no_input, check_writable
 from grasp_refine.core.plurals import count_text
 from grasp_refine.grasps.formats.agreement import MAX_DIFFERENCE_M, DisagreementError, check_agreement, check_same
 from grasp_refine.grasps.formats.format import Load
-from grasp_refine.grasps.formats.listing import OURS, FormatName, format_named
+from grasp_refine.grasps.formats.listing import FORMATS, OURS
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
@@ -31,6 +31,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.measures import QUALITY
 from grasp_refine.results.result_numbers import result_numbers
 from grasp_refine.scene.convention_check import joint_notes, position_notes, refuse_conventions
+from grasp_refine_apps.commands.format_names import FormatName
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
@@ -104,7 +105,7 @@ class Convert:
                 check_no_input(path, read.files, "is one of the files of the input; give another name")
             wanted = self._rows(read)
             grasps, left = read.grasps.select(wanted), len(read.grasps) - len(wanted)
-            to, load = format_named(self.to), self._load(grasps)
+            to, load = FORMATS[self.to], self._load(grasps)
             parts, lost = to.write(grasps, load)
             if left:
                 lost = [*lost, f"{left} of {len(read.grasps)} grasps {'is' if left == 1 else 'are'} left out"]

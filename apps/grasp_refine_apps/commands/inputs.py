@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from tyro.conf import DisallowNone, UseAppendAction, arg
 
 from grasp_refine.geometry.units import Unit
-from grasp_refine.grasps.formats.listing import FormatName
 from grasp_refine.problem.spec import ProblemSpec, SourceSpec
+from grasp_refine_apps.commands.format_names import FormatName
 from grasp_refine_apps.commands.options import INDICES
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int
 
-from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.arguments import describe_value
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -37,7 +39,10 @@ class Part:
 
 @runtime_checkable
 class Format(Protocol):
-    """One format."""
+    """One format: its name, its description in one line, and how its files are recognised, read and written.
+
+    A subclass gives `name`, `what`, `mismatch` and `read`; without its own `write` it is read only.
+    """
 
     @property
     def name(self) -> str:
@@ -52,12 +57,14 @@ class Format(Protocol):
     @property
     def named_by_path(self) -> bool:
         """Whether the name of a file has a meaning, so that it is always one in a folder."""
-        ...
+        return False
 
+    @abstractmethod
     def mismatch(self, content: Any) -> str:
         """Reason why contents are not of this format; "" if they are."""
         ...
 
+    @abstractmethod
     def read(self, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
         """The grasps of one file, and notes for the user.
 
@@ -70,9 +77,32 @@ class Format(Protocol):
         """The files that hold some grasps, and notes on what they cannot hold; `load` returns the hand below a link.
 
         Raises:
-            GraspFileError: grasps that this format cannot hold at all.
+            GraspFileError: grasps that this format cannot hold at all, or it is read only.
         """
-        ...
+        raise GraspFileError(f"format {self.name} is read only")
+
+
+MEMBERS = ("name", "what", "named_by_path", "mismatch", "read", "write")
+
+
+def check_format(value: Format) -> None:
+    """Refuse what is no format.
+
+    Raises:
+        GraspRefineError: names what is missing or of another type.
+    """
+    if isinstance(value, type):
+        raise GraspRefineError(f"a format is needed, got the class {value.__name__} itself: {value.__name__}()")
+    lacking = [member for member in MEMBERS if not hasattr(value, member)]
+    if lacking:
+        raise GraspRefineError(f"{describe_value(value)} is no format: it lacks {', '.join(lacking)}; see Format")
+    for member in ("name", "what"):
+        text = getattr(value, member)
+        if not (isinstance(text, str) and text.isprintable() and text):
+            raise GraspRefineError(f"{member} of format {type(value).__name__} must be a text, got {text!r}")
+    for member in ("mismatch", "read", "write"):
+        if not callable(getattr(value, member)):
+            raise GraspRefineError(f"{member} of format {value.name} must be a method")
 
 
 def omission_notes(

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.rpy_poses import transform_from_rpy
 from grasp_refine.core.se3 import inverse, pose_from_transform
-from grasp_refine.grasps.formats.format import SUCCESS, Load, Part
+from grasp_refine.grasps.formats.format import SUCCESS, Format
 from grasp_refine.grasps.formats.layout import ALLEGRO, Layout, check_hand
 from grasp_refine.grasps.formats.source import Source, missing_keys
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -47,7 +46,7 @@ MOUNT = (0.0, 0.0, 0.215, 0.0, 0.0, -45.0)
 
 
 @dataclass(frozen=True)
-class Frogger:
+class Frogger(Format):
     """Pickles of the folders data/OBJECT."""
 
     name: str = "frogger"
@@ -85,14 +84,6 @@ class Frogger:
             labels=labels,
         )
         return grasps, ["the joints of the arm give the poses of the hand, and are left out"]
-
-    def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
-        """Refuse: a file of this format needs the joints of an arm.
-
-        Raises:
-            GraspFileError: always.
-        """
-        raise GraspFileError(f"format {self.name} is read only")
 
 
 def _success(source: Source, value: Any, count: int) -> np.ndarray:

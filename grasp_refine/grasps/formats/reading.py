@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_refine.core.arguments import check_kind
+from grasp_refine.core.arguments import check_kind, describe_value
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.names import is_folder
 from grasp_refine.core.npz_files import ZIP_ERRORS, is_zip
 from grasp_refine.grasps.formats.content import ARRAY_SUFFIXES, SUFFIXES, load_content, load_pickled_npz
 from grasp_refine.grasps.formats.folders import natural
 from grasp_refine.grasps.formats.format import Format
-from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS, format_named
+from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS, OURS
 from grasp_refine.grasps.formats.source import Source
 from grasp_refine.grasps.formats.torch_files import is_torch_archive
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
@@ -64,14 +65,14 @@ def reading(
     """
     check_kind("path", path, str | Path)
     path = Path(path)
-    wanted = None if format is None else format_named(format)
+    wanted = None if format is None else FORMATS[format]
     files, notes = _files(path, wanted)
     sets: list[GraspSet] = []
     found: Format | None = None
     for number, file in enumerate(files):
         content = _content(file)
         known = wanted or _recognise(file, content)
-        mismatch = "it is an .npz file" if content is None and known != OURS else known.mismatch(content)
+        mismatch = "it is an .npz file" if content is None and known != OURS else _mismatch(known, content)
         if mismatch:
             raise GraspFileError(f"{file}: is not a file of the format {known.name}: {mismatch}")
         if found is not None and known != found:
@@ -80,7 +81,7 @@ def reading(
                 "of its folders, or files one by one"
             )
         found = known
-        grasps, more = known.read(Source(file, content, within), hand)
+        grasps, more = _read(known, Source(file, content, within), hand)
         sets.append(grasps)
         notes += more
         if on_file is not None:
@@ -116,8 +117,57 @@ def holds_grasps(file: Path) -> bool:
         return False
 
 
-def _is_of(content: Any, formats: Sequence[Format]) -> bool:
-    return any(not known.mismatch(content) for known in formats)
+def load_grasps(path: str | Path, *, format: str | None = None, hand: Hand | None = None) -> GraspSet:
+    """Return the grasps of a file, or of a folder of files, of any format.
+
+    What a file of another program does not say, or says twice, is warned about.
+
+    Args:
+        path: A file, or a folder whose files are all of one format.
+        format: Name of the format, such as "dexgraspbench"; None: recognised by what is in the file.
+        hand: The hand of the grasps; needed where a file has no joint names and fits several hands.
+
+    Returns:
+        Poses (N, 7) of the hand's base link in the object's frame, metres, joint values (N, n) by name, and object,
+        scale, stages and labels as far as the file has them. Rows that are not finite are kept as NaN.
+
+    Raises:
+        GraspFileError: no such file, of no format or of several, or something in it is invalid.
+    """
+    check_kind("hand", hand, Hand | None)
+    check_kind("format", format, str | None)
+    found = reading(path, format=format, hand=hand)
+    for note in () if found.format == OURS else found.notes:
+        warnings.warn(f"{path}: {note}", stacklevel=2)
+    return found.grasps
+
+
+def _mismatch(known: Format, content: Any) -> str:
+    """Reason why contents are not of a format.
+
+    Raises:
+        GraspFileError: the format gives no text.
+    """
+    reason = known.mismatch(content)
+    if not isinstance(reason, str):
+        raise GraspFileError(f"format {known.name}: mismatch must return a text, empty for a match, got {reason!r}")
+    return reason
+
+
+def _read(known: Format, source: Source, hand: Hand | None) -> tuple[GraspSet, Sequence[str]]:
+    """The grasps of a file and notes.
+
+    Raises:
+        GraspFileError: the format gives something else, or the file is invalid.
+    """
+    found = known.read(source, hand)
+    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], GraspSet)):
+        raise GraspFileError(f"format {known.name}: read must return a GraspSet and notes, got {describe_value(found)}")
+    return found
+
+
+def _is_of(content: Any, formats: Iterable[Format]) -> bool:
+    return any(not _mismatch(known, content) for known in formats)
 
 
 def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
@@ -169,7 +219,7 @@ def _recognise(file: Path, content: Any) -> Format:
     """The one format that contents fit."""
     if content is None:
         return OURS
-    fits = [known for known in FOREIGN if not known.mismatch(content)]
+    fits = [known for known in FOREIGN if not _mismatch(known, content)]
     if len(fits) == 1:
         return fits[0]
     if fits:
@@ -180,7 +230,7 @@ def _recognise(file: Path, content: Any) -> Format:
 
 
 def _no_format(file: Path, content: Any) -> str:
-    reasons = "; ".join(f"{known.name}: {known.mismatch(content)}" for known in FORMATS)
+    reasons = "; ".join(f"{known.name}: {_mismatch(known, content)}" for known in FORMATS)
     return f"{file}: is of no known format ({reasons})"
 
 

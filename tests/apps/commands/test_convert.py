@@ -16,10 +16,11 @@ from command_line import refused
 from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.leap_cache import LeapCache
-from grasp_refine.grasps.formats.listing import FORMATS, FormatName
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands.format_names import FormatName
 from refusals import assert_names
 
 

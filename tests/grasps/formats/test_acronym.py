@@ -19,7 +19,7 @@ from grasp_refine.grasps.formats import hdf5_files
 from grasp_refine.grasps.formats.agreement import check_same
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.hdf5_files import dump_hdf5, load_hdf5
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.pickled import Refused
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
@@ -100,7 +100,7 @@ def test_json_with_its_keys_and_those_of_graspgen(tmp_path: Path):
 def test_round_trips_to_the_last_digit(tmp_path: Path):
     before = reading(save(tmp_path / "a.h5", tree())).grasps
     before = replace(before, object=np.array(["cup", "mug", "cup", "mug", "cup"]), q=np.full((5, 1), 0.0123))
-    known = format_named("acronym")
+    known = FORMATS["acronym"]
     parts, lost = known.write(before, load)
     assert len(parts) == 2 and not any("object_in_gripper" in note for note in lost)
     with written(tmp_path / "out", known, parts) as (_, rows):
@@ -119,7 +119,7 @@ def test_round_trips_to_the_last_digit(tmp_path: Path):
 
 def test_other_hands_have_no_place(grasps: Callable[..., GraspSet]):
     with refused(GraspFileError, "acronym", "'shadow'", "panda_finger_joint1"):
-        format_named("acronym").write(grasps("shadow"), load)
+        FORMATS["acronym"].write(grasps("shadow"), load)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.graspqp import MODELS
 from grasp_refine.grasps.formats.grippers import without_follower
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -94,7 +94,7 @@ def test_round_trips_in_single_precision(
     hand: str, base: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
 ):
     before = replace(grasps(hand, base_link=base), scale=np.ones(7))
-    known = format_named("graspqp")
+    known = FORMATS["graspqp"]
     parts, lost = known.write(before, partial(load, hand))
     assert any("squeeze" in note for note in lost) and any("single" in note for note in lost)
     with written(tmp_path / "out", known, parts) as (_, rows):
@@ -111,7 +111,7 @@ def test_round_trips_in_single_precision(
 def test_the_second_finger_of_the_franka_hand_follows(tmp_path: Path):
     read = reading(save(tmp_path / "cup.dexgrasp.pt", contents("panda"))).grasps
     both = replace(read, joint_names=("panda_finger_joint2", "panda_finger_joint1"), q=np.repeat(read.q, 2, 1))
-    known = format_named("graspqp")
+    known = FORMATS["graspqp"]
 
     def load(base_link: str) -> Hand:
         raise AssertionError("nothing is rebased")

@@ -13,7 +13,7 @@ import pytest
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.content import load_content
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -81,7 +81,7 @@ def test_what_its_evaluation_adds_is_told(tmp_path: Path):
 @pytest.mark.parametrize("hand", ["shadow", "leap"])
 def test_round_trips_to_the_last_digit(hand: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = grasps(hand)
-    known = format_named("hugs")
+    known = FORMATS["hugs"]
     parts, lost = known.write(before, partial(load, hand))
     assert len(parts) == 7 and lost == ["there is no scene: scene_path is empty"]
     with written(tmp_path / "out", known, parts) as (_, rows):

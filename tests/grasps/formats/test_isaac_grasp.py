@@ -14,7 +14,7 @@ import yaml
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
@@ -172,7 +172,7 @@ def test_files_of_graspdatagen(tmp_path: Path):
 def test_round_trips_to_the_last_digit(hand: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = grasps(hand)
     opened = Stage(before.hand_pose, before.q + 0.1)
-    known = format_named("isaac_grasp")
+    known = FORMATS["isaac_grasp"]
     parts, lost = known.write(replace(before, pregrasp=opened), partial(load, hand))
     assert len(parts) == 6 and any("squeeze" in note for note in lost) and any("confidence" in note for note in lost)
     with written(tmp_path / "out", known, parts) as (_, rows):

@@ -18,7 +18,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.lightning_grasp import LAYOUTS
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -89,7 +89,7 @@ def test_allegro_and_leap_have_as_many_joints(load: Load, tmp_path: Path):
 @pytest.mark.parametrize("hand", ["shadow", "allegro", "leap"])
 def test_round_trips_in_single_precision(hand: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = replace(grasps(hand), scale=np.ones(7))
-    known = format_named("lightning_grasp")
+    known = FORMATS["lightning_grasp"]
     parts, lost = known.write(before, partial(load, hand))
     assert any("pregrasp" in note for note in lost)
     with written(tmp_path / "out", known, parts) as (_, rows):

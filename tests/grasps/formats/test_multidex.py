@@ -17,7 +17,7 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import inverse, transform_from_pose
 from grasp_refine.grasps.formats import dro, multidex
 from grasp_refine.grasps.formats.agreement import fingertip_distances
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -125,7 +125,7 @@ def test_round_trips_in_single_precision(
     hand: str, to: str, base: str, grasps: Callable[..., GraspSet], load: Load, tmp_path: Path
 ):
     before = replace(grasps(hand, base_link=base), scale=np.ones(7))
-    known = format_named(to)
+    known = FORMATS[to]
     parts, lost = known.write(before, partial(load, hand))
     assert any("pregrasp" in note for note in lost) and any("single" in note for note in lost)
     with written(tmp_path / "a.pt", known, parts):
@@ -145,7 +145,7 @@ def test_round_trips_in_single_precision(
 
 def test_a_right_allegro_is_no_left_one(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     with refused(GraspFileError, "dro", "left", "'allegro'"):
-        format_named("dro").write(grasps("allegro"), partial(load, "allegro"))
+        FORMATS["dro"].write(grasps("allegro"), partial(load, "allegro"))
     path = save(tmp_path / "a.pt", {"metadata": metadata("allegro", angles)})
     assert reading(path).grasps.hand == "allegro_left"
     given = reading(path, hand=load("allegro", "base_link"))

@@ -15,7 +15,7 @@ import pytest
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3, pose_from_transform
 from grasp_refine.grasps.formats.agreement import check_same, fingertip_distances
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.multigripper import GRIPPERS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
@@ -68,7 +68,7 @@ def test_files_and_round_trips(gripper: str, tmp_path: Path):
     np.testing.assert_allclose(grasps.hand_pose, POSES, atol=1e-15)
     np.testing.assert_array_equal(grasps.q, contents(gripper)["dofs"])
     assert_names(" ".join(read.notes), "order", gripper, "success (1 of 2, 0 of 1)", "fall_time", "final_dofs")
-    known = format_named("multigripper")
+    known = FORMATS["multigripper"]
     parts, lost = known.write(grasps, load_none)
     assert [part.path for part in parts] == [f"{gripper}-Mug.json"] and not lost
     with written(tmp_path / "b.json", known, parts):
@@ -82,7 +82,7 @@ def test_files_and_round_trips(gripper: str, tmp_path: Path):
 
 def test_our_allegro_hand_is_its_own(grasps: Callable[..., GraspSet], load: Load, tmp_path: Path):
     before = replace(grasps("allegro"), scale=np.ones(7))
-    known = format_named("multigripper")
+    known = FORMATS["multigripper"]
     parts, lost = known.write(before, partial(load, "allegro"))
     assert len(parts) == 2 and "squeeze" in lost[0]
     with written(tmp_path / "out", known, parts) as (_, rows):
@@ -98,14 +98,14 @@ def test_our_allegro_hand_is_its_own(grasps: Callable[..., GraspSet], load: Load
 def test_one_finger_of_the_franka_hand_is_enough(tmp_path: Path):
     both = reading(save(tmp_path / "a.json", contents("franka_panda"))).grasps
     one = replace(both, joint_names=both.joint_names[:1], q=both.q[:, :1])
-    parts, _ = format_named("multigripper").write(one, load_none)
+    parts, _ = FORMATS["multigripper"].write(one, load_none)
     assert parts[0].content["dofs"] == [[first, first] for first in both.q[:, 0]]
 
 
 def test_another_hand_with_joints_of_the_same_names(tmp_path: Path):
     read = reading(save(tmp_path / "a.json", contents("sawyer"))).grasps
     with refused(GraspFileError, "sawyer", "'mine'"):
-        format_named("multigripper").write(replace(read, hand="mine"), load_none)
+        FORMATS["multigripper"].write(replace(read, hand="mine"), load_none)
 
 
 def test_poses_only(tmp_path: Path):

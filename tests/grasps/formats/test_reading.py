@@ -176,7 +176,7 @@ def test_files_of_a_folder_are_one_set(tmp_path: Path, grasps: Callable[..., Gra
     assert read.grasps.squeeze is None
 
 
-@pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.name)
+@pytest.mark.parametrize("known", [*FORMATS], ids=lambda known: known.name)
 def test_every_format_refuses_what_is_none(known: Format):
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))

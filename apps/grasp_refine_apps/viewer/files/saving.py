@@ -19,7 +19,7 @@ from grasp_refine.grasps.formats.agreement import DisagreementError, check_agree
 from grasp_refine.grasps.formats.folders import natural, object_folder
 from grasp_refine.grasps.formats.format import Format, Load, Part
 from grasp_refine.grasps.formats.leap_cache import LeapCache
-from grasp_refine.grasps.formats.listing import format_named
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage
@@ -169,13 +169,13 @@ def grasp_file(hand: Hand, grasps: GraspSet, format_name: str, number: str = "")
     Args:
         hand: The hand of the grasps, below their base link.
         grasps: The grasps.
-        format_name: One of `formats.listing.FormatName`.
+        format_name: Name of a format.
         number: Number of the grasp, for the name of the file; empty: none.
 
     Raises:
         GraspFileError: there is no such format, it cannot hold these grasps, or they are read as others.
     """
-    to, load = format_named(format_name), _loader(hand)
+    to, load = FORMATS[format_name], _loader(hand)
     parts, notes = to.write(grasps, load)
     with tempfile.TemporaryDirectory(prefix="grasp-refine-") as folder:
         name = _stem(grasps, to, number)
