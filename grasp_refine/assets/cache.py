@@ -1,7 +1,7 @@
 """Cache folder of fetched assets: nothing is read from it unchecked, and nothing is written outside of it.
 
 One folder for each asset, origin and state of the manifest, named by the hashes in it: `hands/leap/mirror-<digest>/`.
-So files of upstream and of a mirror never mix, and those of an older manifest are never used for a newer one.
+Files of upstream and of a mirror never mix, and files of an older manifest are never used for a newer one.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def fetch_asset(
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove the empty folders at and below `folder`, and those above it in the cache of assets."""
+    """Remove empty folders at and below `folder`, and above it within the cache of assets."""
     below = [path for path in folder.rglob("*") if path.is_dir() and not path.is_symlink()]
     above = [path for path in (folder, *folder.parents) if path.is_relative_to(default_cache("assets"))]
     for path in (*sorted(below, reverse=True), *above):

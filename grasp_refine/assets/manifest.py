@@ -66,7 +66,7 @@ class Asset:
     kind: Kind
     """Kind of asset, which names its manifest."""
     name: str
-    """Unique name among those of its kind; also a folder name."""
+    """Unique name within its kind; also a folder name."""
     repository: str | None
     """Repository of its files; None: they come from a Python package."""
     commit: str | None
@@ -110,7 +110,7 @@ class Asset:
 
 
 def read_manifest(kind: Kind, folder: Path | None = None) -> dict[str, Asset]:
-    """Return the assets of a kind by name; `folder` holds the manifests, by default those of the program.
+    """Return the assets of a kind by name; `folder` contains the manifests, by default of the program.
 
     Raises:
         AssetError: the file or an entry is missing or malformed, or names a path that leaves its folder.

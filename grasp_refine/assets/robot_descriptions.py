@@ -1,6 +1,6 @@
 """Hands of the Python package robot_descriptions, which clones the repositories of their makers into its cache.
 
-Each description is a module with the paths of its files: `URDF_PATH` or `MJCF_PATH`, and those of variants, such as
+Each description is a module with the paths of its files: `URDF_PATH` or `MJCF_PATH`, and variants such as
 `URDF_PATH_LEFT`. Only modules of the installed package are imported, and of what they clone only the named file, and
 its meshes, are read.
 """
@@ -88,7 +88,7 @@ def _missing(base: str) -> str:
 
 def _imported(module: str, name: str) -> ModuleType:
     try:
-        # It tells of its progress on standard output, which is ours.
+        # It prints its progress to standard output, which is ours.
         with redirect_stdout(sys.stderr):
             return import_module(f"{PACKAGE}.{module}")
     # Importing runs git, whose errors are of any type.

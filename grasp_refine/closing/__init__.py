@@ -1,1 +1,1 @@
-"""How a hand closes on an object: pregrasp, squeeze, the motion between."""
+"""Closing of a hand on an object: pregrasp, squeeze, and the motion between."""

@@ -96,10 +96,10 @@ def motion_of(grasps: GraspSet, hand: Hand, own: Motion | None = None) -> Motion
     Args:
         grasps: The grasps.
         hand: Their hand.
-        own: Motion of the same grasps with our own stages, for those that the file lacks.
+        own: Motion of the same grasps with generated stages, for stages that the file lacks.
 
     Raises:
-        GraspFileError: the file lacks a stage and there is no `own`, or its joints are not those of the hand.
+        GraspFileError: the file lacks a stage and there is no `own`, or its joints differ from the hand's.
     """
     missing = [name for name in OTHER_STAGES if name not in grasps.other_stages]
     if missing and own is None:

@@ -170,7 +170,7 @@ class PiecePair:
         epa: float | None = None,
         guess: np.ndarray | None = None,
     ) -> Answer:
-        """Return coal's unchecked answer in the unit, at tolerances that are by default those of the query."""
+        """Return coal's unchecked answer in the unit, by default at the tolerances of the query."""
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         request.gjk_tolerance = self._tolerances.gjk if gjk is None else gjk
         request.epa_tolerance = self._tolerances.epa if epa is None else epa

@@ -28,7 +28,7 @@ def query_near(
     apart = np.isfinite(cutoff) & (bound > 0)
     if apart.all():
         return nothing_near(bound)
-    # No distance is below NaN: those pairs are passed over.
+    # No distance is below NaN: such pairs are skipped.
     found = query(pairs, T_a, T_b, cutoff=np.where(apart, np.nan, cutoff), previous=previous)
     found.distance[apart], found.status[apart] = bound[apart], QueryStatus.FAR
     return found

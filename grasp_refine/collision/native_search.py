@@ -107,7 +107,7 @@ class NativeSearch:
         )  # fmt: skip
         threads = threads or threads_for(limit.size)
         if threads > 1:
-            # Those that are passed over are no work; few items need no count.
+            # Skipped items are no work; few items need no count.
             threads = min(threads, threads_for(limit.size - int(np.isnan(limit).sum())))
         self._compiled.query(pair, T_a, T_b, limit, *(previous or (None,) * 4), *found, threads)
         return found
@@ -153,10 +153,10 @@ def bounded_steps(
     *arrays: np.ndarray, unilateral: np.ndarray | None, passes: int, threads: int | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps and predicted falls of `bounded_step`, which has the same arguments, the arrays in its order."""
-    given = [np.ascontiguousarray(part, dtype=np.float64) for part in arrays]
-    dx, predicted = np.empty(given[-1].shape), np.empty(len(given[0]))
+    contiguous = [np.ascontiguousarray(part, dtype=np.float64) for part in arrays]
+    dx, predicted = np.empty(contiguous[-1].shape), np.empty(len(contiguous[0]))
     threads = threads or threads_for(len(predicted), _STEPS_PER_THREAD)
-    _native.bounded_steps(*given, unilateral, passes, dx, predicted, threads)
+    _native.bounded_steps(*contiguous, unilateral, passes, dx, predicted, threads)
     return dx, predicted
 
 
@@ -180,7 +180,7 @@ def _side(bodies: Sequence[Body]) -> "_native.Side":
 
 
 def threads_for(items: int, fewest: int = _ITEMS_PER_THREAD) -> int:
-    """Number of threads for a number of items, of which `fewest` are worth one."""
+    """Number of threads for a number of items, one for every `fewest` items."""
     return max(1, min(items // fewest, _available()))
 
 

@@ -1,6 +1,6 @@
 """The engine in Python: plain and slow, for machines without the compiled one, which is the norm.
 
-Its distances equal those of the compiled engine up to rounding. Where several pieces are equally far, or two faces are
+Its distances equal the compiled engine's up to rounding. Where several pieces are equally far, or two faces are
 parallel, it may choose other witness points.
 """
 

@@ -73,7 +73,7 @@ def check_values(settings_class: type, values: Mapping[str, Any], prefix: str = 
 
 
 def check_positive(settings: Any, *names: str) -> None:
-    """Check the fields as in `check_fields`, and refuse those of `names` that are not above 0 and finite.
+    """Check the fields as in `check_fields`, and refuse fields in `names` that are not above 0 and finite.
 
     Raises:
         GraspRefineError: names the class and the field.

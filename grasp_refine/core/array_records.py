@@ -26,9 +26,9 @@ def join(first: Batch, *others: Batch) -> Batch:
 
 
 def choose(mask: np.ndarray, first: Batch, second: Batch) -> Batch:
-    """The rows of the first where the mask (batch,) is true, else those of the second.
+    """Rows of the first where the mask (batch,) is true, else of the second.
 
-    Nothing is copied where all rows are those of one of them.
+    Nothing is copied where all rows come from one of them.
     """
     if mask.all():
         return first

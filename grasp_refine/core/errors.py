@@ -39,7 +39,7 @@ class GraspFileError(GraspRefineError):
 
 
 class ConventionError(GraspFileError):
-    """A grasp file that is most likely in other units, quaternions or frames than those that it is read in."""
+    """A grasp file that most likely uses other units, quaternions or frames than assumed."""
 
 
 class AssetError(GraspRefineError):

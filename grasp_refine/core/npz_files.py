@@ -111,7 +111,7 @@ class NpzFile:
 
 
 def load_npz(path: str | Path, *, only: Collection[str] | None = None) -> NpzFile:
-    """Return the arrays of an `.npz` file, or `only` those of some names that it has; none is unpickled.
+    """Return the arrays of an `.npz` file, or `only` the named arrays that it has; none is unpickled.
 
     Raises GraspFileError when the file is missing, not an `.npz`, damaged, or holds a pickle or anything else but plain
     arrays, or would unpack to more than `MAX_UNPACKED_BYTES` or to other sizes than its headers state, or take more
@@ -230,7 +230,7 @@ def save_npz(path: str | Path, arrays: Mapping[str, ArrayLike]) -> None:
     """
     check_kind("path", path, str | Path)
     if not isinstance(arrays, Mapping) or not all(isinstance(key, str) for key in arrays):
-        raise GraspFileError(f"arrays must be by name, as those of GraspSet.arrays() are, got {describe_value(arrays)}")
+        raise GraspFileError(f"arrays must be by name, as in GraspSet.arrays(), got {describe_value(arrays)}")
     entries: dict[str, Any] = {}
     for key, value in arrays.items():
         try:

@@ -51,9 +51,9 @@ class StageTime:
     """Time and calls of a stage."""
 
     cpu_s: float = 0.0
-    """CPU seconds, without those of nested stages."""
+    """CPU seconds, without nested stages."""
     wall_s: float = 0.0
-    """Wall seconds, without those of nested stages."""
+    """Wall seconds, without nested stages."""
     calls: int = 0
     """Number of times that it began."""
 
@@ -69,7 +69,7 @@ class Stopwatch:
     patches: int = 0
     """Contacts whose patch of flat faces was looked for; none where nothing is flat."""
     scene_pairs: dict[str, int] = field(default_factory=dict)
-    """Pairs of a link and a body of a scene, by what settled them: see `Surroundings.near`."""
+    """Pairs of a link and a body of a scene, by the test that settled them: see `Surroundings.near`."""
     _open: list[Stage] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)
     _children: float = 0.0
@@ -196,7 +196,7 @@ def count_patches(number: int) -> None:
 
 
 def count_scene_pairs(settled: Mapping[str, int]) -> None:
-    """Add numbers of pairs of a link and a body of a scene, by what settled them, to the running stopwatch, if any."""
+    """Add numbers of pairs of a link and a body of a scene to the running stopwatch, if any."""
     watch = _RUNNING.get()
     if watch is not None:
         for how, number in settled.items():

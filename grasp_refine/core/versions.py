@@ -1,4 +1,4 @@
-"""Versions of the packages that the program needs, and of those installed."""
+"""Versions of required and of installed packages."""
 
 from __future__ import annotations
 

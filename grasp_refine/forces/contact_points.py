@@ -1,8 +1,8 @@
 """Contact points of grasps: witness points of the links that touch, and corners where flat faces meet.
 
-The first L columns are those of the links. Where the flat faces of a link and of the object meet, the corners of the
+The first L columns belong to the links. Where the flat faces of a link and of the object meet, the corners of the
 patch (`witness.face_patch`) stand for the witness point: the first in the column of the link, the others in `SLOTS`
-groups of columns behind those of the links, which hands or objects without flat faces do not have. Grasps without
+groups of columns behind the links' columns, which hands or objects without flat faces do not have. Grasps without
 patches are computed without these columns, so that they do not depend on the other grasps.
 """
 
@@ -120,7 +120,7 @@ class ContactPoints:
 
     @property
     def point_on_link(self) -> Float[np.ndarray, "N K 3"]:
-        """Points (N, K, 3) of the links opposite to those on the object, in metres."""
+        """Points (N, K, 3) of the links opposite to the points on the object, in metres."""
         return self.point - self.gap[..., None] * self.normal
 
     @property
@@ -131,7 +131,7 @@ class ContactPoints:
         return np.any(self.patches.faces.count, axis=1)
 
     def groups(self) -> Iterator[tuple[np.ndarray | slice, ContactPoints]]:
-        """Yield the rows of the grasps without patches with their points, L columns, then those with patches."""
+        """Yield the rows of the grasps without patches with their points, L columns, then the rows with patches."""
         patched = self.patched
         if not (patched.any() and patched.all()):
             rows = np.flatnonzero(~patched) if patched.any() else slice(None)

@@ -56,7 +56,7 @@ UNSOLVED_VALUE = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The best contact forces of M grasps under each of P loads, over L links, and what remains unbalanced."""
+    """The best contact forces of M grasps under each of P loads, over L links, and the unbalanced wrench."""
 
     unbalanced: np.ndarray
     """[F, tau / `LEVER_M`] with the load, then the torques that the hand cannot make (M, P, 6 + E)."""
@@ -113,7 +113,7 @@ class Equilibrium:
             frames: Poses of the links.
             axes: Rotations of the grasps' frames, in which loads are, and to which friction pyramids are aligned; they
                 rest while the hand moves.
-            last: Those of the same grasps nearby, to start from.
+            last: Solutions of the same grasps nearby, to start from.
             patches: Patches of the links, with forces at their corners; None: where no link can have any.
         """
         if patches is not None and not touching.all():
@@ -235,7 +235,7 @@ class Equilibrium:
         M, P, C = local.shape[:3]
         R = G.shape[2]
         free = np.moveaxis(G[:, None] @ N, 2, 3).reshape(M, P, R, 3 * C)
-        # The pressures sum to 1, and those of a link with its largest pressure to that.
+        # The pressures sum to 1; the pressures of the most loaded link sum to that load.
         sums = [N[..., 0]]
         if link is not None:
             most, excess = heaviest_link(local, link[:, None])
@@ -317,7 +317,7 @@ def _contact_motion(
 ) -> Float[np.ndarray, "M C 6 6"]:
     """Rotations of the contacts' local bases, then movements of their points, in the twists of the links.
 
-    The bases are those of `basis_tangents`; they turn by n x dn and about the normal.
+    The bases are from `basis_tangents`; they turn by n x dn and about the normal.
     """
     distance = np.where(witness.valid, witness.distance, 0.0)
     U_link, U_object = contact_slip_jacobian(witness.point_b, witness.normal, distance, E, K_link, K_object)

@@ -1,4 +1,4 @@
-"""Torques that a hand cannot make, as linear forms of contact forces: those that actuators and linkages do not hold.
+"""Torques that actuators and linkages of a hand cannot make, as linear forms of contact forces.
 
 Joints that share an actuator (`Hand.coupled`) have torques in its ratio, and only springs hold linkages in the modes in
 which they yield (`Hand.modes`): deviations from the ratio, and torques in these modes, should be 0. A limit of a joint
@@ -33,7 +33,7 @@ class InfeasibleTorques:
 
     @staticmethod
     def of(hand: Hand, chain: Chain) -> InfeasibleTorques:
-        """Return those of a hand."""
+        """Return the infeasible torques of a hand."""
         rows = [np.zeros((0, len(hand.joint_names)))]
         for group in hand.coupled:
             # An orthonormal basis of what is perpendicular to the ratio.
@@ -94,7 +94,7 @@ class InfeasibleTorques:
         return np.concatenate(parts, axis=2)
 
     def _shared_changes(self, frames: Frames, links: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Those of coupled joints (M, P, S, 6 + n), as the axes of the joints move."""
+        """Derivatives for coupled joints (M, P, S, 6 + n), as the axes of the joints move."""
         (M, P), chain = f.shape[:2], self.chain
         used = np.flatnonzero(self.shared.any(axis=0))
         follows = chain.joint_mask(links)[..., 6 + used]
@@ -106,7 +106,7 @@ class InfeasibleTorques:
         return self.shared[:, used] @ moved.reshape(M, P, len(used), -1)
 
     def _mode_changes(self, frames: Frames, links: np.ndarray, p: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Those in modes (M, P, E - S, 6 + n), as the links carry their twists and the linkages move."""
+        """Derivatives in modes (M, P, E - S, 6 + n), as the links carry their twists and the linkages move."""
         (M, P, C), E = f.shape[:3], len(self.hand.modes)
         link = np.broadcast_to(links, (M, C))
         at = link[:, None, :, None]
@@ -155,7 +155,7 @@ def mode_shares(
     link: Int[np.ndarray, "N K"],
     give: float,
 ) -> Float[np.ndarray, "N P E"]:
-    """Return the torques (N, P, E) in modes that make forces in N, as shares of what springs and limits hold.
+    """Return the torques (N, P, E) in modes that make forces in N, as shares of the torques of springs and limits.
 
     Args:
         hand: The hand.

@@ -37,7 +37,7 @@ def solve_programs(
     """Best forces (pressure and two tangents) of N grasps under P loads each, and True where they were found.
 
     They minimise |outer + sum G_k f_k|^2 + ridge sum |f_k|^2 (see `wrench.contact_forces`). Forces that were not found,
-    and those of what is no contact, are 0. Those of a grasp do not depend on the other ones.
+    and forces where there is no contact, are 0. Grasps do not depend on each other.
 
     Args:
         G: Grasp maps (see `wrench.grasp_map`).
@@ -127,7 +127,7 @@ def _solve_by_daqp(
 def _constraints(C: int, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rows, upper and lower bounds and kinds of the constraints on pressures and tangential forces of C contacts.
 
-    The first bounds are those of the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
+    The first bounds are on the unknowns themselves: pressures from 0 to the cap, tangents without any. Then
     come the sum of the pressures and, for each contact, the faces of its pyramid.
     """
     rows = np.concatenate([np.tile([1.0, 0.0, 0.0], C)[None], np.kron(np.eye(C), pyramid_faces(friction))])

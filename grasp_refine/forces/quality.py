@@ -117,7 +117,7 @@ def quality(
         obj: The object, at the origin of the frame in which the witness points are.
         chain: Kinematics of the L links; of a link listed several times the first counts.
         frames: Poses of the links.
-        witness: Witness points (N, L) of links and object, at least of those that are near enough to be contacts.
+        witness: Witness points (N, L) of links and object, at least of links near enough to be contacts.
         clearance: Gap (L,) in metres that links have on purpose, which is no shortcoming.
         faces: Flat faces of links and object; None: found here.
     """
@@ -146,7 +146,7 @@ def quality(
     distance, L = np.where(witness.valid, witness.distance, 0.0), len(chain.links)
     wanted = np.take_along_axis(np.broadcast_to(clearance, distance.shape), points.link, axis=1)
     depth, gap = np.maximum(-distance, 0.0), slippery.pressure[:, 0] * np.maximum(points.gap - wanted, 0.0)
-    # Behind the columns of links are those of corners.
+    # The columns of corners follow the columns of links.
     total = gap[:, :L].sum(axis=1) + gap[:, L:].sum(axis=1)
     farthest = np.nan_to_num(gap).argmax(axis=1)
     return Quality(

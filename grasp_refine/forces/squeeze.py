@@ -22,7 +22,7 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine.witness.face_patch import NUM_CORNERS, FacePairs
 
 CONTACTS = ContactSelection(farthest=0.0)
-"""Selection of the links with a contact: those within reach, however few they are."""
+"""Selection of the links with a contact: all within reach, however few."""
 
 TOTAL_PRESSURE_N = 30.0
 """Sum of the pressures of a grasp, in newtons."""
@@ -58,11 +58,11 @@ def squeezed(
 def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = TOTAL_PRESSURE_N) -> Squeeze:
     """Return set points of the joints that squeeze the grasps, q + J^T f / kp, and f; the root, or the arm, stays.
 
-    The forces f on the object are those that balance best, with pressures that sum to `total`, or to less where set
+    The forces f on the object balance best, with pressures that sum to `total`, or to less where set
     points end before. A position actuator whose link is stopped by the object presses with kp times its position error,
     up to its limit, and the torques J^T f make these forces. The values may lie beyond the limits of the joints, which
     they do not move there: they press all the same. Grasps without contacts, or whose forces are not known, are kept;
-    those with an invalid pose (`Scene.posed`) become NaN.
+    grasps with an invalid pose (`Scene.posed`) become NaN.
 
     Args:
         scene: Hand, object and grasps. The hand's `actuator` must be the one that moves it: in a simulation with
@@ -82,7 +82,7 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = 
     points = contacts(hand, scene.object, scene.links, witness, T_link, prepared.faces)
     found = grasp_forces(points, scene.object, T[:, :3, :3], ridge=SQUEEZE_RIDGE)
     torque = _torques(hand, chain, frames, points, total * found.force)
-    # Weaker forces hold more objects than those of which some are cut off, which do not balance.
+    # Weaker forces hold more objects than partly clipped forces, which do not balance.
     share = np.maximum(pressure_shares(hand, torque, q), MIN_PRESSURE_SHARE)
     known = np.isfinite(points.point).all(axis=-1) & (found.solved & posed)[:, None]
     vector = np.where(known[..., None], total * share[:, None, None] * found.force, np.nan)
@@ -91,7 +91,7 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = 
 
 
 def _padded(scene: Scene, points: ContactPoints, vector: Float[np.ndarray, "N K 3"]) -> SqueezeForces:
-    """Return forces (N, K, 3) with as many columns on every object: those of patches too, for a hand that has them."""
+    """Return forces (N, K, 3) with equally many columns on every object, patches included if the hand has them."""
     wanted = len(scene.links) + (SLOTS * (NUM_CORNERS - 1) if scene.hand.patches else 0)
     more = (0, 0), (0, wanted - points.link.shape[1])
     point, normal, force = (
@@ -137,7 +137,7 @@ def pressure_shares(
         return np.ones(len(q))
     demand = tensions(hand, torque)
     bound = np.where(demand < 0.0, -1.0, 1.0) * np.where(demand < 0.0, *torque_bounds(hand, q))
-    # Force limits leave the other actuators as they are.
+    # Force limits do not change the other actuators.
     ends = (bound < hand.actuator.force_limit) & (hand.actuator.kp > 0.0)
     most = np.where(ends, np.abs(demand) / np.maximum(bound, MIN_LIMIT), 0.0).max(axis=1, initial=1.0)
     return 1.0 / most
@@ -189,7 +189,7 @@ def set_point_offsets(
     Each actuator, in series with the linkage that it moves (`Hand.stiffness`), makes as much of them as it can: nothing
     without stiffness, else up to its limit, and to where its set points end (`torques.torque_bounds`). Where it drives
     several joints through a tendon, it makes the nearest torques in the ratio of the joints, which is for equal ratios
-    the mean for each. The stiffness and the limit of a tendon are those of its first joint. Its set point is the sum of
+    the mean for each. A tendon has the stiffness and the limit of its first joint. Its set point is the sum of
     ratio x set point over its joints, which share it in proportion to their ratios.
     """
     kp = hand.stiffness

@@ -1,4 +1,4 @@
-"""Forces with which squeezes press: padded, one row per grasp, as they are computed; and flat, as results have them."""
+"""Forces of squeezes: padded, one row per grasp, as computed; and flat, as in results."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ TORSION_LEVER_M = 0.01
 """Lever in metres of that stiffness about the normal."""
 
 MIN_STIFFNESS = 1e-6
-"""Stiffness, in N m/rad or N/m, of joints without actuators, and of what no contact holds."""
+"""Stiffness, in N m/rad or N/m, of joints without actuators, and of directions without contact."""
 
 
 def object_motion(
@@ -50,7 +50,7 @@ def object_motion(
         chain: Kinematics of its links.
         frames: Poses of the links.
         points: Contact points.
-        force: Forces in N on the object at these, with which the hand presses; those without any hold nothing.
+        force: Forces in N of the hand on the object at these points; contacts without a force do not hold.
         center: The object's centre of mass.
         loads: Forces in N and torques about `center` in N m, in the frame of the contacts.
 

@@ -1,4 +1,4 @@
-"""Joint torques that make contact forces, and how much of what the actuators can make they are."""
+"""Joint torques of contact forces, and their shares of the actuators' limits."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def joint_torques(
 
 
 def tensions(hand: Hand, torque: Float[np.ndarray, "*N n"]) -> Float[np.ndarray, "*N n"]:
-    """Return what each actuator should make of torques (..., n): of a coupled group the tension, at its first joint.
+    """Return the actuator torques of joint torques (..., n): of a coupled group the tension, at its first joint.
 
     It is the tension that comes nearest to their torques (see `squeeze.set_point_offsets`); other joints of it have 0.
     """
@@ -58,7 +58,7 @@ def torque_bounds(
     """Return the least and the greatest torque (..., n) that each actuator can make, in N m or N.
 
     A position actuator makes `Hand.stiffness` times the distance to its set point, which ends where
-    `Actuator.set_points` do, and at most its force limit. Bounds of a coupled group are those of its tension, the same
+    `Actuator.set_points` do, and at most its force limit. Bounds of a coupled group apply to its tension, the same
     for all its joints.
 
     Args:
@@ -84,7 +84,7 @@ def torque_bounds(
 def limit_shares(
     hand: Hand, torque: Float[np.ndarray, "*N n"], q: Float[np.ndarray, "*#N n"], give: float = GIVE_RAD
 ) -> Float[np.ndarray, "*N n"]:
-    """Return torques as shares (..., n) of what the actuators can make: 0 without a limit.
+    """Return torques as shares (..., n) of the actuators' limits: 0 without a limit.
 
     Of joints that share an actuator the first has the share of their tension, and the others have none.
 

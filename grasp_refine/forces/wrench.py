@@ -56,7 +56,7 @@ class ContactForces:
     local: Float[np.ndarray, "*N K 3"]
     """Force (N, K, 3) along the normal and the two `basis_tangents` at it."""
     solved: Bool[np.ndarray, "*N"]
-    """Mask (N,) of grasps that have forces: those with a contact, unless the solver failed."""
+    """Mask (N,) of grasps that have forces: a contact, and no failure of the solver."""
     squares: Float[np.ndarray, "*N"]
     """Sum (N,) of the squares of `local`."""
 
@@ -142,7 +142,7 @@ def basis_tangents(
 ) -> Float[np.ndarray, "*N K 3 2"]:
     """Two unit tangents as columns of each unit normal that turn with it smoothly, except at one direction.
 
-    Those of `se3.tangents` jump where a normal crosses a coordinate plane, where normals of upright objects lie.
+    The tangents of `se3.tangents` jump where a normal crosses a coordinate plane, where normals of upright objects lie.
 
     Args:
         normal: Unit normals.
@@ -170,7 +170,7 @@ def basis_spin(
 
 
 def turn_loads(loads: Float[np.ndarray, "P 6"], axes: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N P 6"]:
-    """Loads (N, P, 6) in the frame of the contacts, from those in the axes of each grasp."""
+    """Loads (N, P, 6) in the frame of the contacts, from loads in the axes of each grasp."""
     return np.concatenate([part @ axes.mT for part in np.split(loads, 2, axis=-1)], axis=-1)
 
 

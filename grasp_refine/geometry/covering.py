@@ -148,7 +148,7 @@ def protrusion(pieces: Sequence[Piece], mesh: trimesh.Trimesh, least: float) -> 
 
 
 def _without_small_holes(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
-    """Mesh with its holes of three edges, and those of four edges no wider than `size` metres, filled.
+    """Mesh with filled holes of three edges, and of four edges no wider than `size` metres.
 
     The hull does not protrude over a small hole. A wide hole of four edges may be intended.
     """
@@ -229,7 +229,7 @@ def _cut(
 
 
 def _flat_hulls(flat: Sequence[np.ndarray]) -> list[Piece]:
-    """Hulls of flat bodies, given their points; those whose boxes touch are the sides of one body."""
+    """Hulls of flat bodies, given their points; bodies whose boxes touch are the sides of one body."""
     groups: list[np.ndarray] = []
     for points in flat:
         near = [group for group in groups if _boxes_touch(group, points)]

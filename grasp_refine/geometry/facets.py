@@ -184,7 +184,7 @@ def _polygons(parts: Sequence[np.ndarray], n: np.ndarray) -> list[np.ndarray]:
 
 
 def convex_polygon(points: Float[np.ndarray, "V 2"]) -> Int[np.ndarray, " W"]:
-    """Indices (W,) of the vertices of the convex hull of points (V, 2), counter-clockwise, without those on edges."""
+    """Indices (W,) of the convex hull vertices of points (V, 2), counter-clockwise, without vertices on edges."""
     order = np.lexsort(points.T[::-1])
     tight = 1e-9 * max(float(np.ptp(points, axis=0).max()), 1e-300)
 

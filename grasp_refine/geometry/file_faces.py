@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def numbered_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
     """Return the corners (F, 3, 3) of the triangles of a file times `scale`, and the numbers (F,) of their faces.
 
-    Faces are numbered from 0 in the order of the file. In an OBJ file they may have any number of corners; those of
+    Faces are numbered from 0 in the order of the file. In an OBJ file they may have any number of corners; faces of
     other files count as triangles.
 
     Raises:
@@ -61,7 +61,7 @@ def _obj_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def colored_triangles(path: Path, scale: float) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, "F 3 3"]]:
     """Return the corners (F, 3, 3) of the triangles of a file times `scale`, and their colours, red, green, blue.
 
-    Colours (F, 3, 3) at the corners are those of faces, vertices, materials or textures, 0 to 255; -1: there is none.
+    Colours (F, 3, 3) at the corners come from faces, vertices, materials or textures, 0 to 255; -1: no colour.
 
     Raises:
         MeshError: the file cannot be read.

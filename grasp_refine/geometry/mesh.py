@@ -36,12 +36,12 @@ MIN_DIAGONAL, MAX_DIAGONAL = 1e-15, 1e15
 """Limits of a solid's diagonal, in metres or the unit of the file: a nucleus, a light-month."""
 
 MAX_BODIES = 64
-"""Most connected bodies taken as one piece each; a mesh of more is cut into fewer pieces, even if all are convex."""
+"""Most connected bodies taken as one piece each; a mesh with more is decomposed, even if all are convex."""
 
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Silence trimesh within the block: what it logs about broken files is for programmers."""
+    """Silence trimesh within the block: its log messages about broken files are for programmers."""
     logger = logging.getLogger("trimesh")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)

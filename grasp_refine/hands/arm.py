@@ -15,12 +15,12 @@ class Arm:
     """The part of a `Hand` that carries the palm; its base stands still."""
 
     palm: str
-    """Link whose pose is the palm's: what grasps of the hand alone give poses of."""
+    """Link of the palm: grasps of the hand alone give its pose."""
     joints: Bool[np.ndarray, " n"]
     """True (n,) for the independent joints between base and palm, the arm's."""
     links: frozenset[str]
-    """Links of the arm: those that are not at or below the palm."""
+    """Links of the arm: all links above the palm."""
     standing: frozenset[str]
-    """Those of them that no joint moves, such as the base: what they stand on or in is no obstacle."""
+    """Links of the arm that no joint moves, such as the base: the ground below them is no obstacle."""
 
     __repr__ = brief

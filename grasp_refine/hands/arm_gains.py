@@ -18,14 +18,14 @@ ARMATURE = 0.1
 """Inertia in kg m^2 of the rotor of a joint that turns, as seen through its gears."""
 
 BANDWIDTH_RAD_S = 100.0
-"""Natural frequency of a joint on its servo, in rad/s: what is below follows its set points."""
+"""Natural frequency of a joint on its servo, in rad/s: slower motion follows its set points."""
 
 DEFAULT_SPEED_RAD_S = 1.0
 """Speed limit of joints in rad/s whose file gives none; slides move by `Hand.per_radian` of it, 0.1 m/s."""
 
 
 def with_arm_gains(hand: Hand, which: Bool[np.ndarray, " n"]) -> Hand:
-    """Return a hand whose arm holds its set points, where no file gives its stiffness, and a note on what is guessed.
+    """Return a hand whose arm holds its set points, where no file gives its stiffness, and a note on the guess.
 
     With the inertia I of all that a joint moves at the rest pose, and the armature, kp = I w^2 for `BANDWIDTH_RAD_S` w,
     and the damping is 2 I w, with which it does not overshoot, but at most effort / speed limit: at half of that speed,
@@ -50,13 +50,13 @@ def with_arm_gains(hand: Hand, which: Bool[np.ndarray, " n"]) -> Hand:
         "armature": armature,
         "frictionloss": np.zeros(len(ours)),
     }
-    given = {key: np.where(ours, values, getattr(actuator, key)) for key, values in guessed.items()}
+    gains = {key: np.where(ours, values, getattr(actuator, key)) for key, values in guessed.items()}
     names = [name for name, guess in zip(hand.joint_names, ours, strict=True) if guess]
     note = (
         f"stiffness and damping of {count_text(len(names), 'joint')} of the arm are guessed from effort, speed and "
         "inertia: an arm.toml can give them ([actuator])"
     )
-    return replace(hand, actuator=replace(actuator, **given), notes=(*hand.notes, note))
+    return replace(hand, actuator=replace(actuator, **gains), notes=(*hand.notes, note))
 
 
 def moved_inertia(hand: Hand) -> Float[np.ndarray, " n"]:

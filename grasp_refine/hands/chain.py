@@ -1,11 +1,11 @@
 """Forward kinematics of a hand with its geometric Jacobian, for solvers that call it in their inner loop.
 
 Written against the array API, with few operations whatever the hand: at a batch of one the time goes into
-dispatching them. Gradients by autograd are those of `kinematics.Kinematics`.
+dispatching them. `kinematics.Kinematics` has gradients by autograd.
 
 Every movable joint gets a frame of its own: it moves with the child, has its origin and has the joint's axis as z.
 Fixed joints, and the rotations that align the axes, are folded into constant transforms between these frames.
-Twists are those of `se3`: spatial, (v, w), V(p) = v + w x p about the world's origin.
+Twists are as in `se3`: spatial, (v, w), V(p) = v + w x p about the world's origin.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Chain:
     joints: tuple[str, ...]
     """The m movable joints that move any of the links: by the independent joint that they follow, then as in `hand`."""
     dof: int
-    """Number n of independent joints of the hand, those that move none of the links included."""
+    """Number n of independent joints of the hand, including joints that move none of the links."""
 
     def __init__(self, hand: Hand, links: Sequence[str]) -> None:
         """Prepare the chain down to `links`; joints that move none of them are left out.
@@ -96,10 +96,10 @@ class Chain:
     def to_joint_space(
         self, frames: Frames, covector: Array, link: np.ndarray, minus: np.ndarray | None = None
     ) -> Array:
-        """Covectors on root twist and joint values (batch, R, 6 + n), from those (batch, R, 6) on the twists of links.
+        """Covectors on root twist and joint values (batch, R, 6 + n), from covectors (batch, R, 6) on twists of links.
 
         Row r is the derivative of a quantity that changes by covector[r] . (v, w), where (v, w) is the spatial twist
-        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are those of `integrate`. The
+        of link[r], less that of minus[r]: exact, by the geometric Jacobian. Root twists are as in `integrate`. The
         child of joint i of `joints` has the index len(links) + i among the links.
 
         Args:
@@ -145,7 +145,7 @@ class Frames:
     """Unit twists (batch, 6, 6 + m) as columns, spatial (v, w) about the world's origin, in m/m, m/rad or rad/rad.
 
     First the root's: translation along the three world axes, rotation about the three world axes through the
-    root's origin. Then those of `Chain.joints`; of one that follows another on a curve, per unit of the other.
+    root's origin. Then the axes of `Chain.joints`; of one that follows another on a curve, per unit of the other.
     """
     T_world_root: Array
     """Poses (batch, 4, 4) of the root."""

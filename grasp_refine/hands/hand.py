@@ -95,7 +95,7 @@ class Hand:
     joints: tuple[Joint, ...]
     """All joints, fixed ones too, parents before children."""
     joint_names: tuple[str, ...]
-    """The n independent joints: those that move and mimic no other, in file order."""
+    """The n independent joints, which move and mimic no other, in file order."""
     lower: Float[np.ndarray, " n"]
     """Lower limits (n,) in rad or m; -inf if continuous."""
     upper: Float[np.ndarray, " n"]
@@ -115,7 +115,7 @@ class Hand:
     coupled: tuple[Coupled, ...] = ()
     """Groups of independent joints that share an actuator."""
     excluded: tuple[LinkPair, ...] | None = None
-    """Pairs of links that never collide, by an MJCF; None: a URDF does not tell."""
+    """Pairs of links that never collide, by an MJCF; None: a URDF has none."""
     mjcf: Path | None = None
     """MJCF file of the same hand, where there is one; `urdf`, where that is an MJCF and no other is given."""
     mjcf_joints: Mapping[str, str] = field(default_factory=dict)
@@ -163,12 +163,12 @@ class Hand:
 
     @property
     def has_two_fingers(self) -> bool:
-        """True for a hand with two fingers, which press against each other, as those of grippers do."""
+        """True for a hand with two fingers, which press against each other, as in grippers."""
         return are_two_fingers(self.contacts)
 
     @property
     def palm(self) -> str:
-        """The link whose pose is the palm's: the base link, or what the arm carries."""
+        """The link of the palm: the base link, or the hand's base on an arm."""
         return self.base_link if self.arm is None else self.arm.palm
 
     @property
@@ -202,11 +202,11 @@ class Hand:
 
     @cached_property
     def yielding(self) -> frozenset[str]:
-        """Links of linkages that yield to a push; only those of `contacts` may hold an object."""
+        """Links of linkages that yield to a push; only links in `contacts` may hold an object."""
         return frozenset(link for mode in self.modes for link in mode.twists)
 
     def fixed_to(self, link: str) -> frozenset[str]:
-        """Return the names of a link and of those below it that no joint moves against it."""
+        """Return the names of a link and of the links below it that are fixed to it."""
         fixed = {link}
         for joint in self.joints:  # parents before children
             fixed |= {joint.child} if joint.parent in fixed and not joint.movable else set()
@@ -239,7 +239,7 @@ class Hand:
 
     @cached_property
     def curves(self) -> Curves:
-        """Parts of the values of all movable joints that are not linear, as those of linkages."""
+        """Nonlinear parts of the values of all movable joints, as in linkages."""
         return curves(self.joints, self.joint_names)
 
 
@@ -270,7 +270,7 @@ def load_hand(
             palm of a hand on an arm, otherwise the root.
         urdf: Used instead of the URDF that hand.toml names; hands that come without a URDF have theirs fetched.
         mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset. Joints that share an actuator
-            there do so in the hand, and those that follow others are mimic joints, unless hand.toml says otherwise.
+            there do so in the hand, and joints that follow others are mimic joints, unless hand.toml overrides it.
         collision: "visual": links of a URDF collide as they look, for hands without collision geometry; None: as in
             hand.toml, else their collision geometry.
         follower_limits: Limits of mimic joints: "own", or "leader": what follows from the joint that they follow, for
@@ -339,7 +339,7 @@ def load_hand(
         from grasp_refine.hands.files.alignment import Mechanism
         from grasp_refine.hands.linkages.mjcf_couplings import mjcf_couplings
 
-        # Those of the hand's own file count, even where another MJCF is simulated.
+        # The hand's own file counts, even where another MJCF is simulated.
         theirs, named = (tree.path, {}) if from_mjcf else (mjcf_file, names_there)
         couplings = mjcf_couplings(theirs, Mechanism.of(toml.name or name, base, tree, joints), named)
     if couplings is not None:

@@ -2,7 +2,7 @@
 
 Damped least squares with the damping of Sugihara (Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
 method, IEEE T-RO 2011): it is the error itself plus a little, so that steps are short far from a solution, or where
-there is none, and those of Newton close to one. A joint at a limit that would leave it is held there.
+there is none, and Newton steps close to one. A joint at a limit that would leave it is held there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REACHED_M, REACHED_RAD = 1e-7, 1e-6
 """Errors in metres and radians at which a pose is reached."""
 
 ITERATIONS, POLISHING = 60, 2
-"""Most iterations from a start, and those that bring what is reached nearer still."""
+"""Most iterations from a start, and most iterations that refine a solution."""
 
 MAX_STEP_RAD = 0.4
 """Largest step of a joint, in radians, or in `Hand.per_radian` of a slide."""
@@ -67,7 +67,7 @@ class ArmSolutions:
 
     @property
     def best(self) -> Float[np.ndarray, "N n"]:
-        """Best joint values (N, n); those of the arm are NaN where there is no solution."""
+        """Best joint values (N, n); NaN for the arm where there is no solution."""
         return self.q[:, 0]
 
 
@@ -173,8 +173,8 @@ class ArmKinematics:
     ) -> ArmSolutions:
         """Return the different ways to bring the palm to poses, from several starts.
 
-        Those without self-collision come first, then those that are farther from singular, up to `GOOD_DEXTERITY`, then
-        those nearer to the rest pose. The first start is the rest pose, the others are drawn, the same for all poses.
+        Solutions without self-collision come first, then solutions farther from singular, up to `GOOD_DEXTERITY`, then
+        nearer to the rest pose. The first start is the rest pose, the others are random, the same for all poses.
 
         Args:
             T_world_base: Poses (N, 4, 4) of the base, or one (4, 4) for all.
@@ -217,7 +217,7 @@ class ArmKinematics:
     ) -> Float[np.ndarray, "N 2"]:
         """Return how far (N, 2), in metres and radians, the palm stays from poses at the best of several attempts.
 
-        The arguments are those of `solve`; poses and values are finite.
+        The arguments are as in `solve`; poses and values are finite.
         """
         count, rows = len(q_hand), np.repeat(np.arange(len(q_hand)), starts)
         q = np.empty((len(rows), len(self.hand.joint_names)))
@@ -229,7 +229,7 @@ class ArmKinematics:
         return away[np.arange(count), best]
 
     def _ranked(self, T_world_base: np.ndarray, q: np.ndarray, found: np.ndarray) -> ArmSolutions:
-        """Return solutions (N, K, n), of which some are `found`, as ordered and measured ones."""
+        """Return solutions (N, K, n), some of them `found`, ordered and measured."""
         count, starts = found.shape
         at = np.flatnonzero(found.reshape(-1))
         flat, grasp = q.reshape(count * starts, -1), at // max(starts, 1)
@@ -248,7 +248,7 @@ class ArmKinematics:
 
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of links that can touch, of which the arm moves one against the other."""
+        """Pairs of links that can touch and that the arm moves against each other."""
         arm = self.arm.links
         return tuple(pair for pair in touching_pairs(self.hand) if arm & set(pair))
 

@@ -27,7 +27,7 @@ MOUNT_JOINT = "mount"
 def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.ndarray, "4 4"] | None = None) -> Hand:
     """Return a hand on an arm: one `Hand` whose base is that of the arm, and stands still.
 
-    Joints are those of the arm, then those of the hand; contacts, patches and files are those of the hand. Names of
+    Joints of the arm come first, then joints of the hand; contacts, patches and files are the hand's. Names of
     links and joints that both have get the name of the arm as a prefix in the arm, as in ur5e_base_link.
 
     Args:
@@ -147,7 +147,7 @@ def _last_link(arm: Hand) -> str:
 
 
 def _arm_notes(arm: Hand) -> list[str]:
-    """Return the notes on an arm, without those on contacts, which it has none of."""
+    """Return the notes on an arm, without notes on contacts, which an arm does not have."""
     return [f"arm {arm.name}: {note}" for note in arm.notes if not note.startswith("contact link")]
 
 
@@ -194,14 +194,14 @@ def _renamed(arm: Hand, hand: Hand) -> Hand:
 
 
 def _excluded(arm: Hand, hand: Hand) -> tuple[tuple[str, str], ...] | None:
-    """Return the pairs that never collide by either file; None where neither file tells."""
+    """Return the pairs that never collide by either file; None where neither file has any."""
     if arm.excluded is None and hand.excluded is None:
         return None
     return (*(arm.excluded or ()), *(hand.excluded or ()))
 
 
 def both(arm: Actuator, hand: Actuator) -> Actuator:
-    """Return the actuators of an arm, then those of a hand."""
+    """Return the actuators of an arm, followed by the actuators of a hand."""
     if arm.set_points is None and hand.set_points is None:
         return join(arm, hand)
     return join(*map(_with_set_points, (arm, hand)))

@@ -1,4 +1,4 @@
-"""Poses of the palm: those of the base link, or of what an arm carries."""
+"""Poses of the palm: of the base link, or of the hand that an arm carries."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ SCHEMA = 3
 """Version of the candidates and of their classification; a new one leaves all old cache entries unused."""
 
 MAX_PAIRS = 20_000
-"""Most pairs of links that are checked, which takes half a minute: those of 200 links that each move on their own."""
+"""Most pairs of links that are checked, which takes half a minute: 200 links that all move independently."""
 
 MIN_AVOIDABLE_M = 1e-3
 """Overlap in metres of an ignored pair, beyond its least one, from which it is noted."""
@@ -44,7 +44,7 @@ _BLOCK, _BLOCK_POSES = 256, 2**20
 
 _ROUND_STARTS = (256, 1280)
 """Configurations at which a new round starts: pairs that were near in one round are not queried in the next, which is
-cheap for those that remain, mostly far apart; a round costs up to 0.2 s on its own, for preparing its pairs."""
+cheap for the remaining pairs, mostly far apart; a round costs up to 0.2 s on its own, for preparing its pairs."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,10 @@ def touching_pairs(
 
     - have no bodies, or no joint that can move between them;
     - are neighbours: one hangs from the other, with one movable joint between them, or several with nothing solid
-      between these, or several that turn about one point, such as those of a knuckle. Hulls overlap around a joint by
+      between these, or several that rotate about one point, such as in a knuckle. Hulls overlap around a joint by
       design;
     - never collide by the file of the hand;
-    - overlap in nearly all configurations: so do hulls that cover more than the link, such as those of a knuckle's
+    - overlap in nearly all configurations: so do hulls that cover more than the link, such as a knuckle's
       next but one. The rest pose does not matter: fingers may cross in the middle of their ranges;
     - never come near each other in the sampled configurations.
 
@@ -167,7 +167,7 @@ class PairClasses:
 def classify_pairs(
     hand: Hand, sampling: Sampling = Sampling(), *, cache: Path | Literal["user"] | None = "user"
 ) -> PairClasses:
-    """Classification of all pairs: those of `touching_pairs`, and the reasons why it leaves out the others."""
+    """Classification of all pairs: `touching_pairs`, and the reasons for excluding the others."""
     (candidates, neighbours), checked = _candidates(hand), touching_pairs(hand, sampling, cache=cache)
     always = tuple(overlapping_pairs(hand, sampling, cache=cache))
     resting = _distances(hand, checked, hand.rest[None], 0.0)[0] < 0
@@ -211,7 +211,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     part = {hand.base_link: hand.base_link} | rigid_parts(hand.joints, moving)
     carrier: dict[str, str] = {}  # the part that each part hangs from
     place = {hand.base_link: np.eye(4)}  # of each link in its part, whose frame is at its joint
-    meeting: set[str] = set()  # parts that turn about the same point as those that they hang from
+    meeting: set[str] = set()  # parts that rotate about the same point as their parents
     for joint in hand.joints:  # parents before children
         T = place[joint.parent] @ joint.T_parent_child
         if joint.name in moving:
@@ -237,7 +237,7 @@ def _candidates(hand: Hand) -> tuple[list[LinkPair], int]:
     count = (len(names) ** 2 - int((parts**2).sum())) // 2
     if count > MAX_PAIRS:
         raise HandError(
-            f"hand {hand.name}: {len(names)} links have collision geometry, of which {count} pairs move against each "
+            f"hand {hand.name}: {len(names)} links have collision geometry; {count} pairs of them move against each "
             f"other, more than the {MAX_PAIRS} that are checked; leave the collision geometry of some links out"
         )
     apart = [(a, b) for a, b in combinations(names, 2) if part[a] != part[b]]

@@ -64,7 +64,7 @@ class MeasuredGrasps:
 
     @cached_property
     def quality(self) -> Quality:
-        """Shortcomings of the grasps, with arbitrary numbers for those that are not `known`."""
+        """Shortcomings of the grasps, arbitrary for grasps that are not `known`."""
         known = self.known
         T = np.where(known[:, None, None], self.T_world_root, np.eye(4))
         q = np.where(known[:, None], self.q, 0.0)

@@ -82,7 +82,7 @@ def measure(
         target_link: Target points on the links (N, L, 3), link frames, metres; NaN: none.
         target_object: Target points on the object (N, L, 3), object frame, metres.
         margin: Gap in metres that contact links should keep, one for all or (N, L).
-        touching: Links (N, L) that should touch; None: those with a target.
+        touching: Links (N, L) that should touch; None: links with a target.
     """
     bodies = hand.links_by_name
     pairs = Pairs.against([bodies[name].solid for name in links], obj.body)

@@ -43,7 +43,7 @@ class Unit:
     symbol: str
     """Unit that people read; empty: none."""
     factor: float
-    """Factor from SI units to those that people read."""
+    """Factor from SI units to displayed units."""
     format: str
     """Format specification of numbers that people read."""
     span: tuple[float, float]
@@ -67,7 +67,7 @@ class Measure:
     """One number per grasp, or per link of it; NaN where it is not known."""
 
     key: str
-    """Name of its values in memory, and the beginning of those in files."""
+    """Name of its values in memory, and prefix in files."""
     title: str
     """Name for people, in lower case."""
     hint: str

@@ -53,7 +53,7 @@ def execute(
 
 
 def follow(world: World, hand: Hand, ways: Sequence[Way], *, threads: int | None = None) -> Executions:
-    """Follow those of N ways that are free, as `execute` does, by the speed limits of the joints."""
+    """Follow the free trajectories of N, as `execute` does, by the speed limits of the joints."""
     timed = [trajectory(hand, way) if way.free else None for way in ways]
     return execute(world, hand, timed, threads=threads)
 

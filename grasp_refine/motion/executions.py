@@ -70,12 +70,12 @@ class Executions:
         ran = np.flatnonzero(self.followed)
         if not len(ran):
             return ["followed in simulation: none, as no way is free"]
-        told = [
+        lines = [
             f"followed in simulation: {int(self.held.sum())} of {len(ran)} held and lifted, nothing hit in "
             f"{int(self.clean.sum())}{self._tracking()}"
         ]
         others = [(row, text) for row in ran.tolist() if (text := self._incident(row))]
-        return told + first_of([f"grasp {labels[row] if labels else row}: {text}" for row, text in others], most)
+        return lines + first_of([f"grasp {labels[row] if labels else row}: {text}" for row, text in others], most)
 
     def _tracking(self) -> str:
         """Return text on the largest tracking error; empty where none is known."""
@@ -98,7 +98,7 @@ class Executions:
         return "; ".join([*lost, *pushed, *first_of(self.hits[row], MAX_TOLD_HITS)])
 
     def document(self, row: int) -> dict[str, Any] | None:
-        """Return what a JSON file tells of a grasp; None where there was no way to follow."""
+        """Return the entry of a grasp in a JSON file; None where there was no trajectory to follow."""
         if not self.followed[row]:
             return None
         pushed = dict(zip(self.neighbours, self.pushed_m[row].tolist(), strict=True))

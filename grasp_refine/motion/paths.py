@@ -81,7 +81,7 @@ def straight(
     Args:
         hand: The hand, on an arm or not.
         T_world_root: Pose of its base link at the start.
-        q: Joint values there, which those of the fingers keep.
+        q: Joint values there; fingers keep theirs.
         along: Vector of the movement in metres, in the frame of `T_world_root`'s world.
     """
     # Rounding of a length adds no pose.

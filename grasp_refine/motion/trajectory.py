@@ -67,7 +67,7 @@ class Trajectory:
         """Return the rates (K, m) of values at the set points, by central differences; 0 at waypoints, which are rests.
 
         Args:
-            values: Values (K, m) at the times, such as those of joints.
+            values: Values (K, m) at the times, such as joint values.
         """
         rate = np.gradient(values, PERIOD_S, axis=0) if len(values) else values.copy()
         rate[list(self.waypoints)] = 0.0

@@ -31,7 +31,7 @@ LEGS = ("approach", "close", "squeeze", "lift")
 """Names of the legs of a way: to the pregrasp, to the grasp, to the squeeze, and up."""
 
 REACH = "reach"
-"""Name of the leg before those, from a start configuration of the arm, where one is given."""
+"""Name of the leg before `LEGS`, from a start configuration of the arm, where one is given."""
 
 WAYPOINTS = ("approach", "pregrasp", "grasp", "squeeze", "lift")
 """Names of the waypoints: the start of the first leg, and the ends of all."""
@@ -46,7 +46,7 @@ OPENING_WIDER = 2.0
 """Share of the opening from the grasp to the pregrasp, by which fingers in the way of the approach open wider."""
 
 UP = (0.0, 0.0, 1.0)
-"""Direction of the lift in the object's frame, where neither a scene nor a table tells what is up."""
+"""Direction of the lift in the object's frame, where neither a scene nor a table defines up."""
 
 
 class WayStatus(IntEnum):

@@ -53,7 +53,7 @@ class PlannedWays:
     row: np.ndarray
     """Rows of the grasps (N,) in their file."""
     index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object."""
+    """Numbers of the grasps (N,) within their object."""
     ways: tuple[Way, ...]
     """The ways."""
     scenes: tuple[tuple[Scene, float], ...] = ()

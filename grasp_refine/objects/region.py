@@ -118,7 +118,7 @@ class _Triangles:
 
     @staticmethod
     def of(triangles: Float[np.ndarray, "F 3 3"], edge: float) -> _Triangles:
-        """Return triangles with those of edges longer than `edge`, in metres, cut into smaller ones."""
+        """Return triangles, subdivided where an edge is longer than `edge` metres."""
         from trimesh.remesh import subdivide_to_size
 
         area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
@@ -133,7 +133,7 @@ class _Triangles:
     def distance(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
         """Return the distances (P,) of points from the nearest triangle, inf without any, and unit vectors from it.
 
-        They are 0 within `ON_SURFACE_M`. Far away, where it may not be among those with the nearest centres, the
+        They are 0 within `ON_SURFACE_M`. Far away, where it may not be among the faces with the nearest centres, the
         distance is up to half an edge too large.
         """
         from trimesh.triangles import closest_point

@@ -24,7 +24,7 @@ KINDS = ("box", "above", "below", "plane", "faces", "color")
 """Kinds of regions, before the colon."""
 
 FILE_KINDS = ("faces", "color")
-"""Those of faces of the file of the mesh."""
+"""Regions of faces of the mesh file."""
 
 FORMS = (
     "box:x0,y0,z0,x1,y1,z1 (two corners), above:z=0.05, below:z=0.05 (or x, y), plane:x,y,z,nx,ny,nz (the side of a "
@@ -43,14 +43,14 @@ NUM_LISTED_COLORS = 5
 """Largest number of colours of a mesh that a message lists."""
 
 NUM_POINTS = 8192
-"""Points on the surface of an object among which those of a region are searched."""
+"""Points on the surface of an object, searched for points in a region."""
 
 Regions = str | Region | Sequence[str | Region]
 """One or several regions, or their specifications."""
 
 
 def contact_regions(obj: Object, touch: Regions = (), avoid: Regions = ()) -> ContactRegions | None:
-    """Return the regions in which hands should touch an object, and those that they should avoid; None: there are none.
+    """Return the regions of an object that hands should touch and avoid; None: there are none.
 
     Args:
         obj: The object, in whose frame and in metres the regions are.
@@ -132,11 +132,11 @@ def is_spec(spec: object) -> bool:
     return True
 
 
-def _regions(obj: Object, given: Regions, option: str) -> tuple[Region, ...]:
-    """Return regions, those of specifications made for an object."""
-    several = (given,) if isinstance(given, str | Region) else given
+def _regions(obj: Object, regions: Regions, option: str) -> tuple[Region, ...]:
+    """Return regions; specifications are made for an object."""
+    several = (regions,) if isinstance(regions, str | Region) else regions
     if not isinstance(several, Iterable):
-        raise GraspRefineError(f"{option}: must be regions, or their specifications, got {quote_value(given)}")
+        raise GraspRefineError(f"{option}: must be regions, or their specifications, got {quote_value(regions)}")
     found: list[Region] = []
     for one in several:
         if not isinstance(one, str | Region):
@@ -257,7 +257,7 @@ def _face_numbers(path: Path, where: str) -> np.ndarray:
 
 
 def _colored(obj: Object, spec: str, color: tuple[int, int, int], where: str) -> Faces:
-    """Return the faces of a colour: those whose corners all have it."""
+    """Return the faces of a colour: all their corners have it."""
     triangles, corners = np.zeros((0, 3, 3)), np.zeros((0, 3, 3), dtype=np.int64)
     if obj.file is not None:
         triangles, corners = colored_triangles(*obj.file)
@@ -278,7 +278,7 @@ def _colored(obj: Object, spec: str, color: tuple[int, int, int], where: str) ->
 def numbered_faces(obj: Object) -> tuple[Float[np.ndarray, "F 3 3"], Int[np.ndarray, " F"]]:
     """Return the triangles (F, 3, 3) of an object, its frame, and the numbers (F,) of their faces.
 
-    Numbers are those in its file; without one, in its mesh.
+    Numbers count in its file; without one, in its mesh.
 
     Raises:
         MeshError: the file cannot be read.

@@ -120,7 +120,7 @@ def _suggestion(name: str) -> str:
 
 
 def _read_objects(path: Path) -> Mapping[str, str | Path]:
-    """Object name -> what to load, from a TOML file; paths are relative to it."""
+    """Object name -> source of the object, from a TOML file; paths are relative to it."""
     try:
         raw = read_toml(path)
     except FileNotFoundError:

@@ -48,9 +48,9 @@ class ClosureFrame:
     spreading: Bool[np.ndarray, " n"]
     """Mask (n,) of joints of fingers that do not bend them, but spread or oppose them."""
     lower: Float[np.ndarray, " n"]
-    """Lower limits (n,), those of continuous joints a quarter turn from rest, in rad or m."""
+    """Lower limits (n,) in rad or m; for continuous joints a quarter turn from rest."""
     upper: Float[np.ndarray, " n"]
-    """Upper limits (n,), those of continuous joints a quarter turn from rest, in rad or m."""
+    """Upper limits (n,) in rad or m; for continuous joints a quarter turn from rest."""
     opened: Float[np.ndarray, " n"]
     """Joint values (n,) at which the fingers are open as far as they go, in rad or m."""
     opening: float
@@ -60,7 +60,7 @@ class ClosureFrame:
 def closure_frame(hand: Hand) -> ClosureFrame:
     """The closure frame of a hand around its rest pose.
 
-    The last joint of a finger bends it, and so do those above that are parallel to it. They close it in the
+    The last joint of a finger bends it, as do parallel joints above it. They close it in the
     direction in which it curls, that is in which its tip approaches its knuckle, or, for a finger that keeps its
     length or stays parallel to itself, the centre of all tips. Joints that carry all fingers belong to a wrist and are
     left out.

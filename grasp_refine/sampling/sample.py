@@ -101,7 +101,7 @@ def sample_grasps(
 
     Half of the hands approach so that their fingers close on two points that face away from each other, the others
     along the normal of a point. Each backs off until it is clear and closes: a joint stops when a link that it moves
-    touches, those beyond continue; a finger that touches nothing stays where it was nearest. Grippers with two jaws
+    touches, the links beyond continue; a finger that touches nothing stays where it was nearest. Grippers with two jaws
     (`jaw_frame`) are placed at pairs of points that are antipodal (`antipodal_pairs`), as far as there are any, from
     any side, and move along their line until both jaws touch. Hands that hold the object
     with fewer than two groups of links (fingers, palm), or penetrate anything, are rejected. The others are scored by
@@ -117,7 +117,7 @@ def sample_grasps(
         environment: Bodies around the object; hands that are nearer to any than its margin, open or closed, are drawn
             anew, and up to `TRIES_AMONG_BODIES` times as many are tried.
         touch: Regions of the object that hands should touch, or their specifications (`contact_regions`): hands are
-            placed there, and two groups of links at least touch in them; none: those of the environment, else
+            placed there, and at least two groups of links touch in them; none: the environment's, else
             everywhere.
         avoid: Regions that they should not touch.
         prepared: Data of this hand and object; None: built here.
@@ -175,7 +175,7 @@ def sample_grasps(
 
 
 def _drawing(closing: _Closing, hand: Hand, jaws: JawFrame | None, rng: np.random.Generator) -> Callable[[], Placed]:
-    """Function that draws `BATCH_SIZE` hands, closes them, and returns those that were clear while open."""
+    """Function that draws `BATCH_SIZE` hands, closes them, and returns hands without collision while open."""
     obj, closure, table = closing.prepared.object, closing.closure, closing.table
     if jaws is not None:
         antipodal = closing.within(antipodal_pairs(obj, (jaws.width[-1], jaws.width[0] - 2.0 * CLEARANCE_M)))
@@ -284,11 +284,11 @@ class _Closing:
         return inside if len(inside) >= MIN_SEEDS else np.argsort(miss, kind="stable")[:MIN_SEEDS]
 
     def within(self, pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "Q 2"]:
-        """The pairs of surface points at both of which hands may touch."""
+        """Pairs of surface points that hands may touch."""
         return pairs if self.regions is None else pairs[np.isin(pairs, self.seeds).all(axis=1)]
 
     def draw_jaws(self, jaws: JawFrame, pairs: Int[np.ndarray, "P 2"], rng: np.random.Generator) -> Placed:
-        """Jaws that closed on antipodal pairs, of those that were clear while open."""
+        """Jaws that closed on antipodal pairs, without collision while open."""
         hands, axis, width = place_jaws(jaws, self.prepared.object, pairs, BATCH_SIZE, CLEARANCE_M, self.table, rng)
         proximity = self.proximity(hands, CLEARANCE_M)
         clear = np.flatnonzero(proximity.gap.min(axis=1) >= CLEARANCE_M)
@@ -306,7 +306,7 @@ class _Closing:
         )
 
     def back_off(self, hands: Placed, farthest: float) -> Placed:
-        """Hands moved back along their approach until they are clear of everything; without those that never are.
+        """Hands moved back along their approach until they are free of collision; hands that never are, are dropped.
 
         Args:
             hands: Hands at any depth.
@@ -374,7 +374,7 @@ class _Closing:
         return hands
 
     def proximity(self, hands: Placed, cutoff: float, previous: Witness | None = None) -> _Proximity:
-        """Poses and distances of the links, those from the object up to a cutoff in metres."""
+        """Poses and distances of the links; distances from the object up to a cutoff in metres."""
         prepared = self.prepared
         frames = prepared.chain(hands.T, hands.q)
         T = frames.T_world_link

@@ -151,7 +151,7 @@ def contact_slip_jacobian(
 
 
 def relative_curvature(K_a: Array, K_b: Array, distance: Array) -> Array:
-    """S = K_a + K_b + d K_b K_a (..., 2, 2) with the effective d; its determinant is positive where those of K are."""
+    """S = K_a + K_b + d K_b K_a (..., 2, 2) with the effective d; its determinant is positive where K's are."""
     return K_a + K_b + effective_distance(K_a, K_b, distance)[..., None, None] * (K_b @ K_a)
 
 

@@ -21,7 +21,7 @@ _BLOCK_POINTS = 128
 """Witness points that are fitted together, so that their weights stay in the processor's cache."""
 
 _ENOUGH_CANDIDATES = 32
-"""Number of candidates within the radius, on a flat surface, of which a half is too few for a fit."""
+"""Number of candidates within the radius, on a flat surface, half of which are too few for a fit."""
 
 _MIN_CANDIDATES = 16.0
 """Number of 1024 candidates within the smallest radius, on a flat surface."""

@@ -1,6 +1,6 @@
 """Contact kinematics, compiled: `curvature`, `pair_curvature` and `contact_kinematics` in C++ (see `collision/native`).
 
-The candidates of a body are sorted into blocks, and those beyond the radius are skipped. The results are the same for
+The candidates of a body are sorted into blocks, and blocks beyond the radius are skipped. The results are the same for
 any number of threads, and each depends on its own arguments only. The GIL is released.
 """
 

@@ -281,7 +281,7 @@ def _nearest(
         if shortlist == N or (agree.sum(axis=1) >= count).all():
             break
         shortlist = N
-    # Those that agree come first, by distance.
+    # Agreeing samples come first, by distance.
     chosen = np.argsort(~agree, axis=1, kind="stable")[:, :count]
     index, mask = np.zeros((M, width), dtype=np.int64), np.zeros((M, width), dtype=bool)
     index[:, :count] = np.take_along_axis(near, chosen, axis=1)

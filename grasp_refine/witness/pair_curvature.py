@@ -113,7 +113,7 @@ class PairCurvatures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit K_a and K_b (M, 2, 2) with given radii (2, M) in metres of neighbourhoods on a, then on b.
 
-        The other arguments are those of `fit`. A radius of 0 stands for the exact feature.
+        The other arguments are as in `fit`. A radius of 0 stands for the exact feature.
         """
         if self._compiled is not None:
             return self._compiled.fit(pair, T_world_a, T_world_b, witness, E, radius)

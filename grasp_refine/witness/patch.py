@@ -62,7 +62,7 @@ class Patch:
         """Move witness points and distance over the patch, for items of any shape (...); the normal stays.
 
         Along n the points stay on the surfaces of the pieces. Unchanged, bit for bit: items without points, with
-        spheres or capsules, with a patch that certainly extends no farther than 10 epsilon, and those whose sum of
+        spheres or capsules, with a patch that certainly extends no farther than 10 epsilon, and pairs whose sum of
         squared misses would grow: by less than epsilon squared, the effect of heights, unless a target lies beyond
         the face. The radius of a rounded polytope is added to its core along n: its patch ends where the flat
         part ends.

@@ -97,7 +97,7 @@ def choose_rings(
 
 
 def _nearest(tables: Sequence[Rings], which: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Index (M,) of the vertex nearest to each x (M, 3) among those of its table `which` (M,)."""
+    """Index (M,) of the vertex nearest to each x (M, 3) in its table `which` (M,)."""
     vertex = np.empty(len(x), dtype=np.int64)
     order = np.argsort(which, kind="stable")
     ends = np.cumsum(np.bincount(which, minlength=len(tables)))

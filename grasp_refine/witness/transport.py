@@ -9,7 +9,7 @@ It transports *updates*: the gradient of b is scaled by the step sizes (s_t, s_r
 to the gradient of a. Where both bodies move, each gets the other's update in addition to its own, so that, to first
 order, the relative pose moves twice as far. The sum is a descent direction that is no longer the derivative of
 the loss; it is an option of gradient descent only. Gradients are body twists Proj(T^-1 G)
-(`se3.body_gradient`). The poses may be results themselves, such as those of a kinematic chain: their gradients
+(`se3.body_gradient`). The poses may be results themselves, for example of a kinematic chain: their gradients
 flow on to the root and the joints.
 """
 

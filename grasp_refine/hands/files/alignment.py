@@ -72,7 +72,7 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
     """Align `model` with a hand by anchors and axes of the joints that are `matched`.
 
     The base pose is the least-squares fit of the anchors (and of axes, where these are on one line) with all joints at
-    0, the signs are those of the axes then. Both are checked at random joint values within the hand's limits. The file
+    0, the axes give the signs. Both are checked at random joint values within the hand's limits. The file
     that the hand comes from is aligned as it is.
 
     Args:
@@ -121,7 +121,7 @@ def align(mechanism: Mechanism, matched: Mapping[str, str], model: mujoco.MjMode
         )
     notes = []
     if distance.max() > NOTED_DISTANCE_M:
-        notes.append(f"joints of {path.name} are up to {distance.max() * 1e3:.2f} mm from those of the URDF")
+        notes.append(f"joints of {path.name} are up to {distance.max() * 1e3:.2f} mm from the joints of the URDF")
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn, shift
     return Alignment(T, sign, float(distance.max()), float(angle.max()), tuple(notes))
@@ -139,7 +139,7 @@ def _hand_joints(
 ) -> tuple[Float[np.ndarray, "batch m 3"], Float[np.ndarray, "batch m 3"]]:
     """Return anchors and axes of `joints` (batch, m, 3) in the base link's frame, before each joint itself has moved.
 
-    `values` are those of all movable joints, each (batch,).
+    `values` are of all movable joints, each (batch,).
     """
     T = tree_poses(mechanism.base_link, mechanism.joints, values)
     still = {joint.name: T[joint.parent] @ joint.T_parent_child for joint in mechanism.joints if joint.name in joints}

@@ -79,7 +79,7 @@ def _palms(
 
 
 def _below(link: str, leaving: dict[str, list[JointEntry]], *, fixed: bool = False) -> Iterator[str]:
-    """`link` and all links below it, or only those that fixed joints connect to it; parents before children."""
+    """`link` and all links below it, or only links that fixed joints connect to it; parents before children."""
     waiting = [link]
     while waiting:
         yield waiting[-1]

@@ -37,7 +37,7 @@ class Actuator:
     frictionloss: Float[np.ndarray, " n"]
     """Dry friction torque."""
     set_points: Float[np.ndarray, "n 2"] | None = None
-    """Least and greatest set point (n, 2), infinite where there is no limit; None: there is none at all. Those of a
+    """Least and greatest set point (n, 2), infinite where there is no limit; None: none at all. Set points of a
     coupled group are sums of ratio x set point over its joints, the same for all of them."""
 
     __repr__ = brief
@@ -87,7 +87,7 @@ def contacts(
 
 
 def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Float[np.ndarray, " n"]:
-    """Rest values (n,): those of hand.toml, else the middle of the range, 0 for continuous joints."""
+    """Rest values (n,) from hand.toml, else the middle of the range, 0 for continuous joints."""
     rest = {j.name: 0.0 if j.kind == "continuous" else (j.lower + j.upper) / 2 for j in independent}
     limits = {joint.name: (joint.lower, joint.upper) for joint in independent}
     for name, value in toml.rest_pose.items():
@@ -102,21 +102,21 @@ def rest_pose(toml: HandToml, independent: Sequence[Joint], outside: Collection[
 
 
 def actuator(toml: HandToml, independent: Sequence[Joint], outside: Collection[str]) -> Actuator:
-    """Actuator settings: those of the joint, else the file's default, else ours; see `ACTUATOR`."""
+    """Actuator settings of the joint, else the file's default, else ours; see `ACTUATOR`."""
     names = [joint.name for joint in independent]
     efforts = {joint.name: np.inf if joint.effort is None else joint.effort for joint in independent}
     columns = {}
     for key, ours in ACTUATOR.items():
-        given = dict(toml.actuator.get(key, {}))
-        default = given.pop("default", ours)
-        for name in given:
+        per_joint = dict(toml.actuator.get(key, {}))
+        default = per_joint.pop("default", ours)
+        for name in per_joint:
             _valid(name, "independent joint", names, outside, f"{toml.path}: [actuator] {key}")
         fallback = efforts if default is None else dict.fromkeys(names, default)
         if key in LEVER_POWERS and ours is not None and "default" not in toml.actuator.get(key, {}):
             fallback |= {
                 j.name: ours / SLIDE_LEVER_M ** LEVER_POWERS[key] for j in independent if j.kind == "prismatic"
             }
-        columns[key] = np.array([given.get(name, fallback[name]) for name in names])
+        columns[key] = np.array([per_joint.get(name, fallback[name]) for name in names])
     return Actuator(**columns)
 
 

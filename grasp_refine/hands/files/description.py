@@ -1,4 +1,4 @@
-"""The file that describes a hand, a URDF or an MJCF: its tree of links and joints, and what it shows."""
+"""The file that describes a hand, a URDF or an MJCF: its tree of links and joints, and its visuals."""
 
 from __future__ import annotations
 

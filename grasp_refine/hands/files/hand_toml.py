@@ -19,7 +19,7 @@ from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES
 T = TypeVar("T")
 
 HAND_TOML = "hand.toml"
-"""Name of the file beside a URDF or MJCF that adds what that does not hold."""
+"""Name of the file beside a URDF or MJCF that adds missing information."""
 
 ARM_TOML = "arm.toml"
 """Name of that file where the robot is an arm, on which a hand is mounted; it has the same keys."""
@@ -209,8 +209,8 @@ def _coupled(raw: dict[str, Any], where: str) -> Coupled:
 def _actuator(raw: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
     _check_keys(raw, ACTUATOR, where)
     values = {}
-    for key, given in raw.items():
-        per_joint = given if isinstance(given, dict) else {"default": given}
+    for key, setting in raw.items():
+        per_joint = setting if isinstance(setting, dict) else {"default": setting}
         values[key] = {name: _number(value, f"{where} {key} {name}") for name, value in per_joint.items()}
         if any(value < 0 for value in values[key].values()):
             raise HandError(f"{where} {key}: must not be negative, got {min(values[key].values()):g}")

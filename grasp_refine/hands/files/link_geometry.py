@@ -1,4 +1,4 @@
-"""The collision geometry of links as convex pieces: primitives as they are, meshes as their hulls or finer."""
+"""Collision geometry of links as convex pieces: primitives exactly, meshes as their hulls or finer."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Curves:
     """Coefficients (m, d) of its second and higher powers."""
 
     def __call__(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
-        """Return what is to be added to matrix @ q + offset of `mimic_map`."""
+        """Return the nonlinear term beside matrix @ q + offset of `mimic_map`."""
         x = q[..., self.leader]
         total = np.zeros_like(x)
         for coefficient in self.higher.T[::-1]:
@@ -70,7 +70,7 @@ class Curves:
         return np.asarray(self.higher.any(axis=1))
 
     def take(self, rows: Sequence[int] | Int[np.ndarray, " r"], sign: Float[np.ndarray, " r"] | None = None) -> Curves:
-        """Return those of the joints `rows`, times `sign` (r,)."""
+        """Return the curves of the joints `rows`, times `sign` (r,)."""
         at = np.asarray(rows, dtype=np.int64)
         higher = self.higher[at]
         return Curves(self.leader[at], higher if sign is None else sign[:, None] * higher)

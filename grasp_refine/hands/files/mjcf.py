@@ -22,7 +22,7 @@ MAX_RADIANS = 2 * math.pi
 
 
 def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
-    """Return the hand in the MJCF file `path`, whose bodies stay those of the file and all have names, as joints do.
+    """Return the hand in the MJCF file `path`, with the bodies of the file; all bodies and joints have names.
 
     Everything else is left out: what is beside it, its free joint, cameras, lights, sensors, keyframes and textures.
 
@@ -52,7 +52,7 @@ def _read(path: Path) -> mujoco.MjSpec:
         refuse_lfs_pointer(path.parent / spec.meshdir / mesh.file, "mesh", HandError)
     if (count := len(spec.bodies) - 1) > MAX_BODIES:
         raise HandError(f"{path}: has {count} bodies, more than the {MAX_BODIES} that a hand may have")
-    # Bodies and their frames must be those of the file.
+    # Bodies and their frames must equal the file's.
     spec.compiler.fusestatic = False
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
@@ -73,7 +73,7 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
 
 
 def _keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:
-    """Delete everything but the hand; return the name of its root body, and notes on what is left out."""
+    """Delete everything but the hand; return the name of its root body, and notes on left-out parts."""
     for things in (
         spec.keys,
         spec.sensors,
@@ -132,7 +132,7 @@ def _moving_below(body: mujoco.MjsBody) -> bool:
 
 
 def _num_moving(body: mujoco.MjsBody) -> int:
-    """Return how many of a body and those below it have joints."""
+    """Return the number of bodies with joints, at and below a body."""
     return sum(bool(each.joints) for each in (body, *body.find_all("body")))
 
 
@@ -163,11 +163,11 @@ def _name_all(spec: mujoco.MjSpec) -> None:
 def matched_joints(mechanism: Mechanism, named: Mapping[str, str], spec: mujoco.MjSpec, path: Path) -> dict[str, str]:
     """Return joint of the hand -> joint of the file, in the order of the hand's joints.
 
-    Names that are given are matched first, then equal names, then names up to a prefix. Mimic joints may be missing.
+    Given names are matched first, then equal names, then names up to a prefix. Mimic joints may be missing.
 
     Args:
         mechanism: Joints of the hand.
-        named: Joint of the hand -> its name in an MJCF, where that is given, as in `Hand.mjcf_joints`.
+        named: Joint of the hand -> its name in an MJCF, where given, as in `Hand.mjcf_joints`.
         spec: The MJCF.
         path: Its file, for messages.
 
@@ -179,9 +179,9 @@ def matched_joints(mechanism: Mechanism, named: Mapping[str, str], spec: mujoco.
     for joint in mechanism.joints:
         if not joint.movable:
             continue
-        given = named.get(joint.name)
+        preferred = named.get(joint.name)
         # Another MJCF of the same hand may have other names than the MJCF that hand.toml was written for.
-        found = [given] if given is not None and given in there else prefixed_names(joint.name, there)
+        found = [preferred] if preferred is not None and preferred in there else prefixed_names(joint.name, there)
         if len(found) == 1:
             matched[joint.name] = found[0]
     missing = [name for name in mechanism.independent if name not in matched]

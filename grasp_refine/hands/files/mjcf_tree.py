@@ -1,7 +1,7 @@
 """Links and joints of an MJCF as a tree, as MuJoCo compiles it.
 
 A body is a link, in the same frame. Where a body has several joints, or one that turns beside its origin, each joint
-carries a link of its own without geometry, which a fixed joint ties to the body. Joint values are those of MuJoCo,
+carries a link of its own without geometry, which a fixed joint ties to the body. Joint values are as in MuJoCo,
 whose reference (`ref`) is the value at which the bodies are placed as in the file.
 """
 
@@ -76,7 +76,7 @@ def mjcf_tree(path: Path) -> Tree:
 
 
 def mjcf_visuals(path: Path) -> dict[str, list[Shape | HandError]]:
-    """Return what MuJoCo shows of each body in the MJCF file `path`: geoms of the first groups.
+    """Return the visible geoms of each body in the MJCF file `path`: MuJoCo shows the first groups.
 
     Raises:
         HandError: it cannot be read.

@@ -1,4 +1,4 @@
-"""The XML of an MJCF before MuJoCo reads it: whether it is one, its includes, and what no file of a hand may hold."""
+"""The XML of an MJCF before MuJoCo reads it: recognition, includes, and elements that no hand may have."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _largest(text: str) -> float:
 
 
 def _check_count(element: _Element, path: Path) -> None:
-    """Refuse a <replicate> that, with those around it, makes too many copies."""
+    """Refuse a <replicate> that makes too many copies, including the <replicate>s around it."""
     total = 1.0
     for outer in (element, *element.iterancestors("replicate")):
         total *= max(_largest(outer.get("count", "1")), 1.0)

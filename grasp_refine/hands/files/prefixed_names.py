@@ -1,4 +1,4 @@
-"""Names of the same thing in two files of a hand, of which one may have a prefix, such as rh_FFJ4 or hand/FFJ4."""
+"""Names of the same thing in two files of a hand; one may have a prefix, such as rh_FFJ4 or hand/FFJ4."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def rigid_parts(joints: Sequence[Joint], moving: Collection[str] | None = None) 
 
     Args:
         joints: All joints, parents before children.
-        moving: Names of those that move; None: all that are movable.
+        moving: Names of the moving joints; None: all movable joints.
     """
     part: dict[str, str] = {}
     for joint in joints:
@@ -148,7 +148,7 @@ class JointEntry:
     name: str
     """Name."""
     kind: str
-    """Type of motion, in the words of URDF; others for what no hand can have."""
+    """Type of motion, in the words of URDF; others for types that no hand can have."""
     parent: str
     """Link towards the base."""
     child: str
@@ -186,7 +186,7 @@ class Tree:
     excluded: tuple[LinkPair, ...] = ()
     """Pairs of links that never collide, by the file."""
     notes: tuple[str, ...] = ()
-    """Notes for the user on what was not read."""
+    """Notes for the user on parts that were not read."""
 
     __repr__ = brief
 
@@ -205,7 +205,7 @@ class Tree:
         return cls(path, _root(path, by_name, joint_by_name), by_name, joint_by_name)
 
     def below(self, base_link: str) -> tuple[list[LinkEntry], list[Joint]]:
-        """Links (the base first) and joints (parents before children) of what hangs from `base_link`.
+        """Links (the base first) and joints (parents before children) of the tree below `base_link`.
 
         The rest is not checked, so that errors in it do not matter.
 

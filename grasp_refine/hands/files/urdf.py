@@ -123,7 +123,7 @@ def _read_xml(path: Path) -> _Element:
             if entry.domain_name != "NAMESPACE":
                 reason = f"{' '.join(entry.message.split())}, line {entry.line}, column {entry.column}"
                 raise HandError(f"{path}: not XML ({reason})") from None
-        # Elements and attributes of Drake have an undeclared prefix, of which yourdfpy complains.
+        # Elements and attributes of Drake have an undeclared prefix; yourdfpy warns about it.
         root = etree.fromstring(data, etree.XMLParser(**safe, recover=True))
         for element in root.iter():
             for name in [name for name in element.attrib if ":" in name and not name.startswith("{")]:
@@ -131,7 +131,7 @@ def _read_xml(path: Path) -> _Element:
     if root.getroottree().docinfo.doctype:
         raise HandError(f"{path}: a DOCTYPE is refused, because it can pull in other files; remove it")
     if root.tag == "mujocoinclude":
-        raise HandError(f"{path}: a part of an MJCF, which other files include; give one of those")
+        raise HandError(f"{path}: a part of an MJCF, which other files include; give one of these files")
     if root.tag != "robot":
         raise HandError(f"{path}: not a URDF, its outermost element is <{root.tag}> instead of <robot>")
     if any("xacro" in element.tag for element in root.iter()):
@@ -140,7 +140,7 @@ def _read_xml(path: Path) -> _Element:
 
 
 def _check(element: _Element, where: str) -> None:
-    """Check `element`; drops what is not read from it, and writes its numbers as yourdfpy takes them."""
+    """Check `element`, drop parts that are not read, and write its numbers as yourdfpy expects them."""
     tag = element.tag
     if tag in ("link", "joint") and element.get("name"):
         where = f"{where}: {tag} '{element.get('name')}'"

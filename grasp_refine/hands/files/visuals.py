@@ -32,7 +32,7 @@ class Visual:
 def load_visuals(
     path: Path, links: Collection[str], on_message: Callable[[str], None] = lambda line: None
 ) -> list[Visual]:
-    """Visuals of those of `links` that have any in the URDF or MJCF file `path`, in the order of the file.
+    """Visuals of `links` in the URDF or MJCF file `path`, where they have any, in the order of the file.
 
     A visual that cannot be read is left out, and `on_message` gets a line on it. A mesh file is read once.
 

@@ -53,7 +53,7 @@ MIN_RANGE_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Linkage:
-    """Passive joints that follow a driven one; names and values are those of the model."""
+    """Passive joints that follow a driven one; names and values of the model."""
 
     driver: str
     """Name of the driven joint."""
@@ -62,7 +62,7 @@ class Linkage:
     coefficients: Mapping[str, tuple[float, ...]]
     """Passive joint -> coefficients of its polynomial in the value of the driven joint, the constant first."""
     tied: Mapping[str, tuple[float, ...]]
-    """The same of joints that an equality ties to another joint of the linkage."""
+    """Joints that an equality ties to another joint of the linkage."""
     gap: float
     """Largest distance in metres between the ends of a chain with joints at these values."""
     modes: tuple[YieldingMode, ...]
@@ -341,7 +341,7 @@ class _Closing:
 def _leading_columns(A: Float[np.ndarray, "D p"]) -> list[int]:
     """Indices of D columns that are independent of each other, ascending: repeatedly the longest one that is left.
 
-    Of columns that are equally long up to `TIE`, as those of mirrored fingers, the first is taken.
+    Of columns that are equally long up to `TIE`, as for mirrored fingers, the first is taken.
     """
     found: list[int] = []
     for _ in range(len(A)):

@@ -1,4 +1,4 @@
-"""Couplings of joints that an MJCF of the hand tells: tendons, joint equalities, closed chains."""
+"""Couplings of joints in an MJCF of the hand: tendons, joint equalities, closed chains."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from grasp_refine.hands.linkages.yielding import YieldingMode
 MIN_ALIGNMENT = 1.0 - 1e-6
 """Least cosine between the ratios of two groups that are the same, up to scale and sign."""
 
-MIN_ROOM = 0.05
+MIN_SHARED_RANGE = 0.05
 """Least share of the smaller range of two joints over which their limits allow a tie by a tendon."""
 
 
 @dataclass(frozen=True)
 class Couplings:
-    """Couplings between the joints of a hand that an MJCF tells."""
+    """Couplings between the joints of a hand in an MJCF."""
 
     path: Path
     """The MJCF."""
@@ -52,10 +52,10 @@ class Couplings:
     single: frozenset[str] = frozenset()
     """Joints that an actuator drives directly."""
     notes: tuple[str, ...] = ()
-    """Notes for the user on what is not used."""
+    """Notes for the user on unused couplings."""
 
     def with_mimics(self, joints: Sequence[Joint], kept: Collection[str]) -> tuple[list[Joint], list[str]]:
-        """Return the joints, those that follow another one in the MJCF as mimic joints, and notes.
+        """Return the joints, with followers of the MJCF as mimic joints, and notes.
 
         Args:
             joints: Joints of the hand.
@@ -68,9 +68,9 @@ class Couplings:
             for name, mimic in self.mimics.items()
             if name in kept
         ]
-        told = {name: mimic for name, mimic in new.items() if name not in self.passive}
-        if told:
-            pairs = ", ".join(f"'{name}' follows '{mimic.joint}'" for name, mimic in told.items())
+        followers = {name: mimic for name, mimic in new.items() if name not in self.passive}
+        if followers:
+            pairs = ", ".join(f"'{name}' follows '{mimic.joint}'" for name, mimic in followers.items())
             notes.append(f"mimic joints, from {self.path.name}: {pairs}")
         joints = [replace(joint, mimic=new.get(joint.name, joint.mimic)) for joint in joints]
         return [_within(joint, self.ranges.get(joint.name)) for joint in joints], notes
@@ -97,24 +97,24 @@ class Couplings:
         return tuple(mode for linkage in driven for mode in linkage.modes), compliance
 
     def with_tendons(
-        self, given: tuple[Coupled, ...], joints: Sequence[Joint]
+        self, declared: tuple[Coupled, ...], joints: Sequence[Joint]
     ) -> tuple[tuple[Coupled, ...], list[str]]:
-        """Return the groups of independent joints that share an actuator, those of hand.toml first, and notes.
+        """Return the groups of independent joints that share an actuator, hand.toml's first, and notes.
 
-        The ratio of the first joint of a group of the MJCF is 1, so that stiffness and limit are those at that joint.
+        The ratio of the first joint of a group of the MJCF is 1, so that stiffness and limit apply at that joint.
 
         Args:
-            given: Groups of hand.toml, whose joints are in no other group.
+            declared: Groups of hand.toml, whose joints are in no other group.
             joints: Joints of the hand, with the mimic joints of the MJCF.
         """
         by_name = {joint.name: joint for joint in joints}
         groups = [group for group in (_group(tendon, by_name) for tendon in self.tendons) if group is not None]
-        taken = {name for group in given for name in group.joints}
+        taken = {name for group in declared for name in group.joints}
         added = [group for group in groups if not taken & set(group.joints)]
         notes = []
         if added:
             notes.append(f"joints that share an actuator, from {self.path.name}: {', '.join(map(_text, added))}")
-        for group in given:
+        for group in declared:
             theirs = [_text(other) for other in groups if set(other.joints) & set(group.joints)]
             theirs += [name for name in group.joints if name in self.single]
             if theirs and not any(_same(group, other) for other in groups):
@@ -122,7 +122,7 @@ class Couplings:
                     f"hand.toml couples {_text(group)}, which counts, although actuators of {self.path.name} drive "
                     f"{', '.join(theirs)}"
                 )
-        return (*given, *added), notes
+        return (*declared, *added), notes
 
 
 def mjcf_couplings(path: Path, mechanism: Mechanism, named: Mapping[str, str]) -> Couplings:
@@ -220,7 +220,7 @@ def _mimics(
         if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active or equality.name1 not in ours:
             continue
         follower, leader = ours[equality.name1], ours.get(equality.name2)
-        # Those of the URDF count; the MJCF's are the same for what it simulates.
+        # The URDF's count; the MJCF's are the same for what it simulates.
         if by_name[follower].mimic is not None:
             continue
         polynomial = np.polynomial.Polynomial(np.asarray(equality.data)[:5])
@@ -290,7 +290,7 @@ def _has_room(mimic: Mimic, leader: Joint, follower: Joint) -> bool:
     """Return True if a joint can move while one that follows it keeps within its limits."""
     ends = sorted(mimic.multiplier * value + mimic.offset for value in (leader.lower, leader.upper))
     room = min(ends[1], follower.upper) - max(ends[0], follower.lower)
-    return bool(room >= MIN_ROOM * min(ends[1] - ends[0], follower.upper - follower.lower))
+    return bool(room >= MIN_SHARED_RANGE * min(ends[1] - ends[0], follower.upper - follower.lower))
 
 
 def _group(tendon: Mapping[str, float], joints: Mapping[str, Joint]) -> Coupled | None:

@@ -77,7 +77,7 @@ def _poses(
 def _near(
     T: Mapping[str, Float[np.ndarray, "K 4 4"]], joints: Sequence[Joint], bodies: Mapping[str, Body], a: str, b: str
 ) -> bool:
-    """Return True if what is fixed to two links is near each other in all states."""
+    """Return True if the geometry fixed to two links stays close in all states."""
     part = rigid_parts(joints)
     pairs = list(product(*([name for name in bodies if part.get(name) == part[end]] for end in (a, b))))
     table = Pairs(tuple(bodies[one] for one, _ in pairs), tuple(bodies[other] for _, other in pairs))
@@ -94,7 +94,7 @@ def _turn(T_a: Float[np.ndarray, "K 4 4"], T_b: Float[np.ndarray, "K 4 4"]) -> f
 
 
 def _play(T_a: Float[np.ndarray, "K 4 4"], T_b: Float[np.ndarray, "K 4 4"]) -> float:
-    """Largest distance in metres between a point of one link and one of the other, those that stay nearest.
+    """Largest distance in metres between the points of two links that stay nearest to each other.
 
     The points p_a and p_b of the links' frames minimise the sum of |R_a p_a + t_a - R_b p_b - t_b|^2 over the states.
     """

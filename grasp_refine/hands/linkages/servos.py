@@ -16,13 +16,13 @@ from grasp_refine.hands.files.mimics import mimic_map
 from grasp_refine.hands.files.mjcf import compile_mjcf, joints_of, read_mjcf
 
 
-def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuator) -> Actuator:
+def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], fallback: Actuator) -> Actuator:
     """Return the actuators of the MJCF that a hand comes from, in the units and order of `Hand.actuator`.
 
     Args:
         mechanism: Joints of the hand.
         coupled: Groups of independent joints that share an actuator.
-        given: Stiffness and limits where the file has no actuators, or others than position servos.
+        fallback: Stiffness and limits where the file has no actuators, or others than position servos.
     """
     spec, _, _ = read_mjcf(mechanism.path)
     rescale_servos(spec)
@@ -30,27 +30,27 @@ def own_actuator(mechanism: Mechanism, coupled: Sequence[Coupled], given: Actuat
     matrix, offset, names = mimic_map(mechanism.joints, mechanism.independent)
     matched = {name: name for name in names}
     if not spec.actuators or other_actuators(spec):
-        return servos_instead(given, mechanism.independent, coupled, model, matched, matrix)
+        return servos_instead(fallback, mechanism.independent, coupled, model, matched, matrix)
     return servo_settings(mechanism.independent, coupled, model, matched, matrix, offset)
 
 
 def servos_instead(
-    given: Actuator,
+    servos: Actuator,
     independent: Sequence[str],
     coupled: Sequence[Coupled],
     model: mujoco.MjModel,
     matched: Mapping[str, str],
     matrix: Float[np.ndarray, "m n"],
 ) -> Actuator:
-    """Return position servos in place of a model's actuators, with the given stiffness and limits.
+    """Return position servos in place of a model's actuators, with the stiffness and limits of `servos`.
 
     Files with motors often give their joints no damping and no armature, with which servos never come to rest, and
-    contacts of light links are soft. So armature is the larger of the joint's own and the given one, and damping the
+    contacts of light links are soft. So armature is the larger of the joint's own and the servo's, and damping the
     largest of these and the critical one, 2 sqrt(kp I), at the inertia I in the reference configuration, with armature
     and followers. Dry friction is the joint's own.
 
     Args:
-        given: The given servos.
+        servos: The servos that replace them.
         independent: The n independent joints.
         coupled: Groups of them that share an actuator.
         model: Model of the hand.
@@ -59,19 +59,19 @@ def servos_instead(
     """
     dof = [model.joint(name).dofadr[0] for name in matched.values()]
     own = model.jnt_dofadr[[model.joint(matched[name]).id for name in independent]]
-    armature = np.maximum(model.dof_armature[own], given.armature)
+    armature = np.maximum(model.dof_armature[own], servos.armature)
     inertia = (matrix**2 * model.dof_M0[dof, None]).sum(axis=0) + armature - model.dof_armature[own]
-    critical = 2.0 * np.sqrt(given.kp * _ratios(independent, coupled) ** 2 * inertia)
+    critical = 2.0 * np.sqrt(servos.kp * _ratios(independent, coupled) ** 2 * inertia)
     return replace(
-        given,
-        damping=np.maximum(np.maximum(model.dof_damping[own], given.damping), critical),
+        servos,
+        damping=np.maximum(np.maximum(model.dof_damping[own], servos.damping), critical),
         armature=armature,
         frictionloss=model.dof_frictionloss[own],
     )
 
 
 def rescale_servos(spec: mujoco.MjSpec) -> None:
-    """Make position servos whose control is in other units, such as 0 to 255, those with set points in rad or m.
+    """Give position servos with other control units, such as 0 to 255, set points in rad or m.
 
     They press with gain x control - stiffness x length: the control times gain / stiffness is the set point.
     """
@@ -85,7 +85,7 @@ def rescale_servos(spec: mujoco.MjSpec) -> None:
 
 
 def other_actuators(spec: mujoco.MjSpec) -> list[str]:
-    """Return names of actuators that are no position servos: their own, or those of what they move.
+    """Return names of actuators that are no position servos: their own, or of the joints that they move.
 
     The force of a servo is the gain times the distance to its set point; a damping of its own is allowed.
     """
@@ -154,7 +154,7 @@ def servo_settings(
 
     An actuator whose length changes by M_j with joint j acts on it with kp M_j^2 per error, and with at most |M_j|
     times its own limit; several actuators add up. In a coupled group M_j is divided by the joint's ratio: stiffness and
-    limit are those of a tendon whose length is the sum of ratio x joint value, as `Hand.actuator` has them. Limits of
+    limit apply to a tendon whose length is the sum of ratio x joint value, as in `Hand.actuator`. Limits of
     the actuator force at joints and tendons count too. Set points are within the ctrlrange of all actuators of a joint
     or group. Armature and dry friction are those of the joint itself, and so is damping, to which that of the servos is
     added. A joint that nothing drives has the limit 0.

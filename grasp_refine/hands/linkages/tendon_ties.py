@@ -17,7 +17,7 @@ Robotics leave 0.14."""
 
 @dataclass(frozen=True)
 class TendonTie:
-    """Joint that a tendon makes a linear function of another one; names and values are those of the MJCF."""
+    """Joint that a tendon makes a linear function of another one; names and values of the MJCF."""
 
     tendon: str
     """Name of the tendon."""

@@ -22,7 +22,7 @@ LOAD_N = 15.0
 """Force in newtons on each fingertip: that of a squeeze."""
 
 LOADED_S, TIMESTEP_S = 1.0, 0.004
-"""Duration in seconds of the simulation, and of its steps. They are those of our protocols: no constraint of MuJoCo is
+"""Duration in seconds of the simulation, and of its steps, as in our protocols: no constraint of MuJoCo is
 stiffer than two steps allow."""
 
 STANDING_ARMATURE = 1e6
@@ -52,7 +52,7 @@ def transmission_compliance(model: mujoco.MjModel, linkage: Linkage, tips: Colle
     Args:
         model: Model of the linkage.
         linkage: The linkage.
-        tips: Names of the bodies that touch objects; those that the linkage does not move are left out.
+        tips: Names of the bodies that touch objects; bodies that the linkage does not move are left out.
     """
     model = copy.copy(model)
     flags = mujoco.mjtDisableBit

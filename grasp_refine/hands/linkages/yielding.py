@@ -1,6 +1,6 @@
 """Modes in which a linkage yields: motions that its closed chains allow while the driven joint stands still.
 
-Fingers that adapt to objects, as those of underactuated grippers, have more joints than their chains close. Springs
+Adaptive fingers, as in underactuated grippers, have more joints than their chains close. Springs
 hold what is left over, and limits of joints against which they press: torques of contact forces beyond these move the
 finger, however strong the actuator is (Birglen, Laliberté and Gosselin, "Underactuated Robotic Hands", 2008).
 """
@@ -60,7 +60,7 @@ class YieldingMode:
 def _between(
     x: Float[np.ndarray, " N"], at: Float[np.ndarray, " K"], bound: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, " N"]:
-    """Return bounds (N,) between those at some values: the finite one where the other is infinite."""
+    """Return bounds (N,) between the bounds at some values: the finite one where the other is infinite."""
     finite = np.isfinite(bound)
     if not finite.any():
         return np.full(len(x), bound[0])
