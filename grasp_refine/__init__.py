@@ -17,19 +17,20 @@ These conventions hold in every file;
 **Units.** SI everywhere: metres, radians, kilograms, newtons. Prismatic joints are in metres. Millimetres and degrees
 appear only in what a person reads. A loss is a sum of squares in m^2.
 
-**Frames.** The world frame is the object's frame: the object rests at the identity, and a table or another body is told
-in it. `T_world_link` (4, 4) maps link coordinates to world coordinates, and frames chain by their neighbouring names:
+**Frames.** The world frame is the object's frame: the object rests at the identity, and a table or another body is
+expressed in it. `T_world_link` (4, 4) maps link coordinates to world coordinates, and frames chain by their
+neighbouring names:
 
     point_world = T_world_link @ point_link        T_world_link = T_world_root @ T_root_link(q)
 
 The *root* is the hand's base link. Its frame is that of the URDF; joints above it do not move. A point, normal or twist
 carries its frame in its name, or is in the world frame.
 
-**Joint values** `q` (..., n) are in the order of `hand.joint_names`, which are the independent joints: those that
-follow another one (mimic) are left out. Files name their joints; values are matched by name, never by place.
+**Joint values** `q` (..., n) are in the order of `hand.joint_names`, which are the independent joints: joints
+that follow another one (mimic) are left out. Files name their joints; values are matched by name, never by place.
 
 **Quaternions** are (w, x, y, z), of unit length, for active rotations: p' = q p q^-1. q and -q are the same rotation;
-those that we write have w >= 0. A pose as seven numbers is (x, y, z, qw, qx, qy, qz). Files of others may have
+we write w >= 0. A pose as seven numbers is (x, y, z, qw, qx, qy, qz). Files of others may have
 (x, y, z, w); ours never do. A quarter turn about z takes x to y:
 
     >>> from math import sqrt
@@ -39,9 +40,9 @@ those that we write have w >= 0. A pose as seven numbers is (x, y, z, qw, qx, qy
     >>> transform_points(T, np.array([1.0, 0.0, 0.0])).round(9).tolist()
     [0.1, 1.0, 0.0]
 
-**Twists** are (v, w), linear part first. A *spatial* twist is told in the world frame, at the world's origin: a point p
-of the body has the velocity V(p) = v + w x p, and T moves as exp(t xi) T. A *body* twist is told in the body's own
-frame: T moves as T exp(t xi). They are the same motion where xi_spatial = Ad(T) xi_body, with
+**Twists** are (v, w), linear part first. A *spatial* twist is expressed in the world frame, at the world's origin: a
+point p of the body has the velocity V(p) = v + w x p, and T moves as exp(t xi) T. A *body* twist is expressed in the
+body's frame: T moves as T exp(t xi). They are the same motion where xi_spatial = Ad(T) xi_body, with
 
     Ad(T) = [[R, [p] R], [0, R]]        [p] u = p x u
 

@@ -15,7 +15,7 @@ and optionally, all three or none, `target_link` (K,), `target_point_link` (N, K
 `target_point_object` (N, K, 3) in metres; NaN points mean that this grasp has no such target. Two more stages of
 the motion that closes the hand may be present, each whole or not at all, in the form of `hand_pose` and `q`:
 `pregrasp_pose` (N, 7) and `pregrasp_q` (N, n), the hand open, and `squeeze_pose` and `squeeze_q`, where its position
-actuators are sent so that it presses; those joint values may lie beyond the limits. `contact_links` (N, M), names of
+actuators are sent so that it presses; these joint values may exceed the limits. `contact_links` (N, M), names of
 the links that should touch, empty where a grasp has fewer, and `contact_gaps` (N, M), the gap in metres that each
 should keep, are the contact links of the grasps. Entries `label_<name>` (N,) are numbers that a generator gives its
 grasps. Other entries (results, provenance) may be present too and are not read here.
@@ -107,7 +107,7 @@ class ContactLinks:
         return ContactLinks(np.pad(self.name, pad), np.pad(self.gap, pad, constant_values=np.nan))
 
     def on(self, links: Sequence[str]) -> Float[np.ndarray, "N L"]:
-        """Return the gaps (N, L) of links, those listed several times in their first column; NaN for all others.
+        """Return the gaps (N, L) of links; repeated links have theirs in the first column; NaN for all others.
 
         Grasps with a contact link that is not listed have none.
         """
@@ -210,7 +210,7 @@ class GraspSet:
             if not (same and grasps.hand == first.hand):
                 raise GraspFileError(
                     f"grasps of '{grasps.hand}' from link '{grasps.base_link}' on, with the joints "
-                    f"{', '.join(grasps.joint_names)}, cannot be joined to those of '{first.hand}' from "
+                    f"{', '.join(grasps.joint_names)}, cannot be joined to grasps of '{first.hand}' from "
                     f"'{first.base_link}' on, with {', '.join(first.joint_names)}"
                 )
             if one := grasps.other_stages.keys() ^ first.other_stages.keys():
@@ -480,7 +480,7 @@ def _name_notes(grasps: GraspSet, hand: Hand) -> list[str]:
     named, given = (name.casefold() for name in (grasps.hand, hand.name))
     if named in given or given in named:
         return []
-    return [f"the grasps name the hand '{grasps.hand}'; they are taken as those of '{hand.name}'"]
+    return [f"the grasps name the hand '{grasps.hand}'; they are read as grasps of '{hand.name}'"]
 
 
 def _batched(pose: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -497,7 +497,7 @@ def _checked_stage(name: str, stage: Stage | None, shape: tuple[int, ...]) -> St
     pose, q = as_numbers(f"{name}.pose", stage.pose), as_numbers(f"{name}.q", stage.q)
     pose, q = _batched(pose, q)
     check_shape(f"{name}.pose", pose, shape[0], 7, why="x y z qw qx qy qz, one row per grasp")
-    check_shape(f"{name}.q", q, *shape, why="as those of the grasps")
+    check_shape(f"{name}.q", q, *shape, why="as the grasps have")
     return Stage(pose, q)
 
 
@@ -521,7 +521,7 @@ def _check_schema(file: NpzFile) -> None:
 
 
 def _stage(file: NpzFile, pose_key: str, q_key: str, n: int | None, joints: int) -> Stage:
-    """The poses and joint values under two keys: those of `n` grasps, or of as many as there are poses."""
+    """The poses and joint values under two keys, of `n` grasps, or of as many as there are poses."""
     pose = file.numbers(pose_key, allowed="any")
     if pose.ndim != 2 or pose.shape[1] != 7 or not len(pose) or n not in (None, len(pose)):
         rows = "(N, 7) with N >= 1" if n is None else f"({n}, 7)"

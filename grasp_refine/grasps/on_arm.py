@@ -31,15 +31,15 @@ def on_arm(
     starts: int = STARTS,
     seed: int = 0,
 ) -> tuple[GraspSet, tuple[str, ...]]:
-    """Return grasps of a hand as those of the hand on an arm, and notes.
+    """Return grasps of a hand as grasps of the hand on an arm, and notes.
 
-    The base of the arm is where it is told to be, and its joints bring the palm to the pose of each grasp: of the ways
+    The base of the arm has the given pose, and its joints bring the palm to the pose of each grasp: of the ways
     that inverse kinematics finds, without self-collision and with room around them, the best one, see
     `ArmKinematics.solve`. Joint values of the arm are NaN where there is none. Pregrasps and squeezes are left out, as
     they may move the palm; grasps that begin at the base of the arm already are returned as they are.
 
     Args:
-        grasps: Grasps whose poses are those of the palm, `hand.palm`, or of the arm's base.
+        grasps: Grasps with poses of the palm, `hand.palm`, or of the arm's base.
         hand: The hand on its arm.
         T_object_base: Pose (4, 4) of the base of the arm in the object's frame.
         clearance: Distance of the arm from what is around it; None: nothing is.
@@ -56,7 +56,7 @@ def on_arm(
         return grasps, ()
     if grasps.base_link != hand.palm:
         raise GraspFileError(
-            f"the grasps give poses of link '{grasps.base_link}'; on an arm they must be those of its palm, "
+            f"the grasps give poses of link '{grasps.base_link}'; on an arm they must be poses of its palm, "
             f"'{hand.palm}', or of its base, '{hand.base_link}'"
         )
     values, notes = match_joints(_without_arm(grasps, hand), _without_arm_joints(hand))
@@ -73,7 +73,7 @@ def on_arm(
     q = found.q[np.arange(count), first]
     q[np.ix_(~usable.any(axis=1), hand.arm_joints)] = np.nan
     if grasps.other_stages:
-        notes = (*notes, f"{' and '.join(grasps.other_stages)} of the grasps are left out: ours are those of the arm")
+        notes = (*notes, f"{' and '.join(grasps.other_stages)} of the grasps are left out: the arm has its own")
     moved = replace(
         grasps,
         hand=hand.name,

@@ -14,7 +14,7 @@ QUATERNION_TOLERANCE = 1e-3
 def unit_poses(
     poses: Float[np.ndarray, "N 7"], what: str, error: Callable[[str], Exception]
 ) -> Float[np.ndarray, "N 7"]:
-    """Poses (N, 7) with quaternions of length 1, if theirs are so up to rounding; those that are not finite are kept.
+    """Poses (N, 7) with unit quaternions, if they are so up to rounding; poses that are not finite are kept.
 
     Raises:
         Exception: what `error` makes of a message on the first quaternion of poses called `what` that is no unit one.
@@ -32,5 +32,5 @@ def unit_poses(
 
 
 def without_zero_quaternions(poses: Float[np.ndarray, "N 7"]) -> Float[np.ndarray, "N 7"]:
-    """Poses (N, 7) with NaN for those whose quaternion is 0: programs write it for unknown ones."""
+    """Poses (N, 7) with NaN where the quaternion is 0: programs write it for unknown poses."""
     return np.where((poses[:, 3:] == 0.0).all(axis=1, keepdims=True), np.nan, poses)

@@ -15,7 +15,7 @@ def with_prefixes(grasps: GraspSet, links: Collection[str], joints: Collection[s
     """Return the grasps by the names of a hand; None where a name is not found there, or several times.
 
     Args:
-        grasps: Grasps whose joints and links are those of the hand, up to a prefix.
+        grasps: Grasps with the joints and links of the hand, up to a prefix.
         links: Names of the hand's links.
         joints: Names of its joints.
     """

@@ -1,4 +1,4 @@
-"""Rows of grasp sets: those of one object, by their numbers, by a mask, by conditions, or the best of each object."""
+"""Rows of grasp sets: of one object, by numbers, by a mask, by conditions, or the best of each object."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class ClosedHands:
     """N grasps whose open hands were closed."""
 
     q: Float[np.ndarray, "N n"]
-    """Joint values (N, n) at which the fingers touch; those of the scene where a hand was not open."""
+    """Joint values (N, n) at which the fingers touch; the scene's where a hand was not open."""
     moved_m: Float[np.ndarray, " N"]
     """Largest distance (N,) by which a contact link moved, metres; 0 where a hand was not open, NaN where no finger of
     an open one meets the object."""
@@ -64,7 +64,7 @@ def closing_notes(moved_m: Float[np.ndarray, " N"], jaws: bool) -> tuple[str, ..
 def is_open(scene: Scene, prepared: HandObject) -> Bool[np.ndarray, " N"]:
     """Return True for grasps (N,) whose fingers have yet to arrive at the object.
 
-    Those are grasps of two fingers of which one does not touch, and grasps of other hands of which a squeeze would
+    These are grasps of two fingers where one does not touch, and grasps of other hands where a squeeze would
     reach the object with fewer than two fingers, or with one and the palm.
     """
     hand, links = scene.hand, scene.links

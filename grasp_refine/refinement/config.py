@@ -69,8 +69,8 @@ class Config:
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
-        given = ("clearance",) if self.clearance is not None else ()
-        for name in ("margin", *given, "pressure", "tolerance", "seed"):
+        optional = ("clearance",) if self.clearance is not None else ()
+        for name in ("margin", *optional, "pressure", "tolerance", "seed"):
             if not 0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
         if not self.seconds > 0.0:

@@ -44,7 +44,7 @@ GOOD_SCORE = 0.1
 PINCH_SHARE = 0.7
 """Share of its score below which a grasp of two contact points is replaced by one from another start, unless that is
 good: forces at two points make no torque about the line between them, whatever the pads do, so that the scores of such
-grasps hardly tell which of them holds."""
+grasps hardly predict which of them holds."""
 
 SHORTFALL_WEIGHT = 0.2
 """Score of a grasp whose set points allow no pressure at all."""
@@ -85,7 +85,7 @@ class Phase:
         return replace(touching, reach=touching.reach + tips, other_link_distance=touching.other_link_distance + others)
 
     def weights(self, weights: Weights) -> Weights:
-        """Return the weights of this phase, given those of the last phase."""
+        """Return the weights of this phase, given the weights of the last phase."""
         return replace(
             weights,
             penetration=self.soft * weights.penetration,
@@ -134,10 +134,10 @@ def judge(
     """Return the score (N,) of grasps, lower is better, and whether they have at most two contact points (N,).
 
     Of grasps whose links meet nothing but the object, the residual under the worst of the strong pushes, which counts
-    as much as the shortcomings of `Quality` together, tells which of several attempts holds a heavy object, or one in a
-    simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
-    `SHORTFALL_WEIGHT`, those whose pressure turns fingers of linkages their `mode_residual` times `YIELDING_WEIGHT`,
-    and those with two fingers their `pinch_score`. The score is infinite where there are no forces.
+    as much as the shortcomings of `Quality` together, predicts which of several attempts holds a heavy object, or one
+    in a simulation whose contacts creep. Grasps near the ends of set points, where a hand cannot press, cost as much as
+    `SHORTFALL_WEIGHT`, grasps whose pressure turns fingers of linkages their `mode_residual` times `YIELDING_WEIGHT`,
+    and grasps with two fingers their `pinch_score`. The score is infinite where there are no forces.
     """
     hand, obj, chain, faces, T = prepared.hand, prepared.object, prepared.chain, prepared.faces, frames.T_world_link
     cutoff = CONTACTS.cutoff(hand, chain.links)
@@ -180,11 +180,11 @@ def search(
     """
     search = _Search(scene, prepared, config, status, progress, on_iteration)
     rows = np.flatnonzero(status == Status.RUNNING)
-    closed = search.attempt(rows, search.given(rows), (CLOSE,))
+    closed = search.attempt(rows, search.initial(rows), (CLOSE,))
     search.touching[rows] = closed.goal.touching
     search.take(rows, closed)
     rows = search.unsatisfied(rows)
-    search.take(rows, search.attempt(rows, search.given(rows), PHASES))
+    search.take(rows, search.attempt(rows, search.initial(rows), PHASES))
     search.starts[status == Status.RUNNING] = 1
     while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
         # The result of a grasp does not depend on how many starts are tried at once: the first good one counts.
@@ -234,23 +234,23 @@ class _Search:
         goal = replace(Goal.nothing(N, L), direction=scene.direction)
         self.best = _Attempt(minimum, goal, np.full(N, np.inf), np.zeros(N, dtype=bool))
 
-    def given(self, rows: np.ndarray) -> Point:
+    def initial(self, rows: np.ndarray) -> Point:
         """Return the input grasps."""
         return Point(self.scene.T_world_root[rows], self.q[rows])
 
     def perturb(self, member: np.ndarray, number: np.ndarray) -> Point:
         """Return starts near the grasps: turned about the mean of their contact links, shifted, joints perturbed."""
         noise, variables = self.free.sample_noise(member, number), self.free.variables
-        given = self.given(member)
-        T = self.prepared.chain(given.T, given.q).T_world_link
+        initial = self.initial(member)
+        T = self.prepared.chain(initial.T, initial.q).T_world_link
         touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
         R = exp_so3(START_ROTATION_RAD * noise[:, 3:6])
-        palm = variables.palm(given)
+        palm = variables.palm(initial)
         T = palm.copy()
         T[:, :3, :3] = R @ palm[:, :3, :3]
         T[:, :3, 3] = middle + matvec(R, palm[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
-        hand, start = self.scene.hand, variables.placed(given, T)
+        hand, start = self.scene.hand, variables.placed(initial, T)
         joints = START_JOINTS_RAD * hand.per_radian * noise[:, 6:]
         return Point(start.T, start.q + np.where(hand.arm_joints, 0.0, joints))
 
@@ -280,13 +280,13 @@ class _Search:
         score, pinches = judge(prepared, known.frames, self.clearance)
         score = score + self.free.other_depth(known) / DEEP
         if scene.regions is not None:
-            given = prepared.bodies, prepared.object.body, known.frames.T_world_link, known.witness
-            score = score + patch_misses(scene.regions, *given).miss.max(axis=1) / MISS_SCALE_M
+            bodies_and_witness = prepared.bodies, prepared.object.body, known.frames.T_world_link, known.witness
+            score = score + patch_misses(scene.regions, *bodies_and_witness).miss.max(axis=1) / MISS_SCALE_M
         usable = ~np.isin(found.status, UNUSABLE)
         return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 
     def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
-        """Return the grasps `rows`, which are those of the scene, after a phase, and its goal."""
+        """Return the grasps `rows` of the scene after a phase, and its goal."""
         config, prepared = self.config, self.prepared
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
@@ -331,13 +331,13 @@ class _Search:
         return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
 
     def result(self) -> SearchResult:
-        """Return the best attempts with the cost of all; losses are those of the last phase."""
+        """Return the best attempts with the cost of all; losses are of the last phase."""
         found, goal = self.best.minimum, self.best.goal
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)
         config = replace(self.config, weights=PHASES[-1].weights(self.config.weights))
         problem = GraspProblem(self._scene(rows), take(goal, rows), config, self.prepared).in_points()
-        for column, point in enumerate((self.given(rows), take(found.point, rows))):
+        for column, point in enumerate((self.initial(rows), take(found.point, rows))):
             loss[rows, column] = problem.evaluate(np.arange(len(rows)), point, None).loss
         minimum = replace(
             found, loss=loss, iterations=self.iterations, queries=self.queries, cpu_s=self.cpu, wall_s=self.wall

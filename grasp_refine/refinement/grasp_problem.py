@@ -127,7 +127,7 @@ class GraspProblem:
         return sample_noise(self.scene, T_palm, member, number, self.config.seed)
 
     def solve_position_ik(self, member: np.ndarray, point: Point) -> Point:
-        """Solve inverse kinematics that brings target points on links to those on the object, without any query."""
+        """Solve inverse kinematics that brings target points on links to the object's, without any query."""
         if not (len(self.aimed_columns) and len(member)):
             return point
         columns = self.aimed_columns

@@ -23,7 +23,7 @@ class IterationState:
     point: Point
     """Poses of the base link (M, 4, 4) and joint values (M, n)."""
     loss: np.ndarray
-    """Losses (M,) in m^2, those of the present stage of the search."""
+    """Losses (M,) in m^2 at the present stage of the search."""
     touching: np.ndarray
     """Links (M, L) that should touch in the present stage."""
     stage: str

@@ -43,7 +43,7 @@ class MaxMove:
         q_first: Float[np.ndarray, "M n"],
         per_radian: Float[np.ndarray, " n"],
     ) -> tuple[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]]:
-        """Return root poses and joint values within the bounds; those beyond are moved back towards the first.
+        """Return root poses and joint values within the bounds; values beyond are moved back towards the first.
 
         `per_radian` is that of the hand.
         """
@@ -63,7 +63,7 @@ class MaxMove:
 
 
 def _clip_length(vector: Float[np.ndarray, "M 3"], most: float) -> Float[np.ndarray, "M 3"]:
-    """Return vectors (M, 3), those longer than `most` shortened to that length."""
+    """Return vectors (M, 3), shortened to at most `most`."""
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     far = length > most
     return np.where(far, most / np.where(far, length, 1.0), 1.0) * vector

@@ -1,7 +1,7 @@
 """Score of grasps with two fingers beyond their forces: what lies under the fingers, and how far they can move.
 
-Forces hardly tell which of such grasps hold, since two contacts never balance a torque about the line between them.
-Those are lost whose fingers sit on an edge, off which the object turns, or can neither open for it nor follow it.
+Forces hardly predict which of such grasps hold, since two contacts never balance a torque about the line between them.
+Grasps are lost whose fingers sit on an edge, off which the object rotates, or can neither open for it nor follow it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ EDGE_WEIGHT, ROOM_WEIGHT = 1.0, 0.3
 """Score of a finger on nothing but edges, and of one that cannot move."""
 
 NEIGHBOURS = 8
-"""Number of surface points around a contact: of an object as large as a cup, those within a centimetre."""
+"""Number of surface points around a contact: within a centimetre for an object as large as a cup."""
 
 OPPOSITE = -0.3
 """Cosine to the normal of a contact below which a surface point is on the other side of a wall."""

@@ -53,7 +53,7 @@ class Refinement:
     """Loss in m^2 before and after (N, 2), without the force term; NaN where it is not known. Gaps at corners of
     patches count after only where they closed."""
     iterations: np.ndarray
-    """Iterations of each grasp (N,), those of all attempts."""
+    """Iterations of each grasp (N,), over all attempts."""
     queries: np.ndarray
     """Narrow-phase queries of each grasp (N,)."""
     wall_s: np.ndarray
@@ -116,11 +116,11 @@ def refine(
             f"prepared is for {prepared.hand.name} and {prepared.object.name}, the scene has "
             f"{scene.hand.name} and {scene.object.name}"
         )
-    sound, given = scene.valid, scene
+    sound, original = scene.valid, scene
     status = np.where(sound, Status.RUNNING, np.where(scene.finite, Status.INVALID, Status.NOT_FINITE))
     status[scene.out_of_reach] = Status.OUT_OF_REACH
     starts = sound.astype(np.int64)
-    # Contact links are chosen anew: those recorded are of the input grasps.
+    # Contact links are chosen anew: the recorded links are of the input grasps.
     scene, closed = replace(scene.masked(sound), contact_gap=None), None
     if scene.hand.has_two_fingers and scene.target_link is None:
         # A jaw is brought to the object by closing it; by moving the hand, what is left.
@@ -137,8 +137,8 @@ def refine(
     off_surface = config.weights.contact * goal.off_surface
     found.status[unreachable & (off_surface > max(config.tolerance, OFF_SURFACE_LOSS_M2))] = Status.UNREACHABLE
     hand, count = scene.hand, max(len(scene.q), 1)
-    T = np.where(sound[:, None, None], found.point.T, given.T_world_root)
-    q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), given.q)
+    T = np.where(sound[:, None, None], found.point.T, original.T_world_root)
+    q = np.where(sound[:, None], np.clip(found.point.q, hand.lower, hand.upper), original.q)
     # The cost of work on all grasps together is divided evenly.
     wall, cpu = time.perf_counter() - wall - found.wall_s.sum(), time.process_time() - cpu - found.cpu_s.sum()
     return Refinement(
@@ -176,7 +176,7 @@ def _solve(
     on_iteration: IterationCallback | None,
 ) -> Minimum:
     """Refine in one stage: by gradients, or by least squares and, with targets, from inverse kinematics."""
-    given = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
+    initial = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     settings: dict[str, Any] = {"seconds": config.seconds, "progress": progress}
     settings["on_iteration"] = with_callback(on_iteration, goal, SINGLE_STAGE)
     if config.solver.needs_autograd:
@@ -184,23 +184,23 @@ def _solve(
         from grasp_refine.refinement.objective import Objective
 
         objective = Objective(scene, goal, config, prepared)
-        return minimise(objective, given, config.solver, config.tolerance, status=status, **settings)
+        return minimise(objective, initial, config.solver, config.tolerance, status=status, **settings)
     problem = GraspProblem(scene, goal, config, prepared)
     if not goal.aimed.any():
-        return close_gaps(problem, given, config.solver, config.tolerance, status=status, **settings)
+        return close_gaps(problem, initial, config.solver, config.tolerance, status=status, **settings)
     before, num_queries = np.full(len(status), np.nan), np.zeros(len(status), dtype=np.int64)
     rows = np.flatnonzero(status == Status.RUNNING)
     for block in np.split(rows, range(config.width, len(rows), config.width)):
-        known = problem.evaluate(block, take(given, block), None)
+        known = problem.evaluate(block, take(initial, block), None)
         before[block], num_queries[block] = known.loss, known.num_queries
     status = np.where(before < config.tolerance, Status.CONVERGED, status)
     rows = np.flatnonzero(status == Status.RUNNING)
-    start = Point(given.T.copy(), given.q.copy())
-    reached = problem.solve_position_ik(rows, take(given, rows))
+    start = Point(initial.T.copy(), initial.q.copy())
+    reached = problem.solve_position_ik(rows, take(initial, rows))
     start.T[rows], start.q[rows] = reached.T, reached.q
     found = close_gaps(problem, start, config.solver, config.tolerance, status=status, **settings)
     # The input grasp may still be the best.
     first = before <= found.loss[:, 1]
     found.status[first & (found.status == Status.NOT_FINITE)] = Status.STALLED
     loss = np.stack([before, np.where(first, before, found.loss[:, 1])], axis=1)
-    return replace(found, point=choose(first, given, found.point), loss=loss, queries=found.queries + num_queries)
+    return replace(found, point=choose(first, initial, found.point), loss=loss, queries=found.queries + num_queries)

@@ -133,7 +133,7 @@ def test_links_below_the_table_count_like_those_in_the_object(scene: Scene, prep
             replace(one, table=Plane(offset=lowest + depth)), prepared,
             replace(CONFIG, solver=LevenbergMarquardt(iterations=0)), np.full(1, Status.RUNNING), None, None,
         )  # fmt: skip
-        score.append(float(search.attempt(first, search.given(first), (CLOSE,)).score[0]))
+        score.append(float(search.attempt(first, search.initial(first), (CLOSE,)).score[0]))
     assert score[1] - score[0] == pytest.approx(0.004 / DEEP, rel=1e-6)
 
 

@@ -58,7 +58,7 @@ SAMPLED_OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.035", "box:
 NUM_AT_ENDS = 12
 """Number of grasps sampled for a hand and the end of an object."""
 OWN_HANDS = ("allegro", "leap", "shadow_palm", "franka_hand")
-"""Hands that come with the program, for sampled grasps and for those at ends."""
+"""Included hands, for sampled grasps and for grasps at ends."""
 ENDS = {
     "mug": "box:0.0405,-0.03,0,0.08,0.03,0.09",
     "bottle": "above:z=0.16",

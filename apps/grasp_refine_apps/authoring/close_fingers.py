@@ -6,7 +6,7 @@ the other hands are sampled: the best that touch with all fingertips. A small se
 only *almost* right, with some tips a centimetre away and some links inside the object: what a grasp from a generator
 or a demonstration looks like, and what refinement is for.
 
-Disturbances are drawn in a seeded order; those with a gap and a depth in the given ranges are accepted. The first and
+Disturbances are drawn in a seeded order, and accepted if gap and depth are in the given ranges. The first and
 the third grasp of a file are the first accepted one that loses the object in simulation (dexgraspbench, closed and
 squeezed as `validate` does for files without pregrasps and squeezes); the second and the fourth are the first accepted
 one, held or not. So half of the examples do not hold before refinement; of all accepted disturbances of the Allegro

@@ -1,7 +1,7 @@
 """Make the visual meshes of our own hands: their collision shapes with rounded edges and hubs around the joints.
 
 Run `python -m grasp_refine_apps.authoring.make_visuals` after a change of the collision shapes in robots/*/*.urdf. It
-writes robots/HAND/visual/*.ply and names them in the URDF. Sizes come from the URDF, which has those of the published
+writes robots/HAND/visual/*.ply and names them in the URDF. Sizes come from the URDF, which has the published
 kinematics; no mesh of a maker is used. Flat faces stay where the collision shape has them, so that contacts look right.
 """
 

@@ -74,7 +74,7 @@ class _Axis:
     """Horizontal axis: the bars that are drawn, and their places."""
 
     edges: np.ndarray
-    """Edges (bars + 1,) of all bars but those for values below and above."""
+    """Edges (bars + 1,) of all bars except the bars for values below and above."""
     scale: str
     """LINEAR or LOGARITHMIC."""
     first: int

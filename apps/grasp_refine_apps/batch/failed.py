@@ -27,7 +27,7 @@ def suspected_text(failed: Sequence[Mapping[str, Any]]) -> str:
 
 
 def left_over(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> int:
-    """Number of shards neither complete nor failed: those of an interrupted run, or of other parts of a batch."""
+    """Number of shards neither complete nor failed: of an interrupted run, or of other parts of a batch."""
     if totals.get("shards") is None or totals.get("complete") is None:
         return 0
     return max(totals["shards"] - totals["complete"] - sum(one["shard"] is not None for one in failed), 0)

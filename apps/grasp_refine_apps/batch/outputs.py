@@ -46,7 +46,7 @@ class Outputs:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files but those of results."""
+        """All files except results."""
         found = (self.index, self.out / REPORT if self.report else None, self.json)
         return tuple(path for path in found if path is not None)
 

@@ -62,7 +62,7 @@ class Task:
     rows: np.ndarray
     """Rows in the grasp file (n,); empty where grasps are sampled."""
     index: np.ndarray
-    """Indices (n,) of the grasps among those of the object."""
+    """Indices (n,) of the grasps within their object."""
     sampled: tuple[int, int] | None = None
     """Number of sampled grasps, and index of the draw; None: grasps are from a file."""
 

@@ -52,7 +52,7 @@ class Progress:
             shards: Shards of this run.
             workers: Number of workers at a time.
             skipped: Number of grasps done before.
-            simulated: Grasps are simulated; then those that held are counted, else those that should hold.
+            simulated: Count grasps that held in simulation, else grasps that should hold.
             work: Verb for what is done with the grasps, and its past participle.
             verdict: Whether the share of grasps that held, or are good, is shown.
             clock: Clock, seconds.

@@ -23,7 +23,7 @@ Kind = Literal["text", "whole", "number", "flag"]
 
 
 def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
-    """Return name -> kind of the columns of measures; those of quality are followed by the verdicts by it."""
+    """Return name -> kind of the columns of measures; verdicts by quality follow its columns."""
     found: dict[str, Kind] = {}
     for measure in measures:
         found |= dict.fromkeys(measure.columns.values(), "whole" if measure.unit == COUNT else "number")

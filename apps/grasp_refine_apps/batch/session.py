@@ -155,7 +155,7 @@ class Session:
         progress.say(str(error))
 
     def failures(self) -> list[dict[str, Any]]:
-        """Entries of refused jobs and failed shards, also of those that failed in an earlier run, with reasons."""
+        """Entries of refused jobs and failed shards, including failures of an earlier run, with reasons."""
         nothing = {"shard": None, "path": None, "reason": "refused", "tries": 0}
         found: list[dict[str, Any]] = [
             {**nothing, "name": one.job, "message": one.message, "traceback": one.traceback} for one in self.refused
@@ -168,7 +168,7 @@ class Session:
         return found
 
     def totals(self, failed: Sequence[Mapping[str, Any]], wall_s: float, cpu_s: float) -> dict[str, Any]:
-        """Counts of the whole batch with those of its failures, and costs of this run."""
+        """Counts of the whole batch and of its failures, and costs of this run."""
         return {
             **self.statistics.totals(),
             "shards": len(self.shards),

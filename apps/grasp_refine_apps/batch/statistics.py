@@ -22,7 +22,8 @@ UNUSABLE = tuple(status.label for status in NEVER_REFINED)
 """Statuses of grasps that were not refined at all."""
 
 MAX_PAIRS = 5000
-"""Maximum number of pairs of hand and object counted separately; of more, those with the fewest failures are not."""
+"""Maximum number of pairs of hand and object counted separately; of more, the pairs with the fewest failures are left
+out."""
 MAX_LISTED_PAIRS = 200
 """Maximum number of pairs listed."""
 
@@ -169,7 +170,7 @@ class Statistics:
             self.rest.merge(self.pairs.pop(pair))
 
     def by_pair(self, most: int = MAX_LISTED_PAIRS) -> tuple[list[tuple[tuple[str, str], Tally]], Tally]:
-        """Tallies by hand and object, those with the most failures first, and a tally of those left out."""
+        """Tallies by hand and object, most failures first, and a tally of the rest."""
         ranked = _by_failures(self.pairs)
         rest = Tally()
         rest.merge(self.rest)

@@ -138,7 +138,7 @@ class _ShardProgress(Listener):
         self.counted += count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
-            # Most grasps finish late: those still running count by their share of iterations.
+            # Most grasps finish late: running grasps count by their share of iterations.
             done = before + finished + (count - finished) * min(iteration / self.most, 1.0)
             self._report("refining", 0.5 * done if self.simulates else done, before + finished)
 

@@ -1,4 +1,4 @@
-"""Worst grasps of a batch for inspection: those least likely to hold, of several hands and objects."""
+"""Worst grasps of a batch for inspection: least likely to hold, of several hands and objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUM_CASES = 12
 MAX_CASES_PER_PAIR = 3
 """Maximum number of cases of one hand and object, as long as there are others."""
 MAX_KEPT = 240
-"""Number of cases kept, from which those shown are chosen."""
+"""Number of cases kept, from which the shown cases are chosen."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Worst:
     def cases(self) -> tuple[Case, ...]:
         """Return at most `NUM_CASES`, the worst first.
 
-        Grasps that did not hold in simulation, or were not simulated, come before those that held; then low quality
+        Grasps that did not hold in simulation, or were not simulated, come before held grasps; then low quality
         before high, and deep penetration before shallow.
         """
         ranked = [case for _, case in sorted(self._heap, reverse=True)]

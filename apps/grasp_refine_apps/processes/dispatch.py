@@ -1,4 +1,4 @@
-"""Dispatch of tasks to any kind of workers: tasks go out, results come back, those of lost workers go out again."""
+"""Dispatch of tasks to any kind of workers: tasks go out, results come back, tasks of lost workers go out again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Order of the tasks: an idle worker first gets those of the group that it has loaded."""
+"""Order of the tasks: an idle worker first gets tasks of the group that it has loaded."""
 
 from __future__ import annotations
 

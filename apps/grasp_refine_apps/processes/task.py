@@ -89,7 +89,7 @@ def attempt(work: Work, task: Task, send: Callable[[Sign], None], interval_s: fl
         work: Work function.
         task: Task.
         send: Called with heartbeats.
-        interval_s: Shortest interval between two heartbeats, seconds; those between are not sent.
+        interval_s: Shortest interval between two heartbeats, seconds.
     """
     last_sent_s = -interval_s
 

@@ -40,7 +40,7 @@ def invocation(command: str, options: Any) -> str:
 
 
 def words(options: Any, group: str = "") -> Iterator[str]:
-    """Yield the options that differ from their defaults; those of a nested dataclass follow its name and a dot.
+    """Yield the options that differ from their defaults; fields of a nested dataclass follow its name and a dot.
 
     Args:
         options: Dataclass.

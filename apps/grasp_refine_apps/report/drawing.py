@@ -25,7 +25,7 @@ SIDES = tuple(
     for tilt in (0.35, -0.1, 0.8)
     for turn in 2 * np.pi * np.arange(12) / 12
 )
-"""Candidate directions (3,) towards the camera, those preferred first: a little above the horizon, below it, above."""
+"""Candidate directions (3,) towards the camera, preferred ones first: a little above the horizon, below it, above."""
 SIDE_PX = 64
 """Height of the pictures in which sides are compared, pixels."""
 

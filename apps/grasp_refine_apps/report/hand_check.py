@@ -43,7 +43,7 @@ class HandCheck:
     contacts: tuple[str, ...]
     """Contact links, each with the reason why it is one."""
     pairs: PairClasses
-    """Link pairs that are checked for self-collision, and those that are not."""
+    """Link pairs that are checked for self-collision, and pairs that are not."""
     simulation: tuple[str, ...]
     """Differences in simulation."""
     refused: str

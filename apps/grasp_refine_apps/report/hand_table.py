@@ -27,7 +27,7 @@ UNWRAPPED_COLUMNS = ("hand", "range, deg", "licence", "kind")
 
 
 def list_table(hands: Sequence[Hand], waiting: Sequence[str]) -> Table:
-    """Table of the hands that ship with the program; `waiting` are those without a URDF."""
+    """Table of the included hands; `waiting` have no URDF."""
     table = _table("hand", "joints", "range, deg", "links", "fingers", "licence", "grasps")
     for hand in hands:
         followers = sum(joint.mimic is not None for joint in hand.joints)
@@ -133,7 +133,7 @@ def _table(*columns: str) -> Table:
 
 
 def _range(hand: Hand) -> str:
-    """Smallest and largest limit of the joints that turn, and of those that slide, the latter with their unit."""
+    """Smallest and largest limit of revolute and of prismatic joints, the latter with their unit."""
     texts = []
     for slides in (False, True):
         names = (name for name, sliding in zip(hand.joint_names, hand.slides, strict=True) if sliding == slides)

@@ -125,7 +125,7 @@ def _actuator(hand: Hand) -> str:
         "frictionloss": "dry friction, Nm or N",
     }
     if hand.mjcf == hand.urdf:
-        return "# Actuators are those of the MJCF; [actuator] counts where it has none that are position servos."
+        return "# Actuators come from the MJCF; [actuator] counts where it has no position servos."
     lines = [
         "# How joints are driven in simulation. One number for all, or { default = 5.0, JOINT = 3.0 }.",
         "[actuator]",

@@ -96,7 +96,7 @@ class Reporter(Listener):
         before, self._finished = self._finished, self._finished + count
 
         def progress(finished: int, iteration: int, mean_loss: float) -> None:
-            # Most grasps finish late: those still running count by their share of iterations.
+            # Most grasps finish late: running grasps count by their share of iterations.
             running = (count - finished) * min(iteration / self._iterations, 1.0)
             done = f"{before + finished}/{self._total} {self._done}"
             self._bar.update(

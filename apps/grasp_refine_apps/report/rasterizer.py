@@ -48,7 +48,7 @@ class Model:
     color: tuple[float, float, float]
     """Red, green and blue in [0, 1]."""
     opacity: float = 1.0
-    """Opacity; opaque models show through those below 1."""
+    """Opacity; opaque models show through models below 1."""
 
     @staticmethod
     def of(

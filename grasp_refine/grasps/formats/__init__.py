@@ -1,1 +1,1 @@
-"""Grasp files: ours and those of other programs, one format a file."""
+"""Formats of grasp files, ours and other programs', one per file."""

@@ -1,4 +1,4 @@
-"""ACRONYM: one .h5 file per object with poses of the Panda gripper; its .json files, and those of GraspGen's dataset.
+"""ACRONYM: one .h5 file per object with poses of the Panda gripper; its .json files, and the .json files of GraspGen.
 
 `grasps/transforms` (N, 4, 4) are poses of the gripper in the frame of the object's mesh, times `object/scale`, metres.
 The gripper's frame has the origin of our panda_hand and its z, towards the object; its x is the direction in which the
@@ -115,11 +115,9 @@ class Acronym:
         success, lost = grasps.labels.get(SUCCESS), []
         if success is None:
             success = np.ones(len(grasps))
-            lost.append("object_in_gripper 1 is written for every grasp: these do not tell")
+            lost.append("object_in_gripper 1 is written for every grasp: success is unknown")
         elif np.isnan(success).any():
-            raise GraspFileError(
-                f"format {self.name} tells of every grasp whether it succeeded; some have no {SUCCESS}"
-            )
+            raise GraspFileError(f"format {self.name} records the success of every grasp; some have no {SUCCESS}")
         groups = rows_by_object(grasps)
         files = disambiguate(f"{object_folder(name)}_{scale!r}" for name, scale in groups)
         parts = []
@@ -127,7 +125,7 @@ class Acronym:
             opening = moved.q[rows, 0]
             if np.ptp(opening) > MAX_APART_M:
                 raise GraspFileError(
-                    f"format {self.name} holds one opening of the fingers for all grasps of an object; those of "
+                    f"format {self.name} holds one opening of the fingers for all grasps of an object; the grasps of "
                     f"'{name}' have {opening.min():.4g} to {opening.max():.4g} m"
                 )
             content = {
@@ -160,10 +158,10 @@ def _success(source: Source, grasps: Mapping[str, Any], count: int) -> dict[str,
     """Whether each grasp held in simulation, a label: 1 or 0."""
     qualities = grasps.get("qualities")
     flex = qualities.get("flex") if isinstance(qualities, Mapping) else None
-    told = flex.get("object_in_gripper") if isinstance(flex, Mapping) else grasps.get("object_in_gripper")
-    if told is None:
+    recorded = flex.get("object_in_gripper") if isinstance(flex, Mapping) else grasps.get("object_in_gripper")
+    if recorded is None:
         return {}
-    held = np.asarray(told)
+    held = np.asarray(recorded)
     if held.dtype.kind not in "biuf" or held.shape != (count,):
         raise source.error(f"object_in_gripper must have shape ({count},); it has {held.shape}")
     return {SUCCESS: held.astype(np.float64)}

@@ -42,15 +42,15 @@ def check_agreement(before: GraspSet, after: GraspSet, load: Load) -> float:
 def check_same(before: GraspSet, after: GraspSet) -> float:
     """Return the largest distance in metres or rad of the poses and joints in a written file from what they were.
 
-    It takes the place of `check_agreement` where the hand is not at hand.
+    It replaces `check_agreement` where the hand is unknown.
 
     Raises:
         DisagreementError: it is above `MAX_DIFFERENCE_M`, or hands, links or joints differ.
     """
     before, after = without_follower(before), without_follower(after)
-    told = [(grasps.hand, grasps.base_link, len(grasps), sorted(grasps.joint_names)) for grasps in (before, after)]
-    if told[0] != told[1]:
-        raise DisagreementError(f"{told[0]} was written, {told[1]} is read")
+    contents = [(grasps.hand, grasps.base_link, len(grasps), sorted(grasps.joint_names)) for grasps in (before, after)]
+    if contents[0] != contents[1]:
+        raise DisagreementError(f"{contents[0]} was written, {contents[1]} is read")
     columns = [after.joint_names.index(name) for name in before.joint_names]
     shared = [name for name in before.other_stages if name in after.other_stages]
     pairs = [(before.grasp, after.grasp)]

@@ -42,7 +42,7 @@ MAX_FILE_BYTES = 2**28
 """Largest size of a file in bytes; nearly all of a valid one are arrays."""
 
 PICKLE_START = b"\x80"
-"""First byte of all pickles but those of the oldest protocols."""
+"""First byte of all pickles except the oldest protocols."""
 ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
 """First bytes of a zip, and of one without files."""
 
@@ -50,8 +50,8 @@ ZIP_STARTS = (b"PK\x03\x04", b"PK\x05\x06")
 def load_content(path: Path) -> Any:
     """Return the contents of a file as plain containers, numbers, text and arrays, as from `unpickle`.
 
-    An .npy file, a pickle, a file of `torch.save`, HDF5, JSON and YAML are told apart by how they begin, YAML by its
-    name too. Those of a plain array file are an array.
+    An .npy file, a pickle, a file of `torch.save`, HDF5, JSON and YAML are distinguished by their first bytes, YAML by
+    its name too. The content of a plain array file is an array.
 
     Raises:
         GraspFileError: it is missing, too large, damaged, or would run code.
@@ -143,7 +143,7 @@ def _read(data: bytes, suffix: str) -> Any:
 
 
 def _is_text(data: bytes) -> bool:
-    """Return whether bytes are text, as those of a CSV file."""
+    """Return whether bytes are text, as in a CSV file."""
     try:
         return not set(data.decode("utf-8")) & CONTROLS
     except UnicodeDecodeError:

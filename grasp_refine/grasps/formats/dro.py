@@ -1,8 +1,8 @@
 """D(R,O)-Grasp: .pt files with rows of x y z, three angles, and joints; the dataset, parts of it, and predictions.
 
 A row holds the joints of a URDF with six virtual ones before the hand: the position of its root link in the object's
-frame (metres), then turns about x, y and z, each about the axis as turned by those before it: R = R_x R_y R_z. The
-objects are those of MultiDex, in their own size.
+frame (metres), then turns about x, y and z, each about the already rotated axis: R = R_x R_y R_z. The
+objects are MultiDex's, in their own size.
 
 Source: github.com/zhenyuwei2003/DRO-Grasp, data_utils/filter_dataset.py, data_utils/CMapDataset.py, utils/rotation.py,
 validation/isaac_main.py and validate.py; the URDFs of its data in github.com/object814/assembly, where `allegro` is a
@@ -105,17 +105,17 @@ def _entries_of_array(source: Source) -> Entries:
 
 
 def _entries_of_predictions(source: Source) -> tuple[Entries, list[float]]:
-    """Rows of `vis_info`, and whether each succeeded, NaN where that is not told."""
+    """Rows of `vis_info`, and whether each succeeded, NaN where unknown."""
     entries: list[tuple[np.ndarray, str, str]] = []
     passed: list[float] = []
     for at, part in enumerate(source.content):
         robot, thing = (source.text(part.get(key), f"{key} of [{at}]") for key in ("robot_name", "object_name"))
         rows = source.numbers(part["predict_q"], f"predict_q of [{at}]", (None, None))
         entries += [(row, thing, robot) for row in rows]
-        told = part.get("success")
-        success = np.full(len(rows), np.nan) if told is None else np.asarray(told).ravel()
+        succeeded = part.get("success")
+        success = np.full(len(rows), np.nan) if succeeded is None else np.asarray(succeeded).ravel()
         if success.dtype.kind not in "biuf" or len(success) != len(rows):
-            raise source.error(f"success of [{at}] must tell of {len(rows)} grasps; it tells of {len(success)}")
+            raise source.error(f"success of [{at}] must have {len(rows)} entries, one per grasp; it has {len(success)}")
         passed += success.astype(float).tolist()
     return entries, passed
 

@@ -123,7 +123,7 @@ def omission_notes(
 
 
 def check_file_names(grasps: GraspSet, format_name: str) -> None:
-    """Refuse objects whose names cannot be those of files.
+    """Refuse objects whose names cannot be file names.
 
     Raises:
         GraspFileError: there is one.

@@ -1,11 +1,11 @@
 """FRoGGeR: one pickle per object, with the grasps of an Allegro hand on a Franka Research 3; read, not written.
 
-`q_stars` (N, 23) are the joints of the arm, then those of the hand, whose base stands in the world's origin;
-`obj_settings` has the object's name and its pose `X_WO` in the world; its mesh is in metres. `pick_success` (N,) is 1
-or 0, NaN where it was not tried.
+`q_stars` (N, 23) are the joints of the arm, followed by the joints of the hand, whose base stands in the world's
+origin; `obj_settings` has the object's name and its pose `X_WO` in the world; its mesh is in metres. `pick_success`
+(N,) is 1 or 0, NaN where it was not tried.
 
 Its arm is that of the maker, but for its sixth joint, whose zero is a quarter turn off. Computed with it, poses of 140
-published grasps agree within 1e-7 m with those by the model of FRoGGeR.
+published grasps agree within 1e-7 m with FRoGGeR's model.
 
 Source: github.com/alberthli/frogger, models/fr3_algr/fr3_algr_rh.sdf; for the arm, the Denavit-Hartenberg parameters of
 the Franka Research 3 in Franka Robotics' documentation.

@@ -4,9 +4,9 @@
 under its name. Meshes are in metres, so that the scale is 1. `values`, the energy, and `grasp_velocities` are the
 optimiser's. The file names neither hand nor object: both are in its path, OBJECT/grasp_predictions/HAND/...
 
-Its Allegro and Shadow hands are models of their own. Here are their frames and joints in those of the makers, computed
-from both URDFs: all axes agree; the tip of the Allegro's thumb lies 2.4 mm apart, Shadow's little finger 1.7 mm, its
-thumb 0.4 mm, all other joints 0.1 mm at most.
+Its Allegro and Shadow hands are models of their own. Here are their frames and joints relative to the manufacturers',
+computed from both URDFs: all axes agree; the tip of the Allegro's thumb lies 2.4 mm apart, Shadow's little finger 1.7
+mm, its thumb 0.4 mm, all other joints 0.1 mm at most.
 
 Source: github.com/leggedrobotics/graspqp, scripts/fit.py, graspqp_isaaclab/src/graspqp_isaaclab/utils/data.py, and the
 URDFs in graspqp/assets.
@@ -31,7 +31,7 @@ from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 
 PREDICTIONS = "grasp_predictions"
-"""Folder between those of the object and of the hand."""
+"""Folder between the object's and the hand's."""
 ROOT = "root_pose"
 ENDING = ".dexgrasp"
 """End of the name of a file, before .pt."""
@@ -142,7 +142,7 @@ class GraspQP:
                 notes.append("the file does not name its hand: give it with `hand`, which begins at its root link")
         if hand is not None:
             if base_link not in hand.links_by_name:
-                notes.append(f"poses are those of the root link of its URDF, and taken as those of {hand.base_link}")
+                notes.append(f"poses are of the root link of its URDF, and read as poses of {hand.base_link}")
                 base_link = hand.base_link
             hand_name = hand.name
         grasps = GraspSet(
@@ -198,10 +198,10 @@ def _path_names(source: Source) -> tuple[str, str]:
 
 def _energy(source: Source, count: int) -> dict[str, Float[np.ndarray, " N"]]:
     """Energy of each grasp, a label, lower is better; files that say 0 of all have none."""
-    told = source.content.get("values")
-    if told is None:
+    energies = source.content.get("values")
+    if energies is None:
         return {}
-    values = source.numbers(told, "values").ravel()
+    values = source.numbers(energies, "values").ravel()
     if values.shape != (count,):
         raise source.error(f"values must have shape ({count},); it has {values.shape}")
     return {ENERGY: values} if values.any() else {}

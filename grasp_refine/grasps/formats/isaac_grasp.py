@@ -2,7 +2,7 @@
 
 Each grasp has a position (metres) and an orientation {w, xyz} of the gripper's frame in the object's, named joints of
 the gripper, and of the gripper before it closes. `object_frame` and `gripper_frame` (in 2024 with _link behind) are
-told to people only. GraspGen and GraspGenX leave both and all joints out: their frame has the origin of the gripper's
+for people only. GraspGen and GraspGenX leave both and all joints out: their frame has the origin of the gripper's
 base, z towards the object and x along the motion of the fingers, which are open. GraspDataGen adds the files of object
 and gripper, and a scale.
 
@@ -212,7 +212,7 @@ def _gripper(source: Source, hand: Hand | None) -> tuple[str, str, list[str]]:
         if link in hand.links_by_name:
             return hand.name, link, []
         said = f"its gripper_frame {link} is no link of hand '{hand.name}'" if link else "it names no gripper_frame"
-        return hand.name, hand.base_link, [f"{said}: poses are taken as those of its link {hand.base_link}"]
+        return hand.name, hand.base_link, [f"{said}: poses are read as poses of its link {hand.base_link}"]
     file = held.get("gripper_file")
     named = hand_named(source.text(file, "gripper_file")) if file is not None else hand_named(link) if link else UNNAMED
     if link:

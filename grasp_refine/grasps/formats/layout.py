@@ -1,6 +1,6 @@
 """Joint order of a hand in formats without joint names, and the frame whose pose they give.
 
-The names are those of our hands, which are those of the makers' URDFs.
+The names are of our hands, and equal the manufacturers' URDFs.
 """
 
 from __future__ import annotations
@@ -86,14 +86,14 @@ def layout_of(
 
     Args:
         source: The file.
-        layouts: Those of its format.
+        layouts: Layouts of its format.
         count: Number of joint values per grasp.
         hand: The hand that the user gave.
         names: Joint names that the file gives; they then determine the order.
         hand_name: Name of the hand that the file gives.
 
     Raises:
-        GraspFileError: no layout or several fit; shows the joints of the file and those of the hand.
+        GraspFileError: no layout or several fit; shows the joints of the file and of the hand.
     """
     for_hand = [layout for layout in layouts if hand is None or is_of(layout, hand)]
     if names:

@@ -172,7 +172,7 @@ def grasps_of_entries(
     )
     notes = [f"joints are in the order of the URDF of {robot}, which the file does not name"]
     if len(counts) > 1:
-        notes.append(f"of several hands, those of {robot} are read: {listing}")
+        notes.append(f"of several hands, grasps of {robot} are read: {listing}")
     return grasps, notes
 
 

@@ -88,7 +88,7 @@ class _Dtype:
 
 @dataclass(eq=False)
 class Array:
-    """A NumPy array, or its entries where those are objects; Ellipsis until the pickle has given all of it."""
+    """A NumPy array, or its entries where they are objects; Ellipsis until the pickle has given all of it."""
 
     value: Any = ...
 

@@ -171,7 +171,7 @@ def _is_of(content: Any, formats: Iterable[Format]) -> bool:
 
 
 def _files(path: Path, wanted: Format | None) -> tuple[list[Path], list[str]]:
-    """The files to be read, and notes on those that may hold grasps but cannot be read."""
+    """The files to be read, and notes on files that may hold grasps but cannot be read."""
     if not is_folder(path):
         return [path], []
     found = [file for file in path.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
@@ -256,7 +256,7 @@ def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, li
 
 
 def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
-    """The grasps without stages that equal the grasps themselves, and notes on those.
+    """The grasps without stages that equal the grasps themselves, and notes on these.
 
     Formats that need every stage repeat the grasp for missing ones; a squeeze that presses nothing is none.
     """
@@ -271,7 +271,7 @@ def _without_empty_stages(grasps: GraspSet) -> tuple[GraspSet, list[str]]:
 
 
 def _label_notes(grasps: GraspSet) -> list[str]:
-    """Note on the labels that tell grasps apart."""
+    """Note on the labels that distinguish grasps."""
     said = []
     for name, values in grasps.labels.items():
         known = values[np.isfinite(values)]

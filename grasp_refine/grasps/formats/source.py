@@ -50,7 +50,7 @@ class Source:
     def numbers(self, value: Any, what: str, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
         """Return numbers as float64, of the given shape if there is one; None in it is any length from 1.
 
-        Those that are not finite become NaN, because one bad grasp should not cost the others.
+        Infinite values become NaN, because one bad grasp should not affect the others.
         """
         try:
             array = np.asarray(value)
@@ -77,12 +77,12 @@ class Source:
         return float(factors[0])
 
     def poses(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 7"]:
-        """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN for those that are not finite, or 0."""
+        """Return poses (N, 7), x y z qw qx qy qz, with unit quaternions; NaN where not finite, or the quaternion 0."""
         poses = without_zero_quaternions(self.numbers(value, what, (count, 7)))
         return unit_poses(poses, what, self.error)
 
     def transforms(self, value: Any, what: str, count: int | None = None) -> Float[np.ndarray, "N 4 4"]:
-        """Return rigid transforms (N, 4, 4), rotations made exact; NaN for those that are not finite."""
+        """Return rigid transforms (N, 4, 4), rotations made exact; NaN where they are not finite."""
         T = self.numbers(value, what, (count, 4, 4))
         finite = np.isfinite(T).all(axis=(1, 2))
         T = np.where(finite[:, None, None], T, np.nan)

@@ -108,7 +108,7 @@ def fit_layout(
 ) -> tuple[GraspSet, Layout]:
     """Return the grasps from the base link of the layout that has their joints, and that layout.
 
-    Joints before that link, such as those of a wrist, are in the pose then.
+    The pose then includes joints before that link, such as a wrist.
 
     Raises:
         GraspFileError: no layout has these joints; shows both lists.

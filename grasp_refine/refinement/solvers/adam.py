@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Adam(FirstOrder):
     """Steps along the averaged gradient, each component over the root of its averaged square.
 
-    The root's components are those of its body twist. A component whose gradient keeps its sign moves by a whole
+    The root's components form its body twist. A component whose gradient keeps its sign moves by a whole
     step length in each iteration.
     """
 

@@ -21,7 +21,7 @@ def bounded_step(
     """Return steps dx (batch, n) within bounds, and the falls (batch,) of the loss that they predict.
 
     Unilateral rows count only where they are positive. Which of them will be after the step is found by
-    solving again with those that the last solution made so (semismooth Newton), so that a step neither runs into what
+    solving again with the active set of the last solution (semismooth Newton), so that a step neither runs into what
     is near nor is held back by what it leaves. `collision/native/bounded_step.h` does the same, compiled.
 
     Args:
@@ -100,7 +100,7 @@ def _solve_free(damped: np.ndarray, g: np.ndarray, held: np.ndarray, value: np.n
     """Return solutions (batch, n) of damped dx = -g in the free unknowns, the held ones fixed at a value."""
     fixed = np.where(held, np.ones_like(value), np.zeros_like(value))
     free, value = 1.0 - fixed, fixed * value
-    # Held unknowns move to the right-hand side; its own rows become those of the unit matrix.
+    # Held unknowns move to the right-hand side; its own rows become rows of the unit matrix.
     right = free * (-g - matvec(damped, value)) + value
     system = damped * free[:, :, None] * free[:, None, :] + _diagonal(fixed)
     return np.where(held, value, _solve(system, right))

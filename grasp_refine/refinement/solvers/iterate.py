@@ -1,7 +1,7 @@
 """The loop over iterations, for all solvers: evaluate, accept, restart, remove finished members, add waiting ones.
 
 Finished members leave the batch at once, and waiting ones take their places, so that stragglers seldom run alone. The
-result of a member does not depend on the others: random numbers are those of the member.
+result of a member does not depend on the others: each member has its own random numbers.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Problem(Protocol):
         """Return the evaluation at a point; `previous` is one nearby, a warm start.
 
         It is a record of arrays with at least `loss` (batch,), the sum of the squares of all residuals, NaN where it is
-        not known, and `num_queries` (batch,), those of the narrow phase.
+        not known, and `num_queries` (batch,), of the narrow phase.
 
         For solvers that compare losses, a point whose loss is not below `previous.loss` will be rejected: as soon as
         that is certain, the returned loss may be any value between the two. `previous.loss` is infinite where a member
@@ -173,7 +173,7 @@ def minimise(
         status: Members (N,) with another status than RUNNING are left out.
         seconds: A member whose share of the CPU time is above this, a number for all or for each (N,), ends.
         progress: Called after each iteration with the number of finished members, the iteration, and the mean
-            best loss of those still running.
+            best loss of the running members.
         on_iteration: Called with members at their start and after each of their iterations.
     """
     count, width = len(start.T), problem.width
@@ -234,7 +234,7 @@ class _Run:
         self.best_mark, self.best_at = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
 
     def enter(self, member: np.ndarray) -> Slots:
-        """Return slots of the members that begin, without those that end at once."""
+        """Return slots of the members that begin and do not end at once."""
         point, state = self.solver.start(self.problem, take(self.best, member))
         known = self.problem.evaluate(member, point, None)
         self.first_loss[member] = known.loss
@@ -242,7 +242,7 @@ class _Run:
         return self.judge(Slots(member, point, known, never, point, never, none, none, state), known)
 
     def judge(self, slots: Slots, known: Any) -> Slots:
-        """Accept or reject evaluated trials; return the slots without those that end, stalled ones restarted."""
+        """Accept or reject evaluated trials; return the slots that continue, stalled ones restarted."""
         member, progress = slots.member, self.solver.progress
         self.iterations[member] += 1
         self.queries[member] += known.num_queries

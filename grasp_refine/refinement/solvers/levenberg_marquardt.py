@@ -120,7 +120,7 @@ class LevenbergMarquardt(Solver):
         return point, Damping(np.full(count, self.damping), np.zeros(count, dtype=np.int64), np.zeros(count))
 
     def accept(self, slots: Slots, known: Any) -> tuple[np.ndarray, Damping]:
-        """Return which trials are accepted, those whose loss fell, and the state with their new lambda."""
+        """Return which trials are accepted, because their loss fell, and the state with their new lambda."""
         starting, state = np.isinf(slots.loss), slots.state
         accepted = known.loss < slots.loss
         fall = np.where(starting, 0.0, slots.loss) - known.loss

@@ -108,8 +108,8 @@ def stack(rows: Iterable[tuple[float, LinkRows | JointRows]], count: int, chain:
     end = np.cumsum([part.residual.shape[1] for _, part in of_links])
     for (_, part), stop in zip(of_links, end.tolist(), strict=True):
         if part.minus is not None:
-            its = slice(stop - part.residual.shape[1], stop)
-            J[:, its] -= chain.to_joint_space(frames, covector[:, its], part.minus)
+            columns = slice(stop - part.residual.shape[1], stop)
+            J[:, columns] -= chain.to_joint_space(frames, covector[:, columns], part.minus)
     parts: list[tuple[float, LinkRows | JointRows]] = [*of_links, *of_joints]
     one_sided = [np.full(part.residual.shape, isinstance(part, LinkRows) and part.unilateral) for _, part in parts]
     unilateral = joined(one_sided)

@@ -20,7 +20,7 @@ class Contact(Term):
     """Gaps of the links that should touch, and misses of their targets, in metres."""
 
     def __init__(self, setup: Setup) -> None:
-        """Find the links with a target, and those that should touch anywhere, in any of the grasps."""
+        """Find the links with a target, and links that should touch anywhere, in any of the grasps."""
         super().__init__(setup)
         self.anywhere = setup.anywhere
         self.gap = setup.margin + setup.clearance
@@ -55,7 +55,7 @@ class Contact(Term):
         return tuple(found)
 
     def rows(self, state: State, width: np.ndarray) -> Iterator[LinkRows]:
-        """Return rows of gaps and tangential misses; those along the normal have no derivative."""
+        """Return rows of gaps and tangential misses; misses along the normal have no derivative."""
         if len(self.aimed_columns):
             goal, columns = self.setup.goal, self.aimed_columns
             misses = target_misses(state, goal, columns)

@@ -52,7 +52,7 @@ def contact_curvatures(
     """Return witness points of the links `columns` (C,), tangents (M, C, 3, 2), and curvatures of links and object.
 
     Curvatures (M, C, 2, 2) are in the basis of the tangents, in 1/m, fitted where `needed` (M, C). Elsewhere, and
-    without witness points, they are those of spheres of 1 m and mean nothing.
+    without witness points, they are for spheres of 1 m and mean nothing.
 
     Args:
         setup: Givens of the refinement.

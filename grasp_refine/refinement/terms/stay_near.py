@@ -15,7 +15,7 @@ from grasp_refine.refinement.terms.term import Setup, State, Term
 
 
 class StayNear(Term):
-    """Movements of palm and joints from the initial grasp, in units of `Scales`; those of an arm's joints are free."""
+    """Movements of palm and joints from the initial grasp, in units of `Scales`; an arm's joints move freely."""
 
     def __init__(self, setup: Setup) -> None:
         """Find the palms of the initial grasps, where an arm carries them."""

@@ -32,7 +32,7 @@ class Table(Term):
         yield LinkRows.near(self._only_moving(plane_depth(points, normal, offset)), plane_covectors(points, normal))
 
     def _only_moving(self, depth: Array) -> Array:
-        """Return depths (M, L) of which those of links that stand on the table with an arm's base are -inf."""
+        """Return depths (M, L), -inf for links that stand on the table with an arm's base."""
         moving = moving_links(self.setup.scene.hand, self.setup.scene.links)
         return depth if moving is None else np.where(moving, depth, -np.inf)
 

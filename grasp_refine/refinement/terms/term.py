@@ -54,13 +54,13 @@ class State:
     self_witness: Witness
     """Witness points (M, S) of pairs of links; no pairs where no term has asked for them."""
     forces: Balance | None = None
-    """Optimal contact forces, where a term needs them; before it has found them, those of a state nearby."""
+    """Optimal contact forces, where a term needs them; before it has found them, from a nearby state."""
     patches: LinkPatches | None = None
     """Patches where flat faces of touching links meet the object; None: no link can have any, or none is wanted."""
     T_object: Array | None = None
     """Poses (M, L, 4, 4) of the object, where gradients flow through them; None: the identity."""
     nearby: Nearby | None = None
-    """Nearby bodies of the environment; before their term has run, those of a similar state; None: there are none."""
+    """Nearby bodies of the environment; before their term has run, from a similar state; None: there are none."""
 
     @property
     def frames(self) -> Frames:

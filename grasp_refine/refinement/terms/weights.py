@@ -46,7 +46,7 @@ class Weights:
     """Weight of joint values beyond their limits (radians, or metres for prismatic joints), in m^2/rad^2; with
     levenberg-marquardt, limits hold exactly and it has no effect."""
     stay_near: Annotated[float, StayNear] = 0.0
-    """Weight of the movement from the initial grasp, whose units are those of `Scales`, in m^2."""
+    """Weight of the movement from the initial grasp, in units of `Scales`, in m^2."""
     wrench: Annotated[float, Wrench] = 1.6e-3
     """Weight of the wrench that the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
     levenberg-marquardt and without targets only."""
@@ -67,7 +67,7 @@ class Weights:
                 )
 
     def terms(self, setup: Setup, *, autograd: bool) -> tuple[tuple[float, Term], ...]:
-        """Return the terms of a refinement with their weights above 0, those of gradients or those of least squares."""
+        """Return the terms of a refinement with weights above 0, for gradients or for least squares."""
         kinds = ((getattr(self, name), kind) for name, kind in term_kinds().items())
         return tuple(
             (weight, kind(setup))

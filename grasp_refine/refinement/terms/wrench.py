@@ -40,7 +40,7 @@ class Wrench(Term):
         return bool(setup.goal.touching.any()) and not setup.goal.aimed.any()
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
-        """Return the state with the best contact forces, searched from those it has; none where it is rejected."""
+        """Return the state with the best contact forces, warm-started from its own; none where it is rejected."""
         pushing = self.setup.goal.touching[state.member] & ~rejected[:, None]
         known = state.forces, state.patches
         forces = self.equilibrium.forces(pushing, state.witness, state.frames, self._axes(state), *known)
