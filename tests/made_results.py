@@ -53,13 +53,13 @@ def made_up(grasps: GraspSet, hand: Hand, q: np.ndarray) -> Outcome:
         pose=grasps.hand_pose,
         q=q,
         quality=np.stack([quality / 2, quality], axis=1),
-        contact_error=np.stack([error + 1e-3, error], axis=1),
-        penetration=np.stack([penetration + 2e-3, penetration], axis=1),
-        self_penetration=(1e-3, 0.0),
-        scene_penetration=np.nan,
-        region_miss=np.nan,
+        contact_error_m=np.stack([error + 1e-3, error], axis=1),
+        penetration_m=np.stack([penetration + 2e-3, penetration], axis=1),
+        self_penetration_m=(1e-3, 0.0),
+        scene_penetration_m=np.nan,
+        region_miss_m=np.nan,
         wrench_residual=np.stack([np.full(count, 0.2), 0.1 * (1 - quality)], axis=1),
-        loss=1e-9,
+        loss_m2=1e-9,
         iterations=number + 10,
         queries=number + 20,
         moved_palm_m=0.01,
@@ -86,20 +86,18 @@ def plain_outcome(
 
     Args:
         count: Number of grasps N.
-        links: Number of links; only the first has a contact error.
+        links: Number of links.
         pose: Poses (N, 7) of the hand; by default the identity.
         q: Joint values (N, n); by default 0 of two joints.
-        measures: Key -> values of a measure that is not 0, which are broadcast to all grasps.
+        measures: Name -> values of a measure that is not 0, which are broadcast to all grasps.
     """
     pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if pose is None else pose
     q = np.zeros((count, 2)) if q is None else q
     values = {
-        one.key: np.array(np.broadcast_to(measures.pop(one.key, 0), (count, 2) if one.compared else (count,)))
+        one.name: np.array(np.broadcast_to(measures.pop(one.name, 0), (count, 2) if one.compared else (count,)))
         for one in RECORDED
     }
     assert not measures
-    error = np.full((count, 2, links), np.nan)
-    error[:, :, 0] = values["contact_error"]
     nowhere, points = np.full((count, links, 3), np.nan), np.zeros((count, links, 3))
     return Outcome(
         object=np.full(count, "mug"),
@@ -111,7 +109,7 @@ def plain_outcome(
         hand_pose_before=pose,
         q_before=q,
         status=np.full(count, Status.CONVERGED),
-        measures=values | {"contact_error": error},
+        measures=values,
         contact_gap=np.zeros((count, links)),
         target_point_link=nowhere,
         target_point_object=nowhere,
@@ -136,21 +134,19 @@ def error_in_millimetres(count: int, objects: tuple[str, ...] = ("mug",)) -> Out
         iterations=123,
         quality=(0.4, 0.97),
         wrench_residual=(0.2, 0.05),
-        penetration=(2e-3, 1e-4),
-        self_penetration=(1e-3, 0.0),
-        scene_penetration=np.nan,
-        region_miss=np.nan,
+        penetration_m=(2e-3, 1e-4),
+        self_penetration_m=(1e-3, 0.0),
+        scene_penetration_m=np.nan,
+        region_miss_m=np.nan,
         moved_palm_m=4e-3,
         moved_palm_rad=np.radians(5.0),
         moved_joints_rad=np.radians(6.0),
         moved_slides_m=np.nan,
         wall_s=0.25,
     )
-    error = np.full((count, 2, 3), np.nan)
-    error[:, :, 0] = np.arange(count)[:, None] * (1e-2, 1e-3)
-    error[:, :, 1] = 0.0
+    error = np.arange(count)[:, None] * (1e-2, 1e-3)
     outcome = replace(outcome, object=np.resize(np.array(objects), count), row=np.arange(count) + 100)
-    return with_measures(outcome, contact_error=error)
+    return with_measures(outcome, contact_error_m=error, contact_error_mean_m=error / 2)
 
 
 def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
@@ -162,5 +158,5 @@ def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
 
 
 def with_measures(outcome: Outcome, **values: Any) -> Outcome:
-    """The outcome with other values of measures: key -> values as in `Outcome.measures`."""
+    """The outcome with other values of measures: name -> values as in `Outcome.measures`."""
     return replace(outcome, measures={**outcome.measures, **values})

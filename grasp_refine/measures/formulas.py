@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,7 +14,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
-from grasp_refine.measures.geometry import Geometry, Movement
+from grasp_refine.measures.geometry import Geometry, Movement, worst_over_links
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_patches import PatchMisses, patch_misses
@@ -23,9 +22,6 @@ from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import moving_links
 from grasp_refine.scene.surroundings import SceneDepths, scene_depths
-
-if TYPE_CHECKING:
-    from grasp_refine.refinement.refine import Refinement
 
 COSTLY_M = (0.0005, 0.0025)
 """Depth in metres of a link in a body of the scene, or distance of a contact from where it may be, up to which it costs
@@ -91,21 +87,26 @@ class MeasuredGrasps:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRefinement:
-    """Refinement of N grasps, and how far it moved them."""
+    """Effort and movement of the refinement of N grasps, one number of each kind per grasp."""
 
-    refinement: Refinement
-    """Refined grasps, with status and cost."""
+    starts: Int[np.ndarray, " N"]
+    """Number of starts."""
+    iterations: Int[np.ndarray, " N"]
+    """Number of iterations of all starts together."""
+    queries: Int[np.ndarray, " N"]
+    """Number of narrow-phase queries."""
+    loss: Float[np.ndarray, " N"]
+    """Loss after refinement, m^2."""
+    cpu_s: Float[np.ndarray, " N"]
+    """CPU time, seconds."""
+    wall_s: Float[np.ndarray, " N"]
+    """Wall time, seconds."""
     movement: Movement
     """Movement of the base link and the joints."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
-        return len(self.refinement.q)
-
-    @property
-    def final_loss(self) -> Float[np.ndarray, " N"]:
-        """Loss after refinement (N,), m^2; NaN where it is not finite."""
-        return np.where(np.isfinite(self.refinement.loss[:, 1]), self.refinement.loss[:, 1], np.nan)
+        return len(self.loss)
 
 
 def self_penetration_depth(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
@@ -117,6 +118,19 @@ def scene_penetration(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the deepest penetration of links in bodies around the object (N,), metres; NaN without a scene."""
     found = grasps.scene_depths
     return np.full(len(grasps.q), np.nan) if found is None else found.depth
+
+
+def contact_error(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the largest contact error (N,) of a link, metres; NaN where none should touch."""
+    return worst_over_links(grasps.geometry.contact_error)
+
+
+def contact_error_mean(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
+    """Return the mean contact error (N,) of the links that should touch, metres; NaN where none should."""
+    errors = grasps.geometry.contact_error
+    known = ~np.isnan(errors)
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.where(known, errors, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
 def region_miss(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

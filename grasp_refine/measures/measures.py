@@ -1,6 +1,6 @@
-"""Schema of all measures of grasps: result files, JSON, indices, tables, histograms and the viewer iterate over it.
+"""Table of all measures of grasps: result files, JSON, indices, tables, histograms and the viewer iterate over it.
 
-A new measure is one entry of `MEASURES` and its formula; a script adds its own by `add_measure`.
+A measure has one name everywhere. A new measure is one entry of `MEASURES` and its formula; a script adds its own by `add_measure`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from grasp_refine.core.registry import Registry
 from grasp_refine.measures.formulas import (
     arm_dexterity,
     contact_distance,
+    contact_error,
+    contact_error_mean,
     contact_number,
     quality_value,
     region_miss,
@@ -39,7 +41,7 @@ class Unit:
     """Unit of a measure, inside and for people."""
 
     suffix: str
-    """Suffix of keys of values in SI units."""
+    """Suffix of names of measures, the SI unit of their values."""
     symbol: str
     """Unit that people read; empty: none."""
     factor: float
@@ -64,10 +66,10 @@ SHARE = Unit("", "", 1.0, ".3f", (0.0, 1.0), 1e-3)
 
 @dataclass(frozen=True)
 class Measure:
-    """One number per grasp, or per link of it; NaN where it is not known."""
+    """One number per grasp; NaN where it is not known."""
 
-    key: str
-    """Name of its values in memory, and prefix in files."""
+    name: str
+    """Name in memory and in all files, which ends in the suffix of the unit, such as "penetration_m"."""
     title: str
     """Name for people, in lower case."""
     hint: str
@@ -75,7 +77,7 @@ class Measure:
     unit: Unit
     """Unit of the values."""
     formula: Callable[[Any], np.ndarray]
-    """Values (N,), or (N, L) of a measure per link, of `MeasuredGrasps`; of a refinement, of `MeasuredRefinement`."""
+    """Values (N,) of `MeasuredGrasps`; of a refinement, of `MeasuredRefinement`."""
     better: Better = "lower"
     """Direction in which it is better."""
     of_grasps: bool = True
@@ -86,8 +88,8 @@ class Measure:
     """Whether refinements record it; others are measured where they are shown."""
     validated: bool = True
     """Whether validations, which know no refinement, have it."""
-    per_link: bool = False
-    """Whether it has a value for each link; reports have the worst, and files also the mean over the links."""
+    shown: bool = True
+    """Whether people see it, in tables, charts and the viewer; False: it is in files only."""
     head: tuple[str, str] = ("", "")
     """Two lines above its column in the table of `validate`, where space is short; empty: no column there."""
 
@@ -95,14 +97,17 @@ class Measure:
         """Refuse a measure that cannot stand in files and tables.
 
         Raises:
-            GraspRefineError: a field of another type, or a key that is no identifier.
+            GraspRefineError: a field of another type, or a name that is no identifier or does not end in its unit.
         """
         check_fields(self)
-        if not self.key.isidentifier():
-            raise GraspRefineError(f"Measure: key must be a name such as palm_height, got '{self.key}'")
+        if not (self.name.isidentifier() and self.name.endswith(self.unit.suffix)):
+            such = f"palm_height{self.unit.suffix}"
+            raise GraspRefineError(
+                f"Measure: name must be one such as {such}, which ends in its unit, got '{self.name}'"
+            )
 
     def values(self, measured: Any) -> np.ndarray:
-        """Return the values of the formula (N,), or (N, L) of a measure per link, SI units.
+        """Return the values of the formula (N,), SI units.
 
         Args:
             measured: `MeasuredGrasps`; of a measure of a refinement, `MeasuredRefinement`.
@@ -110,34 +115,18 @@ class Measure:
         Raises:
             GraspRefineError: the formula returns no numbers, or another shape.
         """
-        found, count = self.formula(measured), len(measured)
-        is_numeric = isinstance(found, np.ndarray) and found.dtype.kind in "fiub"
-        if not (is_numeric and found.shape[:1] == (count,) and found.ndim == 1 + self.per_link):
+        found = self.formula(measured)
+        if not (isinstance(found, np.ndarray) and found.dtype.kind in "fiub" and found.shape == (len(measured),)):
             raise GraspRefineError(
-                f"measure {self.key}: its formula must return a NumPy array of numbers of shape "
-                f"({count},{' links' if self.per_link else ''}), got {describe_value(found)}"
+                f"measure {self.name}: its formula must return a NumPy array of numbers of shape ({len(measured)},), "
+                f"got {describe_value(found)}"
             )
         return found
 
     @property
-    def name(self) -> str:
-        """Key of its values in SI units, such as "penetration_m"."""
-        return self.key.removesuffix(self.unit.suffix) + self.unit.suffix
-
-    @property
     def entries(self) -> dict[str, str]:
-        """Side -> key of its values in result files."""
-        return {side: f"{self.key}_{side}" for side in SIDES} if self.compared else {"after": self.key}
-
-    @property
-    def columns(self) -> dict[str, str]:
-        """Key in result files -> name of the column of an index, which ends in the unit."""
-        suffix = self.unit.suffix
-        return {entry: entry.removesuffix(suffix) + suffix for entry in self.entries.values()}
-
-    def mean_entry(self, entry: str) -> str:
-        """Return the key in result files of the mean over the links, given that of the worst of them."""
-        return f"{self.key}_mean{entry.removeprefix(self.key)}"
+        """Side -> name of its values on that side, such as "penetration_m_before"; after alone, it is `name`."""
+        return {side: f"{self.name}_{side}" for side in SIDES} if self.compared else {"after": self.name}
 
     @property
     def headline(self) -> str:
@@ -150,7 +139,7 @@ class Measure:
 
 
 QUALITY = Measure(
-    key="quality",
+    name="quality",
     title="quality",
     hint="estimated probability that the grasp holds when it is simulated, from 0 to 1",
     unit=SHARE,
@@ -161,21 +150,19 @@ QUALITY = Measure(
 
 
 def _refinement(
-    key: str, title: str, hint: str, unit: Unit, formula: Callable[[Any], np.ndarray], better: Better = ""
+    name: str, title: str, hint: str, unit: Unit, formula: Callable[[Any], np.ndarray], better: Better = ""
 ) -> Measure:
     """Return a measure of a refinement, which has one value for both sides."""
-    return Measure(key, title, hint, unit, formula, better, of_grasps=False, compared=False, validated=False)
+    return Measure(name, title, hint, unit, formula, better, of_grasps=False, compared=False, validated=False)
 
 
 _OURS = (
-    _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.refinement.starts),
-    _refinement(
-        "iterations", "iterations", "of all starts together", COUNT, lambda of: of.refinement.iterations, "lower"
-    ),
-    _refinement("queries", "queries", "narrow-phase queries", COUNT, lambda of: of.refinement.queries, "lower"),
+    _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.starts),
+    _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
+    _refinement("queries", "queries", "narrow-phase queries", COUNT, lambda of: of.queries, "lower"),
     QUALITY,
     Measure(
-        key="wrench_residual",
+        name="wrench_residual",
         title="wrench residual",
         hint="part of the load that the best contact forces leave unbalanced, without unit",
         unit=RATIO,
@@ -183,16 +170,23 @@ _OURS = (
         head=("wrench", "resid."),
     ),
     Measure(
-        key="contact_error",
+        name="contact_error_m",
         title="contact error",
         hint="the worst gap, or miss of a target, of the grasp's contact links, the links that should touch",
         unit=METRE,
-        formula=lambda grasps: grasps.geometry.contact_error,
-        per_link=True,
+        formula=contact_error,
         head=("contact", "err. mm"),
     ),
     Measure(
-        key="penetration",
+        name="contact_error_mean_m",
+        title="mean contact error",
+        hint="mean over the contact links of the gap, or miss of a target",
+        unit=METRE,
+        formula=contact_error_mean,
+        shown=False,
+    ),
+    Measure(
+        name="penetration_m",
         title="penetration",
         hint="the deepest penetration of any link into the object",
         unit=METRE,
@@ -200,7 +194,7 @@ _OURS = (
         head=("penetr.", "mm"),
     ),
     Measure(
-        key="self_penetration",
+        name="self_penetration_m",
         title="self-penetration",
         hint="the deepest penetration of links into each other",
         unit=METRE,
@@ -208,21 +202,21 @@ _OURS = (
         head=(" self", "mm"),
     ),
     Measure(
-        key="scene_penetration",
+        name="scene_penetration_m",
         title="scene penetration",
         hint="the deepest penetration of any link into a body of the scene; none where no scene is given",
         unit=METRE,
         formula=scene_penetration,
     ),
     Measure(
-        key="region_miss",
+        name="region_miss_m",
         title="contacts outside",
         hint="the largest distance of the surface in contact from where hands should touch; none without regions",
         unit=METRE,
         formula=region_miss,
     ),
     Measure(
-        key="contact_distance",
+        name="contact_distance_m",
         title="contact distance",
         hint="mean over the fingers, each of its nearest contact link",
         unit=METRE,
@@ -230,7 +224,7 @@ _OURS = (
         recorded=False,
     ),
     Measure(
-        key="contact_number",
+        name="contact_number",
         title="links in contact",
         hint=f"number of links within {1e3 * CONTACT_DISTANCE_M:g} mm of the object",
         unit=COUNT,
@@ -240,7 +234,12 @@ _OURS = (
         head=("", "links"),
     ),
     _refinement(
-        "loss", "loss", "value that refinement minimises, after it", SQUARE_METRE, lambda of: of.final_loss, "lower"
+        "loss_m2",
+        "loss",
+        "value that refinement minimises, after it",
+        SQUARE_METRE,
+        lambda of: np.where(np.isfinite(of.loss), of.loss, np.nan),
+        "lower",
     ),
     _refinement(
         "moved_palm_m",
@@ -271,7 +270,7 @@ _OURS = (
         lambda of: of.movement.slides_m,
     ),
     Measure(
-        key="arm_dexterity",
+        name="arm_dexterity_m",
         title="arm dexterity",
         hint="least movement of the palm per radian of the arm's joints, in any direction; 0 where it is singular",
         unit=METRE,
@@ -279,19 +278,15 @@ _OURS = (
         better="higher",
     ),
     Measure(
-        key="limits_violated",
+        name="limits_violated",
         title="joints beyond limits",
         hint="number of joint values beyond their limits",
         unit=COUNT,
         formula=lambda grasps: grasps.geometry.limits_violated,
         compared=False,
     ),
-    _refinement(
-        "cpu_s", "CPU time", "share of that of the refinement", SECOND, lambda of: of.refinement.cpu_s, "lower"
-    ),
-    _refinement(
-        "wall_s", "wall time", "share of that of the refinement", SECOND, lambda of: of.refinement.wall_s, "lower"
-    ),
+    _refinement("cpu_s", "CPU time", "share of that of the refinement", SECOND, lambda of: of.cpu_s, "lower"),
+    _refinement("wall_s", "wall time", "share of that of the refinement", SECOND, lambda of: of.wall_s, "lower"),
 )
 RESERVED = frozenset(
     {
@@ -302,30 +297,30 @@ RESERVED = frozenset(
         *(f"forces_{name}" for name in ("grasp", "link", "point", "normal", "vector")),
         *("simulation", "simulation_label", "simulation_reason", "simulation_direction"),
         *("simulation_displacement_m", "simulation_angle_rad", "held", "reason", "success", "good"),
-        *("advice", "file", "grasp", "index", "job", "moved", "row", "row_in_file", "shard", "source"),
+        *("advice", "file", "grasp", "index", "job", "row", "row_in_file", "shard", "source"),
     }
 )
 """Names of other entries and columns of result files, JSON and indices, which no measure may have."""
 
 
 def _check(measure: Measure) -> None:
-    """Refuse what is no measure, and keys that mean something else in files.
+    """Refuse what is no measure, and names that mean something else in files.
 
     Raises:
-        GraspRefineError: names the key.
+        GraspRefineError: names the measure.
     """
     check_kind("measure", measure, Measure)
     taken = RESERVED | {entry for one in _OURS for entry in _entries(one)}
     if not taken.isdisjoint(_entries(measure)):
-        raise GraspRefineError(f"the name of measure '{measure.key}' is taken: files have an entry of this name")
+        raise GraspRefineError(f"the name of measure '{measure.name}' is taken: files have an entry of this name")
 
 
 def _entries(measure: Measure) -> set[str]:
     """Return the names that stand for a measure in files and tables."""
-    return {measure.key, measure.name, *measure.columns, *measure.columns.values()}
+    return {measure.name, *measure.entries.values()}
 
 
-MEASURES = Registry("measure", "grasp_refine.measures", _OURS, name_of=lambda measure: measure.key, check=_check)
+MEASURES = Registry("measure", "grasp_refine.measures", _OURS, name_of=lambda measure: measure.name, check=_check)
 """All measures, in the order of reports; times, which differ between two runs of the same command, come last of ours.
 """
 
@@ -334,11 +329,13 @@ add_measure = MEASURES.add
 RECORDED = MEASURES.view(lambda every: (measure for measure in every if measure.recorded))
 """Measures that result files, their JSON, indices and reports of batches have."""
 
-COMPARED = MEASURES.view(lambda every: (measure for measure in every if measure.recorded and measure.compared))
-"""Recorded measures that are known before and after refinement."""
+COMPARED = MEASURES.view(
+    lambda every: (measure for measure in every if measure.recorded and measure.compared and measure.shown)
+)
+"""Measures that people see before and after refinement."""
 
 MOVEMENTS = MEASURES.view(
-    lambda every: (measure for measure in every if measure.key.startswith("moved_") and not measure.of_grasps)
+    lambda every: (measure for measure in every if measure.name.startswith("moved_") and not measure.of_grasps)
 )
 """Recorded measures of the distance by which refinement moved a grasp."""
 

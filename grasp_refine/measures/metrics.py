@@ -13,7 +13,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.short_repr import spread
 from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.formulas import MeasuredGrasps
-from grasp_refine.measures.geometry import contact_errors, measure, worst_over_links
+from grasp_refine.measures.geometry import contact_errors, measure
 from grasp_refine.measures.measures import VALIDATED, Measure
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
@@ -103,15 +103,11 @@ def metrics_of(scene: Scene) -> Metrics:
     )
     geometry = measure(hand, obj, links, T, q, target_link, target_object)
     gap, where = contact_gaps(scene, geometry.witness), (geometry.distance, geometry.witness, geometry.T_world_link)
-    error = worst_over_links(contact_errors(*where, gap, target_link, target_object))
+    errors = contact_errors(*where, gap, target_link, target_object)
     # A link with several contact points appears several times, and counts once in all other measures.
     first = [column for column, link in enumerate(links) if links.index(link) == column]
-    geometry = replace(geometry.columns(first), contact_error=error[:, None])
+    geometry = replace(geometry.columns(first), contact_error=errors)
     names = tuple(links[column] for column in first)
     grasps = MeasuredGrasps(hand, obj, names, T, q, geometry, scene.environment, scene.regions)
 
-    def values(one: Measure) -> np.ndarray:
-        found = one.values(grasps)
-        return np.where(grasps.known, worst_over_links(found) if one.per_link else found, np.nan)
-
-    return Metrics({one.name: values(one) for one in VALIDATED})
+    return Metrics({one.name: np.where(grasps.known, one.values(grasps), np.nan) for one in VALIDATED})

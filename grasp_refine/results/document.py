@@ -10,7 +10,7 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.json_files import SCHEMA
 from grasp_refine.core.machine import machine
 from grasp_refine.core.versions import versions
-from grasp_refine.measures.measures import MOVEMENTS, RECORDED, SIDES, Measure
+from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
@@ -89,18 +89,12 @@ def measure_entries(values: Mapping[str, Any], i: int) -> dict[str, Any]:
     def at(entry: str) -> Any:
         return values[entry][i] if entry in values else None
 
-    def value(measure: Measure, entry: str) -> Any:
-        return {"max": at(entry), "mean": at(measure.mean_entry(entry))} if measure.per_link else at(entry)
-
-    found: dict[str, Any] = {}
-    for measure in RECORDED:
-        if measure in MOVEMENTS:
-            found.setdefault("moved", {})[measure.key.removeprefix("moved_")] = at(measure.key)
-        elif measure.compared:
-            found[measure.name] = {side: value(measure, entry) for side, entry in measure.entries.items()}
-        else:
-            found[measure.name] = value(measure, measure.key)
-    return found
+    return {
+        measure.name: {side: at(entry) for side, entry in measure.entries.items()}
+        if measure.compared
+        else at(measure.name)
+        for measure in RECORDED
+    }
 
 
 def settings(value: Any) -> Any:

@@ -15,7 +15,7 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.forces.squeeze_forces import SqueezeForces
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
-from grasp_refine.measures.geometry import contact_errors, measure, movement, worst_over_links
+from grasp_refine.measures.geometry import contact_errors, measure, movement
 from grasp_refine.measures.measures import MEASURES, RECORDED
 from grasp_refine.refinement.refine import Refinement
 from grasp_refine.refinement.solvers.status import UNUSABLE
@@ -48,8 +48,7 @@ class Outcome:
     status: np.ndarray
     """A `Status` (N,)."""
     measures: Mapping[str, np.ndarray]
-    """Key of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; of a measure per link
-    (N, 2, L) or (N, L), NaN for links that should not touch. SI units."""
+    """Name of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; SI units."""
     contact_gap: np.ndarray
     """Gap that each contact link (N, L) of the refined grasps should keep from the object, metres, as `contact_gaps`;
     NaN for other links."""
@@ -107,10 +106,9 @@ class Outcome:
         """True where a grasp (N,) had targets."""
         return ~np.isnan(self.target_point_link).all(axis=(1, 2))
 
-    def __getitem__(self, key: str) -> np.ndarray:
-        """Return the values of a measure before and after (N, 2), or after alone (N,); of one per link the worst."""
-        values = self.measures[key]
-        return worst_over_links(values) if MEASURES[key].per_link else values
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return the values of a measure before and after (N, 2), or after alone (N,)."""
+        return self.measures[name]
 
     @property
     def quality(self) -> np.ndarray:
@@ -119,15 +117,11 @@ class Outcome:
 
     def entries(self) -> dict[str, np.ndarray]:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
-        found = {}
-        for key, measured in self.measures.items():
-            each = MEASURES[key]
-            for column, entry in enumerate(each.entries.values()):
-                values = measured[:, column] if each.compared else measured
-                found[entry] = worst_over_links(values) if each.per_link else values
-                if each.per_link:
-                    found[each.mean_entry(entry)] = mean_over_links(values)
-        return found
+        return {
+            entry: values[:, column] if values.ndim == 2 else values
+            for name, values in self.measures.items()
+            for column, entry in enumerate(MEASURES[name].entries.values())
+        }
 
     def select(self, rows: np.ndarray) -> Outcome:
         """Return the grasps `rows`, in that order."""
@@ -184,14 +178,16 @@ def compare(
     hand, own = scene.hand, ~scene.hand.arm_joints
     T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
     moved = MeasuredRefinement(
-        refinement, movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own])
+        **{name: getattr(refinement, name) for name in ("starts", "iterations", "queries", "cpu_s", "wall_s")},
+        loss=refinement.loss[:, 1],
+        movement=movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own]),
     )
     measures = {}
     for each in RECORDED:
         values = each.values(grasps if each.of_grasps else moved)
         if each.of_grasps:
             values = np.stack([values[:count], values[count:]], axis=1) if each.compared else values[count:]
-        measures[each.key] = values
+        measures[each.name] = values
     witness = geometry.witness.rows(slice(count, None))
     touching = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
@@ -242,10 +238,3 @@ def _weaknesses(grasps: MeasuredGrasps) -> list[str]:
             inside[i] = f"{inside[i]}; {why}" if i in inside else why
     texts = weaknesses(grasps.quality, links, hand.joint_names, tuple(mode.joint for mode in hand.modes))
     return [inside.get(i, text) for i, text in enumerate(texts)]
-
-
-def mean_over_links(values: np.ndarray) -> np.ndarray:
-    """Return the mean over the links that have a value of a measure per link (..., L); NaN where none has."""
-    known = ~np.isnan(values)
-    count = known.sum(axis=-1)
-    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)

@@ -90,7 +90,6 @@ def save_results(
         forces_vector                       (C, 3)     planned force of the link on the object, object frame, newtons
         status                              (N,)       status of the refinement
         quality_before, quality_after, ...  (N,)       `Measure.entries` of each of `RECORDED`, SI units
-        contact_error_mean_before, _after   (N,)       mean over the contacts; the measure itself is the worst of them
         provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
     and where grasps were simulated, of the direction that was worst for each, before and after

@@ -15,15 +15,15 @@ HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
 """Name of a verdict -> its entry in the files of simulated grasps."""
 
 
-def measured_entries() -> dict[str, str]:
-    """Return name of a measure, which ends in its unit -> its entry in result files, which older ones may lack."""
-    return {column: entry for measure in RECORDED for entry, column in measure.columns.items()}
+def number_entries() -> dict[str, str]:
+    """Return name of a number -> its entry in result files, which may lack it."""
+    return {entry: entry for measure in RECORDED for entry in measure.entries.values()} | HELD
 
 
 def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
     """Return the numbers of the grasps of all files, in their order, SI units; NaN where a file lacks one.
 
-    Names are those of `measured_entries` and `HELD`, of values after refinement without that side: "quality",
+    Names are those of `number_entries`, of values after refinement without that side: "quality",
     "penetration_m", "held", but "quality_before". Grasp files without results have none.
 
     Args:
@@ -32,7 +32,7 @@ def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
     Raises:
         GraspFileError: one is damaged.
     """
-    entries, found = measured_entries() | HELD, {}
+    entries, found = number_entries(), {}
     loaded = [load_npz(path, only=("hand_pose", *entries.values())) for path in files]
     for name, entry in entries.items():
         if any(entry in file.entries for file in loaded):

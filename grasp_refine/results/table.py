@@ -92,7 +92,7 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
     shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
     if len(outcome) > MAX_LISTED_GRASPS and not verbose:
         # Grasps without a result come first, then those that did not hold, then the largest errors.
-        errors = np.fmax(outcome["contact_error"][:, 1], outcome["penetration"][:, 1])
+        errors = np.fmax(outcome["contact_error_m"][:, 1], outcome["penetration_m"][:, 1])
         badness = -outcome.quality[:, 1] if holds else errors
         good = np.zeros(len(outcome)) if held is None else held[:, 1]
         shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
@@ -144,7 +144,7 @@ def _table(title: str, last: str, joints: tuple[str, ...]) -> Table:
     return table
 
 
-_TABLE_KEYS = ("contact_error", "penetration", "moved_palm_m", "moved_palm_rad", "quality")
+_TABLE_KEYS = ("contact_error_m", "penetration_m", "moved_palm_m", "moved_palm_rad", "quality")
 """Keys of the measures in the columns of the table, besides `_joint_keys`; 80 columns of text hold no more."""
 
 
@@ -213,7 +213,7 @@ def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[
 
 def _misplaced(outcome: Outcome) -> list[Text]:
     """Return lines on grasps that touch the object outside of the regions, where there are any."""
-    if not np.isfinite(outcome["region_miss"]).any():
+    if not np.isfinite(outcome["region_miss_m"]).any():
         return []
     outside = touches_outside(outcome)
     before, after = (whole(int(count)) for count in (outcome.usable[:, None] & ~outside).sum(axis=0))
@@ -256,8 +256,8 @@ def _summary_lines(outcome: Outcome) -> list[Text]:
     if not len(outcome):
         return []
     # The quality has a line of its own.
-    measures = [each for each in COMPARED if each is not QUALITY and each.key in outcome.measures]
-    changes = [_improvement(measure, outcome[measure.key][outcome.usable]) for measure in measures]
+    measures = [each for each in COMPARED if each is not QUALITY and each.name in outcome.measures]
+    changes = [_improvement(measure, outcome[measure.name][outcome.usable]) for measure in measures]
     lines = [Text(change) for change in changes if change]
     starts = [] if (outcome["starts"] <= 1).all() else [(outcome["starts"], "starts", "{:.0f}".format)]
     costs = (*starts, (outcome["iterations"], "iterations", "{:.0f}".format), (outcome["wall_s"], "", _seconds))

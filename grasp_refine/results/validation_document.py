@@ -16,7 +16,7 @@ from grasp_refine.core.json_files import SCHEMA, save_bytes, save_text
 from grasp_refine.core.machine import machine
 from grasp_refine.core.names import to_cell
 from grasp_refine.core.versions import versions
-from grasp_refine.measures.measures import COUNT, MOVEMENTS, RECORDED, SECOND, Measure
+from grasp_refine.measures.measures import COUNT, RECORDED, SECOND, Measure
 from grasp_refine.results.simulated import simulation_entry
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
@@ -139,8 +139,8 @@ def _simulation(
 
 def refinement_keys() -> tuple[str, ...]:
     """Return the keys of the entries of `run` that are null in validations; times are those of the simulation."""
-    measures = (each for each in RECORDED if not (each.validated or each in MOVEMENTS or each.unit == SECOND))
-    return ("status", "advice", "moved", *(each.name for each in measures))
+    measures = (each for each in RECORDED if not (each.validated or each.unit == SECOND))
+    return ("status", "advice", *(each.name for each in measures))
 
 
 def flat_rows(

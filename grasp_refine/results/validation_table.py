@@ -56,7 +56,7 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
     for measure in after.metrics.measures:
         old, new = (v.metrics.values[measure.name] * measure.unit.factor for v in (before, after))
         known = np.isfinite(old) & np.isfinite(new)
-        if not (measure.compared and known.any()):
+        if not (measure.compared and measure.shown and known.any()):
             continue
         better = (new[known] - old[known]) * (1 if measure.better == "higher" else -1)
         table.add_row(
@@ -105,7 +105,7 @@ def _object_table(validated: Validated, what: str, protocol: Protocol | None, ve
     columns = [
         each
         for each in validated.metrics.measures
-        if any(each.head) and not (protocol is not None and each.key == "wrench_residual")
+        if any(each.head) and not (protocol is not None and each.name == "wrench_residual")
     ]
     for head in ("\n grasp", *("\n".join(each.head) for each in columns)):
         table.add_column(head, justify="right", no_wrap=True)

@@ -40,7 +40,7 @@ def made_to_hold(outcome: Outcome, config: Config) -> bool:
 
 def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
     """Return True where a grasp touches the object outside of the regions, before and after (N, 2)."""
-    return outcome.usable[:, None] & (outcome["region_miss"] > COSTLY_M[0])
+    return outcome.usable[:, None] & (outcome["region_miss_m"] > COSTLY_M[0])
 
 
 def slip_advice(outcome: Outcome, config: Config) -> str:

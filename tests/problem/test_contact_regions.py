@@ -61,14 +61,14 @@ def contact_heights(refined: gr.RefinedGrasps) -> np.ndarray:
 
 
 def test_contacts_slide_out_of_what_they_should_avoid(refined: gr.RefinedGrasps, given: gr.GraspSet) -> None:
-    before, after = refined.outcome["region_miss"].T
+    before, after = refined.outcome["region_miss_m"].T
     assert (before > 1e-3).any() and (after <= TOLERANCE_M).all()
     assert contact_heights(refined).max() <= 0.015 + TOLERANCE_M
     assert (refined.quality[:, 1] > 0.9).all()
     # Without knowing of it, they do not.
     hand, block = refined.problem.hand, refined.problem.groups[0].scene.object
     free = gr.refine(hand, block, given, gr.Config(starts=1))
-    assert contact_heights(free).max() > 0.02 and np.isnan(free.outcome["region_miss"]).all()
+    assert contact_heights(free).max() > 0.02 and np.isnan(free.outcome["region_miss_m"]).all()
     assert "touch only where" in str(refined) and "touch only where" not in str(free)
 
 
@@ -76,7 +76,7 @@ def test_every_link_that_touches_counts(refined: gr.RefinedGrasps) -> None:
     """The measure is that of all links within the contact distance, by hand and through the facade."""
     scene = refined.problem.groups[0].scene
     found = metrics(scene.hand, scene.object, scene.T_world_root, scene.q, None, scene.regions)
-    np.testing.assert_allclose(found.region_miss_m, refined.outcome["region_miss"][:, 0])
+    np.testing.assert_allclose(found.region_miss_m, refined.outcome["region_miss_m"][:, 0])
     evaluated = gr.evaluate(scene.hand, scene.object, refined.before, avoid=AVOID)
     np.testing.assert_allclose(evaluated.validated.metrics.region_miss_m, found.region_miss_m)
     assert (evaluated.quality[found.region_miss_m > 2.5e-3] == 0.0).all()
@@ -97,7 +97,7 @@ def test_measured_grasps_tell_where_they_should_not_be(
 def test_grasps_that_cannot_reach_a_region_say_so(hand: gr.Hand, block: gr.Object, given: gr.GraspSet) -> None:
     still = gr.Config(starts=1, max_move=MaxMove(1e-3, 0.01, 0.01))
     refined = gr.refine(hand, block, given, still, touch="below:z=-0.03")
-    miss = refined.outcome["region_miss"][:, 1]
+    miss = refined.outcome["region_miss_m"][:, 1]
     assert (miss > 0.01).any() and (refined.quality[miss > 2.5e-3, 1] == 0.0).all()
     links = refined.problem.groups[0].scene.links
     for row in np.flatnonzero(miss > TOLERANCE_M):

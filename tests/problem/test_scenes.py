@@ -45,7 +45,7 @@ def test_hands_keep_the_margins_when_sampled_refined_and_open(refined: gr.Refine
     assert (slack(scene, before.hand_pose, before.q) >= 0.0).all()
     assert (slack(scene, after.hand_pose, after.q) >= -5e-4).all()
     assert (slack(scene, refined.pregrasp.pose, refined.pregrasp.q) >= -5e-4).all()
-    assert (refined.outcome["scene_penetration"] == 0.0).all()
+    assert (refined.outcome["scene_penetration_m"] == 0.0).all()
 
 
 def test_a_hand_in_a_body_is_measured_whatever_its_margin_and_loses_its_quality(refined: gr.RefinedGrasps) -> None:

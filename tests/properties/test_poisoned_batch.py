@@ -173,7 +173,7 @@ def test_their_measures_are_null_in_valid_json(scene: Scene) -> None:
         assert entry["status"] == status.label and entry["advice"].startswith(status.advice), key
         assert entry["quality"] == {"before": None, "after": None}, key
         assert (entry["penetration_m"]["after"] is None) == (key != "1e6 m away"), key
-        assert entry["moved"] == (dict.fromkeys(entry["moved"]) if key != "1e6 m away" else entry["moved"])
+        assert (entry["moved_palm_m"] is None) == (key != "1e6 m away"), key
     assert all(entries[row]["quality"]["after"] > 0 for row in good)
     # Those of the others are as without them.
     alone = refine(scene, config)
@@ -270,8 +270,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 GOOD, BAD = [0, 1, 7, 8], [2, 3, 4, 5, 6]
 LABELS = ["not finite", "not finite", "not finite", "invalid", "invalid"]
-NUMBERS = ("hand_pose", "q", "pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "loss", "quality_after")
-NUMBERS += ("penetration_after", "contact_error_after", "self_penetration_after", "wrench_residual_after")
+NUMBERS = ("hand_pose", "q", "pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "loss_m2", "quality_after")
+NUMBERS += ("penetration_m_after", "contact_error_m_after", "self_penetration_m_after", "wrench_residual_after")
 
 
 def check_results(clean: Path, poisoned: Path) -> None:

@@ -98,7 +98,7 @@ def test_the_table_speaks_millimetres_and_degrees():
 
 def test_a_measure_that_fell_nowhere_is_not_called_less():
     outcome = error_in_millimetres(3)
-    worse = with_measures(outcome, penetration=outcome["penetration"][:, ::-1].copy())
+    worse = with_measures(outcome, penetration_m=outcome["penetration_m"][:, ::-1].copy())
 
     def told(outcome: Outcome) -> str:
         (line,) = [line for line in text(outcome) if line.startswith("penetration") and "mean" in line]
@@ -106,7 +106,7 @@ def test_a_measure_that_fell_nowhere_is_not_called_less():
 
     way, back = (told(one).partition("3 of 3")[0] for one in (outcome, worse))
     assert way != back and "3 of 3" in told(outcome) and "3 of 3" in told(worse)
-    mixed = with_measures(outcome, penetration=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
+    mixed = with_measures(outcome, penetration_m=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
     assert re.search(r"\b1\b.* 1 of 3\b", told(mixed))
 
 
@@ -222,7 +222,7 @@ def test_the_worst_of_many_are_those_that_did_not_hold():
 def test_the_table_loses_nothing_at_80_columns(width: int):
     outcome = with_status(error_in_millimetres(5), g0=Status.NOT_FINITE, g1=Status.NO_TARGET)
     outcome = with_measures(
-        outcome, contact_error=outcome.measures["contact_error"] * 40, penetration=outcome["penetration"] * 50
+        outcome, contact_error_m=outcome["contact_error_m"] * 40, penetration_m=outcome["penetration_m"] * 50
     )
     lines = text(outcome, width=width)
     assert max(map(len, lines)) <= width
@@ -268,15 +268,6 @@ def test_each_object_has_its_table_and_all_have_one():
 
 def test_what_there_is_none_of_is_a_dash():
     outcome = with_status(error_in_millimetres(1), g0=Status.NO_TARGET)
-    outcome = with_measures(outcome, contact_error=np.full((1, 2, 3), np.nan), moved_palm_m=np.array([np.nan]))
+    outcome = with_measures(outcome, contact_error_m=np.full((1, 2), np.nan), moved_palm_m=np.array([np.nan]))
     (row,) = [line for line in text(outcome) if "no target" in line and "→" in line]
     assert row.split()[:4] == ["0", "-", "→", "-"]
-
-
-# The outcome
-
-
-# JSON
-
-
-# Names, progress and versions

@@ -1,10 +1,8 @@
-"""Distributions before and after as SVG in the colours of the page; the same counts give the same bytes."""
+"""Distributions before and after as bar charts; the same counts give the same bytes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+from collections.abc import Mapping
 from math import floor, log10
 
 import numpy as np
@@ -12,37 +10,34 @@ import numpy as np
 from grasp_refine.measures.measures import COMPARED, MEASURES, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.histogram import LINEAR, Histogram
+from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
+from grasp_refine_apps.report.html_page import COLORS
+from grasp_refine_apps.report.svg_chart import MUTED, RULE, add_tooltip, svg_chart
 
-WIDTH, BAR_HEIGHT, LEFT, TOP = 320, 104, 6, 8
-"""Width of the drawing, height of the highest bar, and margins beside and above, SVG units."""
-BASE = TOP + BAR_HEIGHT
-"""Height coordinate of the base line of the bars, downwards, SVG units."""
-LABEL_HEIGHT = 22
-"""Height of the labels of the axis, SVG units."""
+WIDTH_IN, HEIGHT_IN = 4.2, 1.75
+"""Size of a chart in inches."""
 BINS_PER_BAR = 4
 """Number of bins drawn as one bar: five bars per power of ten, or 25 of the quality."""
-LOWEST_BAR_GAP = 0.5
-"""Distance of the bar for values below all bins, in bar widths."""
-LABEL_DISTANCE = 32
-"""Smallest distance of a label from the label of the lowest bar, SVG units."""
+ZERO_BAR = -1.5
+"""Place of the bar of values below all others, in bars from the first of the others."""
+LABEL_DISTANCE = 0.1
+"""Smallest distance of a label from that of the bar of zeros, as a share of the axis."""
 MIN_BARS = 10
 """Minimum number of bars, so that few bars are not huge."""
 
-
 CHARTED = MEASURES.view(lambda every: (*COMPARED, *MOVEMENTS))
 """Measures that are drawn."""
-MARKS = {QUALITY.key: HOLDS}
-"""Key of a measure -> value that a dashed line marks."""
-HINTS = {QUALITY.key: "; a grasp of the dashed line or more should hold"}
-"""Key of a measure -> addition to its explanation."""
+MARKS = {QUALITY.name: HOLDS}
+"""Name of a measure -> value that a dashed line marks."""
+HINTS = {QUALITY.name: "; a grasp of the dashed line or more should hold"}
+"""Name of a measure -> addition to its explanation."""
 
 _TEXTS = {METRE: words.millimetres, RADIAN: words.degrees}
 
 
 def hint(measure: Measure) -> str:
     """Return the explanation of a measure and of the mark in its chart."""
-    return measure.hint + HINTS.get(measure.key, "")
+    return measure.hint + HINTS.get(measure.name, "")
 
 
 def value_text(measure: Measure, value: float) -> str:
@@ -64,142 +59,95 @@ def statistics_row(measure: Measure, distributions: Mapping[str, Histogram]) -> 
 
 def _sides(measure: Measure, distributions: Mapping[str, Histogram]) -> tuple[Histogram, Histogram]:
     """Return the distributions before and after; an empty one before of a measure that is not compared."""
-    columns = [measure.columns[entry] for entry in measure.entries.values()]
-    after = distributions[columns[-1]]
-    return (distributions[columns[0]] if measure.compared else Histogram(after.bins)), after
-
-
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """Horizontal axis: the bars that are drawn, and their places."""
-
-    edges: np.ndarray
-    """Edges (bars + 1,) of all bars except the bars for values below and above."""
-    scale: str
-    """LINEAR or LOGARITHMIC."""
-    first: int
-    """Index of the leftmost bar."""
-    last: int
-    """Index of the rightmost bar."""
-    lowest: bool
-    """Whether values below all bars are drawn too, apart from the others."""
-
-    @staticmethod
-    def of(edges: np.ndarray, scale: str, parts: Sequence[np.ndarray]) -> _Axis:
-        """Return the axis with the bars that some shares need."""
-        most = len(edges) - 2
-        used = np.flatnonzero(sum(its[1:-1] for its in parts))
-        first, last = (int(used.min()), int(used.max())) if len(used) else (0, 0)
-        if scale == LINEAR:
-            first, last = 0, most
-        while last - first + 1 < min(MIN_BARS, most + 1):
-            first, last = max(first - 1, 0), min(last + 1, most)
-        return _Axis(edges, scale, first, last, any(its[0] > 0 for its in parts))
-
-    @property
-    def step(self) -> float:
-        """Width of a bar, SVG units."""
-        return (WIDTH - 2 * LEFT) / (self.last - self.first + 1 + (1 + LOWEST_BAR_GAP) * self.lowest)
-
-    @property
-    def begin(self) -> float:
-        """Left end of the leftmost bar, SVG units."""
-        return LEFT + (1 + LOWEST_BAR_GAP) * self.lowest * self.step
-
-    @property
-    def places(self) -> list[tuple[float, int]]:
-        """Left end of each bar, and index of the share that it shows."""
-        bars = range(self.first, self.last + 1)
-        return [(LEFT, 0)] * self.lowest + [(self.begin + (k - self.first) * self.step, k + 1) for k in bars]
-
-    def at(self, value: float) -> float:
-        """Horizontal position of a value, SVG units."""
-        low, high = self.edges[self.first], self.edges[self.last + 1]
-        along = (value - low) / (high - low) if self.scale == LINEAR else log10(value / low) / log10(high / low)
-        return self.begin + along * self.step * (self.last - self.first + 1)
+    *_, after = found = [distributions[entry] for entry in measure.entries.values()]
+    return (found[0] if measure.compared else Histogram(after.bins)), after
 
 
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     """Draw an SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
-    before, after = _sides(measure, distributions)
-    if not before.count and not after.count:
+    sides = _sides(measure, distributions)
+    if not any(its.count for its in sides):
         return ""
-    parts = [its.shares(BINS_PER_BAR) for its in (before, after)]
-    for its in parts:
-        # Values above the bins are drawn in the last one.
-        its[-2] += its[-1]
-    axis = _Axis.of(after.bins.edges[::BINS_PER_BAR], after.bins.scale, parts)
-    label = escape(f"distribution of {measure.title}")
-    drawn = "".join([*_bars(axis, parts), *_scale(axis, measure), *_tooltips(axis, measure, parts)])
-    return (
-        f'<svg class="bars" viewBox="0 0 {WIDTH} {BASE + LABEL_HEIGHT}" role="img" aria-label="{label}">{drawn}</svg>'
-    )
+    bins = sides[1].bins
+    zero, shares, edges = _shown(bins.edges[::BINS_PER_BAR], bins.scale == LINEAR, *sides)
+    places = np.arange(shares.shape[1], dtype=float)
+    if zero.any():
+        places, shares = np.append(ZERO_BAR, places), np.column_stack([zero, shares])
+    with svg_chart(f"distribution of {measure.title}", WIDTH_IN, HEIGHT_IN, look="bars") as drawn:
+        axes = drawn.figure.subplots()
+        axes.bar(places, shares[0], 0.92, color=RULE, edgecolor=MUTED, linewidth=0.6, clip_on=False)
+        axes.bar(places, shares[1], 0.6, color=COLORS[0][0], clip_on=False)
+        for place, bar in zip(places, axes.bar(places, shares.max(), 1.0, alpha=0.0, clip_on=False), strict=True):
+            span = (0.0, bins.low) if place < 0 else edges[int(place) : int(place) + 2]
+            add_tooltip(
+                bar, f"{_range_text(measure, *span, bins)}: {_shares_text(measure, shares[:, places == place])}"
+            )
+        if measure.name in MARKS:
+            at = np.interp(MARKS[measure.name], edges, np.arange(len(edges))) - 0.5
+            axes.axvline(at, color=COLORS[2][0], linewidth=1.2, dashes=(4, 3), clip_on=False)
+        ticks = _ticks(measure, edges, bins.scale == LINEAR)
+        if zero.any():
+            # No label overlaps that of the bar of zeros.
+            least = ZERO_BAR + LABEL_DISTANCE * len(places)
+            ticks = {place: text if place > least else "" for place, text in ticks.items()} | {ZERO_BAR: "~0"}
+        axes.set_xticks(list(ticks), list(ticks.values()))
+        axes.set(xlim=(places[0] - 0.55, places[-1] + 0.55), ylim=(0.0, shares.max()), yticks=())
+        axes.spines["left"].set_visible(False)
+        axes.grid(visible=False)
+    return drawn.svg
 
 
-def _bars(axis: _Axis, parts: Sequence[np.ndarray]) -> Iterator[str]:
-    """Draw all bars, scaled to the height of the highest."""
-    highest = max(its[k] for its in parts for _, k in axis.places)
-    for name, its, inset in (("before", parts[0], 0.04), ("after", parts[1], 0.2)):
-        for x, k in axis.places:
-            if its[k] > 0:
-                height = BAR_HEIGHT * its[k] / highest
-                yield (
-                    f'<rect class="{name}" x="{x + inset * axis.step:.1f}" y="{BASE - height:.1f}" '
-                    f'width="{(1 - 2 * inset) * axis.step:.1f}" height="{height:.1f}"/>'
-                )
+def _shown(edges: np.ndarray, linear: bool, *sides: Histogram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what is drawn.
+
+    Args:
+        edges: Edges of all bars.
+        linear: Whether the axis is linear, and always whole.
+        sides: Distributions.
+
+    Returns:
+        Shares (2,) below all bars, shares (2, bars) of the bars that are drawn, and the edges (bars + 1,) of these.
+    """
+    zero, *inner, above = np.array([its.shares(BINS_PER_BAR) for its in sides]).T
+    shares = np.column_stack(inner)
+    shares[:, -1] += above
+    most = shares.shape[1] - 1
+    used = np.flatnonzero(shares.any(axis=0))
+    first, last = (0, most) if linear else (used[0], used[-1]) if len(used) else (0, 0)
+    while last - first + 1 < min(MIN_BARS, most + 1):
+        first, last = max(first - 1, 0), min(last + 1, most)
+    return zero, shares[:, first : last + 1], edges[first : last + 2]
 
 
-def _tooltips(axis: _Axis, measure: Measure, parts: Sequence[np.ndarray]) -> Iterator[str]:
-    """Draw the tooltip of each bar."""
-    for x, k in axis.places:
-        text = escape(f"{_range_text(measure, axis.edges, k)}: {_shares_text(measure, parts, k)}")
-        yield (
-            f'<rect class="over" x="{x:.1f}" y="{TOP}" width="{axis.step:.1f}" height="{BAR_HEIGHT}">'
-            f"<title>{text}</title></rect>"
-        )
-
-
-def _scale(axis: _Axis, measure: Measure) -> Iterator[str]:
-    """Draw the line below the bars with its labels, and the line of the marked value."""
-    yield f'<line class="axis" x1="{LEFT}" x2="{WIDTH - LEFT}" y1="{BASE}" y2="{BASE}"/>'
-    for value, text in _marks(measure, axis.edges[axis.first], axis.edges[axis.last + 1], axis.scale):
-        x = axis.at(value)
-        yield f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="{BASE}" y2="{BASE + 4}"/>'
-        # No label overlaps that of the lowest bar.
-        if not axis.lowest or x > LEFT + axis.step / 2 + LABEL_DISTANCE:
-            anchor = "end" if x > WIDTH - 20 else "start" if x < 12 else "middle"
-            yield f'<text x="{x:.1f}" y="{BASE + 16}" text-anchor="{anchor}">{escape(text)}</text>'
-    if axis.lowest:
-        yield f'<text x="{LEFT + axis.step / 2:.1f}" y="{BASE + 16}" text-anchor="middle">~0</text>'
-    if measure.key in MARKS:
-        x = axis.at(MARKS[measure.key])
-        yield f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 6}" y2="{BASE}"/>'
-
-
-def _marks(measure: Measure, low: float, high: float, scale: str) -> Sequence[tuple[float, str]]:
-    """Values of the axis with their labels: powers of ten in the unit that people read."""
-    if scale == LINEAR:
-        return [(low + (high - low) * k / 4, f"{low + (high - low) * k / 4:g}") for k in range(5)]
+def _ticks(measure: Measure, edges: np.ndarray, linear: bool) -> dict[float, str]:
+    """Return place -> label: quarters, or powers of ten in the unit that people read."""
+    low, high = edges[0], edges[-1]
+    if linear:
+        places = np.linspace(-0.5, len(edges) - 1.5, 5).tolist()
+        return {place: f"{low + (high - low) * k / 4:g}" for k, place in enumerate(places)}
     unit, symbol = 1.0 / measure.unit.factor, measure.unit.symbol
-    found = []
+    found = {}
     for power in range(floor(log10(low / unit)), floor(log10(high / unit)) + 2):
         value = 10.0**power * unit
         if low * 0.999 <= value <= high * 1.001:
             text = f"{10.0**power:g}" if -3 <= power <= 4 else f"1e{power}"
             text = words.axis_length(value) if measure.unit == METRE else f"{text}{symbol}"
-            found.append((value, text if power % 2 == 0 or high / low < 1e4 else ""))
+            place = (len(edges) - 1) * log10(value / low) / log10(high / low) - 0.5
+            found[place] = text if power % 2 == 0 or high / low < 1e4 else ""
     return found
 
 
-def _range_text(measure: Measure, edges: np.ndarray, at: int) -> str:
-    """Text for the range of values of a bar."""
-    if at == 0:
-        return f"below {value_text(measure, edges[0])} {measure.unit.symbol}".rstrip()
-    last = at == len(edges) - 1 and measure.better != "higher"
-    high = " or more" if last else f" to {value_text(measure, edges[at])}"
-    return f"{value_text(measure, edges[at - 1])}{high} {measure.unit.symbol}".rstrip()
+def _range_text(measure: Measure, low: float, high: float, bins: Bins) -> str:
+    """Return text on the range of values of a bar."""
+    if high <= bins.low:
+        text = f"below {value_text(measure, high)}"
+    elif high >= bins.high and measure.better != "higher":
+        text = f"{value_text(measure, low)} or more"
+    else:
+        text = f"{value_text(measure, low)} to {value_text(measure, high)}"
+    return f"{text} {measure.unit.symbol}".rstrip()
 
 
-def _shares_text(measure: Measure, parts: Sequence[np.ndarray], at: int) -> str:
-    before, after = (f"{100 * its[at]:.1f} %" for its in parts)
+def _shares_text(measure: Measure, shares: np.ndarray) -> str:
+    before, after = (f"{100 * share:.1f} %" for share in shares.ravel())
     return f"{before} before, {after} after" if measure.compared else after

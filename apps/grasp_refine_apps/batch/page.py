@@ -159,7 +159,7 @@ def view_command(case: Case) -> str:
 def case_entry(picture: Picture) -> dict[str, Any]:
     """Entries of a case for the macro `figure` of templates; links are relative to the folder of its file."""
     case = picture.case
-    measures = (_measure_text(one, case.measures[one.key]) for one in COMPARED)
+    measures = (_measure_text(one, case.measures[one.name]) for one in COMPARED)
     missed = f"did not hold: {case.reason}" if case.held is False and case.reason else "did not hold"
     file = PurePath(case.source).name
     origin = f"row {case.source_row} of {file}" if file and case.source_row is not None else file

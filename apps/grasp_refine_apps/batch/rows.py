@@ -13,7 +13,7 @@ import numpy as np
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
-from grasp_refine.results.result_numbers import HELD, measured_entries, numbers_of
+from grasp_refine.results.result_numbers import HELD, number_entries, numbers_of
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
@@ -26,7 +26,7 @@ def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
     """Return name -> kind of the columns of measures; verdicts by quality follow its columns."""
     found: dict[str, Kind] = {}
     for measure in measures:
-        found |= dict.fromkeys(measure.columns.values(), "whole" if measure.unit == COUNT else "number")
+        found |= dict.fromkeys(measure.entries.values(), "whole" if measure.unit == COUNT else "number")
         if measure is QUALITY:
             found |= dict.fromkeys((f"good_{side}" for side in SIDES), "flag")
     return found
@@ -127,7 +127,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
-        **{column: numbers_of(file, entry, n) for column, entry in (measured_entries() | HELD).items()},
+        **{column: numbers_of(file, entry, n) for column, entry in number_entries().items()},
     }
     for side in SIDES:
         columns[f"good_{side}"] = should_hold(columns[f"quality_{side}"]).astype(float)

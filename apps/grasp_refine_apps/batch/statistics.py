@@ -81,7 +81,7 @@ class Tally:
                 converged=int((rows["status"] == Status.CONVERGED.label).sum()),
                 gained=int((held["after"] & ~held["before"]).sum()),
                 lost=int((held["before"] & ~held["after"]).sum()),
-                deepest=float(np.nanmax(rows["penetration_after_m"], initial=0.0)),
+                deepest=float(np.nanmax(rows["penetration_m_after"], initial=0.0)),
                 **both,
             )
         )
@@ -141,7 +141,7 @@ class Statistics:
     def empty() -> Statistics:
         """Return the statistics of no grasps."""
         distributions = {
-            column: Histogram(Bins.of(measure.unit)) for measure in RECORDED for column in measure.columns.values()
+            column: Histogram(Bins.of(measure.unit)) for measure in RECORDED for column in measure.entries.values()
         }
         return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
 

@@ -45,7 +45,7 @@ class Case:
     status: str
     """Status of the refinement."""
     measures: Mapping[str, tuple[float, ...]]
-    """Key of a measure of `COMPARED` -> its values before and after, SI units; NaN: not known, as without contact."""
+    """Name of a measure of `COMPARED` -> its values before and after, SI units; NaN: not known, as without contact."""
     held: bool | None
     """Whether it held in simulation; None: not simulated."""
     reason: str
@@ -57,7 +57,7 @@ class Case:
     def badness(self) -> tuple[bool, float, float, int, int]:
         """Sort key, greatest for the worst case and unique for each case."""
         # A grasp without contact has no quality, and ranks as the worst.
-        quality, depth = (self.measures[key][1] for key in ("quality", "penetration"))
+        quality, depth = (self.measures[key][1] for key in ("quality", "penetration_m"))
         quality, depth = -1.0 if isnan(quality) else quality, 0.0 if isnan(depth) else depth
         return (self.held is not True, -quality, depth, -self.shard, -self.row)
 
@@ -71,7 +71,7 @@ class Worst:
     def add(self, rows: Rows, usable: np.ndarray) -> None:
         """Add the grasps of a result file; `usable` (N,) is True for refined ones."""
         quality = np.nan_to_num(rows["quality_after"], nan=-1.0)
-        penetration = np.nan_to_num(rows["penetration_after_m"])
+        penetration = np.nan_to_num(rows["penetration_m_after"])
         held = rows["held_after"] == 1.0
         order = np.lexsort((rows["row_in_file"], -penetration, quality, held))
         for i in order[usable[order]][:MAX_KEPT].tolist():
@@ -114,7 +114,7 @@ def case_of(rows: Rows, i: int) -> Case:
         source=str(rows["source"][i]),
         source_row=None if isnan(row) else int(row),
         status=str(rows["status"][i]),
-        measures={one.key: tuple(float(rows[column][i]) for column in one.columns.values()) for one in COMPARED},
+        measures={one.name: tuple(float(rows[column][i]) for column in one.entries.values()) for one in COMPARED},
         held=None if isnan(held) else bool(held),
         reason=str(rows["reason_after"][i]),
         look=rows.look,

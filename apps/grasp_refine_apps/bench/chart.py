@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from grasp_refine_apps.report.html_page import COLORS, PLAIN
+from grasp_refine_apps.report.html_page import COLORS
+from grasp_refine_apps.report.svg_chart import MUTED, PAGE, svg_chart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,35 +62,13 @@ class Chart:
 
     def svg(self) -> str:
         """Draw the SVG element; equal rows give equal bytes. Empty without a point."""
-        import matplotlib
-        from matplotlib.figure import Figure
-
         panels = list(dict.fromkeys(map(self.panel, self.rows)))
         if not panels:
             return ""
         labels = list(dict.fromkeys(map(self.line, self.rows)))
-        settings: dict[Any, Any] = {
-            "svg.fonttype": "none",
-            "svg.hashsalt": f"grasp-refine {self.title}",
-            "font.family": ["DejaVu Sans"],
-            "font.size": 8.5,
-            "text.color": PLAIN["ink"][0],
-            "axes.labelcolor": PLAIN["ink"][0],
-            "axes.edgecolor": PLAIN["muted"][0],
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.grid": True,
-            "axes.axisbelow": True,
-            "axes.facecolor": "none",
-            "figure.facecolor": "none",
-            "legend.frameon": False,
-            "xtick.color": PLAIN["muted"][0],
-            "ytick.color": PLAIN["muted"][0],
-            "grid.color": PLAIN["line"][0],
-        }
-        with matplotlib.rc_context(settings):
-            size = PANEL_WIDTH_IN * len(panels) + 1.8, PANEL_HEIGHT_IN * len(self.y)
-            figure = Figure(figsize=size, layout="constrained")
+        size = PANEL_WIDTH_IN * len(panels) + 1.8, PANEL_HEIGHT_IN * len(self.y)
+        with svg_chart(self.title, *size) as chart:
+            figure = chart.figure
             grid = figure.subplots(len(self.y), len(panels), squeeze=False)
             for row, y in enumerate(self.y):
                 for column, panel in enumerate(panels):
@@ -105,9 +82,7 @@ class Chart:
             }
             known = [label for label in labels if label in handles]
             figure.legend([handles[label] for label in known], known, loc="outside right upper")
-            out = io.StringIO()
-            figure.savefig(out, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
-        return _inlined(out.getvalue(), self.title)
+        return chart.svg
 
     def _draw(self, axes: Axes, rows: Sequence[Row], y: Axis, labels: Sequence[str]) -> None:
         """Draw one panel."""
@@ -134,11 +109,9 @@ class Chart:
             drawn = np.maximum(height, low)
             axes.plot(across, drawn, dash, marker=marker, color=color, markersize=4.5, linewidth=1.6, label=label)
             hollow = height < low
-            axes.plot(
-                across[hollow], drawn[hollow], marker, color=color, markersize=4.5, markerfacecolor=PLAIN["page"][0]
-            )
+            axes.plot(across[hollow], drawn[hollow], marker, color=color, markersize=4.5, markerfacecolor=PAGE)
         for mark in y.marks:
-            axes.axhline(mark, color=PLAIN["muted"][0], linewidth=0.8, dashes=(4, 3), zorder=2)
+            axes.axhline(mark, color=MUTED, linewidth=0.8, dashes=(4, 3), zorder=2)
         for axis, its in ((axes.xaxis, self.x), (axes.yaxis, y)):
             _set_ticks(axis, its)
         axes.set(xlabel=self.x.name, ylabel=y.name)
@@ -187,15 +160,3 @@ def _set_ticks(axis: Any, its: Axis) -> None:
         axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high < 200 * low else (1,), numticks=10))
         axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter(form)
-
-
-def _inlined(svg: str, title: str) -> str:
-    """Extract the SVG element, at full width, with the page's variables for colours."""
-    head, body = svg[svg.index("<svg") :].split(">", 1)
-    head = re.sub(r' (width|height)="[^"]*"', "", head)
-    # Names of groups would occur twice on a page with two charts; nothing refers to them.
-    body = re.sub(r' id="[A-Za-z0-9]+_\d+"', "", body)
-    body = body.replace("font-family: 'DejaVu Sans'", "font-family: inherit").replace("'DejaVu Sans'", "inherit")
-    for name, (light, _) in {**{f"c{k}": pair for k, pair in enumerate(COLORS)}, **PLAIN}.items():
-        body = body.replace(light, f"var(--{name})")
-    return f'{head} class="chart" role="img" aria-label="{title}">{body}'

@@ -90,7 +90,7 @@ def _grasped(
     hand: Hand, objects: Sequence[str], count: int, protocol: str, seed: int, row: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the numbers of grasps that were sampled, refined and simulated."""
-    measures: dict[str, list[np.ndarray]] = {"contact_error": [], "penetration": [], "held": []}
+    measures: dict[str, list[np.ndarray]] = {"contact_error_m": [], "penetration_m": [], "held": []}
     found, asked, trouble, missed = 0, 0, [], {}
     for source in objects:
         obj = gr.load_object(source)
@@ -105,7 +105,7 @@ def _grasped(
         refined = gr.refine(hand, obj, grasps)
         simulated = gr.simulate(refined, protocol)
         measures["held"].append(simulated.held)
-        for key in ("contact_error", "penetration"):
+        for key in ("contact_error_m", "penetration_m"):
             measures[key].append(refined.outcome[key])
         failed = np.count_nonzero(~refined.outcome.usable)
         trouble += [f"{failed} not refined on {obj.name}"] if failed else []
@@ -113,7 +113,7 @@ def _grasped(
         trouble.append(f"nothing sampled on {', '.join(missed)}: {next(iter(missed.values()))}")
     if not found:
         return {"samples": [found, asked], "trouble": "; ".join(trouble)}
-    errors, penetration, held = (np.concatenate(measures[key]) for key in ("contact_error", "penetration", "held"))
+    errors, penetration, held = (np.concatenate(measures[key]) for key in ("contact_error_m", "penetration_m", "held"))
     before, after = np.nanmedian(errors, axis=0).tolist()
     depth = np.nanmean(penetration, axis=0).tolist()
     share = held.mean(axis=0).tolist()

@@ -9,7 +9,7 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.results.margins_table import LIMITS
 from grasp_refine.validation.margins.factors import JOINT, MEANING
 from grasp_refine.validation.margins.intervals import difference_interval
-from grasp_refine_apps.margins.charts import Side, factor_bars, limit_curve
+from grasp_refine_apps.margins.charts import Side, color_names, factor_bars, limit_curve
 from grasp_refine_apps.report.html_page import rendered
 
 
@@ -30,7 +30,7 @@ def page(hands: str, files: Sequence[str], sides: Sequence[Side], *, compared: b
         __package__,
         title=f"Margins of grasps of {hands}",
         subtitle=f"{counts}; {count_text(draws, 'drawn world')} of seed {seed}, the same for all",
-        sides=[(f"s{k}", side.name, name) for k, (side, name) in enumerate(zip(sides, files, strict=True))],
+        sides=[(look, side.name, name) for look, side, name in zip(color_names(len(sides)), sides, files, strict=True)],
         bars=factor_bars(sides),
         meanings=[(name, MEANING[name]) for name in _trials(sides)],
         rows=list(_rows(sides)),

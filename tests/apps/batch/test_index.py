@@ -15,7 +15,7 @@ import pytest
 from batch_rows import made_up_rows, refined, save_refined, shard
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import from_cell
-from grasp_refine.results.result_numbers import measured_entries
+from grasp_refine.measures.measures import RECORDED
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import index as module
 from grasp_refine_apps.batch.index import index_path, index_writer
@@ -51,8 +51,8 @@ def test_rows_are_what_the_result_file_says(batch: tuple[Path, list[Shard]]):
     rows = [read_rows(one, out) for one in shards]
     with np.load(shards[0].path) as file:
         assert len(rows[0]) == len(file["status"]) > 0 and list(rows[0].columns) == list(column_kinds())
-        for column, entry in measured_entries().items():
-            np.testing.assert_array_equal(rows[0][column], file[entry])
+        for name in (entry for measure in RECORDED for entry in measure.entries.values()):
+            np.testing.assert_array_equal(rows[0][name], file[name])
         np.testing.assert_array_equal(rows[0]["status"], file["status"])
         np.testing.assert_array_equal(rows[0]["scale"], file["scale"])
     first = len(rows[0])

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from batch_rows import document, failure, made_up_rows
+from drawn_charts import bars, paths, tooltips
 from grasp_refine.measures.measures import COMPARED, MEASURES
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
+from grasp_refine_apps.batch.chart import CHARTED, WIDTH_IN, chart, statistics_row
 from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
@@ -65,8 +66,8 @@ def case(**changes: Any) -> Case:
     plain = {
         "shard": 3, "file": Path("my sets/00003.npz"), "row": 7, "hand": "allegro", "object": "mug", "scale": 1.0,
         "source": "/data/grasps.npz", "source_row": 11, "status": "stalled",
-        "measures": dict.fromkeys((one.key for one in COMPARED), (np.nan, np.nan)) | {
-            "quality": (0.25, 0.5), "penetration": (1e-3, 2.5e-4), "contact_error": (np.nan, 1e-2),
+        "measures": dict.fromkeys((one.name for one in COMPARED), (np.nan, np.nan)) | {
+            "quality": (0.25, 0.5), "penetration_m": (1e-3, 2.5e-4), "contact_error_m": (np.nan, 1e-2),
         }, "held": False, "reason": "rotated",
         "look": ("--object", "/my meshes/mug.obj"),
     }  # fmt: skip
@@ -168,47 +169,55 @@ def test_names_and_messages_cannot_become_html():
 # Charts
 
 
-def bars(svg: str, kind: str) -> list[float]:
-    """Heights of the bars."""
-    return [float(value) for value in re.findall(rf'class="{kind}"[^>]* height="([\d.]+)"', svg)]
+def heights(svg: str, color: str) -> list[float]:
+    """Heights of the bars that are not empty."""
+    return [height for height in bars(svg, color) if height]
 
 
 def test_bars_are_as_high_as_shares_and_hovering_says_them():
     found = some(made_up_rows(8, quality_before=0.1, quality_after=np.repeat([0.5, 0.97], [2, 6])))
     svg = chart(MEASURES["quality"], found.distributions)
-    assert bars(svg, "before") == [104.0] and bars(svg, "after") == [26.0, 78.0]
-    assert re.search(r"0\.960 to 1\.00\D+0\.0 %\D+75\.0 %", svg) and 'class="mark"' in svg
+    assert heights(svg, "line") == [1.0] and heights(svg, "c0") == pytest.approx([0.25, 0.75])
+    assert "0.960 to 1.00: 0.0 % before, 75.0 % after" in tooltips(svg)
+    (mark,) = [path for path in paths(svg, "fill: none") if len(path) == 2 and np.ptp(path[:, 1]) > 50]
+    left, right = (path[:, 0].min() for path in np.array(paths(svg, "fill: var(--c0)"))[[0, -1]])
+    assert 0.85 < (mark[0, 0] - left) / (right - left) < 0.96, "at a quality of 0.9"
 
 
 def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
-    found = some(made_up_rows(4, penetration_before_m=[1e-3, 1e-3, 5.0, 5.0], penetration_after_m=0.0))
-    svg = chart(MEASURES["penetration"], found.distributions)
-    assert ">~0</text>" in svg and re.search(r"0\.0001 mm\D+0\.0 %\D+100\.0 %", svg)
-    assert bars(svg, "after") == [104.0] and bars(svg, "before") == [52.0, 52.0]
-    assert re.search(r" mm\D+50\.0 %", svg)
+    found = some(made_up_rows(4, penetration_m_before=[1e-3, 1e-3, 5.0, 5.0], penetration_m_after=0.0))
+    svg = chart(MEASURES["penetration_m"], found.distributions)
+    assert ">~0</text>" in svg and heights(svg, "c0") == [1.0] and heights(svg, "line") == [0.5, 0.5]
+    assert tooltips(svg)[0] == "below 0.0001 mm: 0.0 % before, 100.0 % after"
+    assert re.search(r" or more mm: 50\.0 %", tooltips(svg)[-1])
 
 
 def test_the_worst_is_at_the_end_where_a_measure_is_worse():
     values = np.arange(1, 101) / 100
-    found = some(made_up_rows(100, quality_after=values, penetration_after_m=values / 100, quality_before=np.nan))
+    found = some(made_up_rows(100, quality_after=values, penetration_m_after=values / 100, quality_before=np.nan))
     before, after = np.split(np.array(statistics_row(MEASURES["quality"], found.distributions)), 2)
     assert set(before) == {NONE} and after.astype(float) == pytest.approx([0.505, 0.5, 0.05, 0.01], abs=0.011)
-    depth = statistics_row(MEASURES["penetration"], found.distributions)[4:]
+    depth = statistics_row(MEASURES["penetration_m"], found.distributions)[4:]
     assert [float(text) for text in depth] == pytest.approx([5.05, 5.0, 9.5, 10.0], rel=0.06), "millimetres"
 
 
 def test_what_nobody_measured_is_not_drawn():
-    found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_before_m=np.nan))
+    found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_m_before=np.nan))
     assert chart(MEASURES["moved_palm_m"], found.distributions) == ""
-    assert bars(chart(MEASURES["contact_error"], found.distributions), "before") == []
+    assert heights(chart(MEASURES["contact_error_m"], found.distributions), "line") == []
 
 
-@pytest.mark.parametrize("measure", CHARTED, ids=lambda one: one.key)
-def test_any_values_can_be_drawn(measure: Any):
-    *_, after = columns = [*measure.columns.values()]
+@pytest.mark.parametrize("name", ["quality", "wrench_residual", "penetration_m", "moved_palm_rad"])
+def test_any_values_can_be_drawn(name: str):
+    """One measure of each unit: from 0 to 1, without unit, in metres and in radians."""
+    measure = MEASURES[name]
+    *_, after = columns = [*measure.entries.values()]
     for values in ([0.0], [1e-12, 1e6], [3e-3], np.geomspace(1e-9, 1e2, 50), [1.0, np.nan]):
         found = some(made_up_rows(len(values), **(dict.fromkeys(columns, np.nan) | {after: np.array(values)})))
         svg = chart(measure, found.distributions)
         assert "nan" not in svg and "inf" not in svg and not Checker(svg).problems
-        places = [float(value) for value in re.findall(r' x1?="(-?[\d.]+)"', svg)]
-        assert min(places) >= 0 and max(places) <= 321 and sum(bars(svg, "after")) >= 104
+        known = int(np.isfinite(values).sum())
+        assert sum(float(re.findall(r"(\S+) %", tip)[-1]) for tip in tooltips(svg)) == pytest.approx(100, abs=known)
+        assert heights(svg, "c0") and not heights(svg, "line")
+        places = np.concatenate(paths(svg, "fill: "))
+        assert places.min() >= 0 and places[:, 0].max() <= 72 * WIDTH_IN

@@ -86,7 +86,7 @@ def test_counts_are_those_of_the_rows():
             held_after=[1, 1, 0, 1, 0, 0],
             reason_after=np.array(["", "", "moved", "", "penetrates", "moved"]),
             quality_after=[0.9, 0.8, 0.7, 0.6, np.nan, np.nan],
-            penetration_after_m=[0, 1e-3, 2e-3, 0, 5e-3, np.nan],
+            penetration_m_after=[0, 1e-3, 2e-3, 0, 5e-3, np.nan],
         ),
         made_up_rows(2, 1, object="bottle", held_before=[1, 1], held_after=[1, 0], good_before=0, good_after=1),
     )
@@ -104,7 +104,7 @@ def test_counts_are_those_of_the_rows():
     ]
     assert rest.count == 0 and pairs[0][1].mean_quality[1] == pytest.approx(0.75) and pairs[0][1].deepest == 5e-3
     # What was not refined is no part of the distributions.
-    assert found.distributions["quality_after"].count == 6 and found.distributions["penetration_after_m"].count == 6
+    assert found.distributions["quality_after"].count == 6 and found.distributions["penetration_m_after"].count == 6
 
 
 def test_nothing_simulated_is_no_success():
@@ -150,7 +150,7 @@ def test_the_same_rows_give_the_same_statistics_to_the_last_bit():
 def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
     quality = np.array([0.5, 0.1, 0.1, 0.9, np.nan])
     rows = made_up_rows(
-        5, 3, quality_after=quality, penetration_after_m=[0, 1e-3, 2e-3, 0, 0], held_after=np.nan, row=[4, 5, 6, 7, 8]
+        5, 3, quality_after=quality, penetration_m_after=[0, 1e-3, 2e-3, 0, 0], held_after=np.nan, row=[4, 5, 6, 7, 8]
     )
     first, *others = statistics(rows).worst()
     # A grasp of which nothing can be said, because nothing touches, is worse than any other.
@@ -163,12 +163,12 @@ def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
         "mug",
         None,
     )
-    assert case.measures["penetration"][1] == 2e-3 and (case.source, case.source_row) == ("grasps.npz", 6)
+    assert case.measures["penetration_m"][1] == 2e-3 and (case.source, case.source_row) == ("grasps.npz", 6)
 
 
 def test_the_worst_of_a_file_of_many_are_kept():
     depth = np.arange(MAX_KEPT + 60) * 1e-5
-    rows = made_up_rows(len(depth), quality_after=0.5, penetration_after_m=depth, held_after=np.nan)
+    rows = made_up_rows(len(depth), quality_after=0.5, penetration_m_after=depth, held_after=np.nan)
     assert [case.row for case in statistics(rows).worst()] == [*range(len(depth) - 1, len(depth) - 1 - NUM_CASES, -1)]
 
 

@@ -31,7 +31,7 @@ def some(objects: int, **columns: object) -> Statistics:
 def test_a_line_for_each_object_and_one_for_all():
     found = Statistics.empty()
     held = {"good_before": [1, 0, 0, 0], "held_before": [1, 1, 0, 0], "reason_after": ["", "", "", "moved"]}
-    quality = {"quality_before": 0.25, "quality_after": 0.75, "penetration_after_m": 2e-3}
+    quality = {"quality_before": 0.25, "quality_after": 0.75, "penetration_m_after": 2e-3}
     found.add(made_up_rows(4, object="mug", good_after=[1, 1, 1, 0], held_after=[1, 1, 1, 0], **held, **quality))
     found.add(made_up_rows(4, 1, object="cup", good_after=[1, 1, 0, 0], held_after=[1, 1, 0, 0], **held, **quality))
     lines = printed(document(config={"protocol": {"name": "strict", "palm": "rigid"}}), found)
@@ -67,7 +67,7 @@ def test_without_simulation_it_is_told_what_converged():
 def large() -> Statistics:
     """Of many grasps, with long names."""
     found = some(2, hand="shadow_left", quality_after=1.0)
-    found.add(made_up_rows(12_345, 7, object="a-long-name-of-an-object-0123456789", penetration_after_m=0.1))
+    found.add(made_up_rows(12_345, 7, object="a-long-name-of-an-object-0123456789", penetration_m_after=0.1))
     return found
 
 

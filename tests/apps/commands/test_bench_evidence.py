@@ -78,10 +78,10 @@ def test_the_numbers_of_the_tables_are_those_of_the_files(whole: Path):
             assert counts["held"] == (reasons == "held").sum()
             assert sum(counts.values()) == NUMBER
     for at, folder in ((1, "geometry-only"), (2, "refined")):
-        assert row["penetration_m"][at] == pytest.approx(entries(whole / folder, "penetration_after").mean())
+        assert row["penetration_m"][at] == pytest.approx(entries(whole / folder, "penetration_m_after").mean())
         assert row["cpu_s"][at] == pytest.approx(entries(whole / folder, "cpu_s").mean())
         assert row["moved_palm_m"][at] == pytest.approx(np.median(entries(whole / folder, "moved_palm_m")))
-    assert row["penetration_m"][0] == pytest.approx(entries(whole / "refined", "penetration_before").mean())
+    assert row["penetration_m"][0] == pytest.approx(entries(whole / "refined", "penetration_m_before").mean())
     assert row["cpu_s"][0] is row["moved_palm_m"][0] is None
 
 

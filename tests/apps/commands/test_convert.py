@@ -122,7 +122,7 @@ def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.C
     results = {
         "quality_before": np.array([0.9, 0.1, 0.1, 0.1, 0.1]),
         "quality_after": np.array([0.2, 0.99, 0.95, 0.91, 0.95]),
-        "penetration_after": np.array([0.0, 2e-3, 0.0, 0.0, 1e-4]),
+        "penetration_m_after": np.array([0.0, 2e-3, 0.0, 0.0, 1e-4]),
         "simulation_after": np.array([True, False, True, True, False]),
     }
     save_npz(Path("results/one.npz"), grasps.arrays() | results)

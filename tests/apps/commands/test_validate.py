@@ -104,10 +104,10 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         assert set(grasp) >= {
             "index", "object", "status", "advice", "iterations", "queries", "wall_s", "cpu_s", "quality",
             "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m",
-            "wrench_residual", "limits_violated", "moved",
+            "wrench_residual", "limits_violated", "moved_palm_m",
             "simulation",
         }  # fmt: skip
-        assert grasp["status"] is None and grasp["moved"] is None
+        assert grasp["status"] is None and grasp["moved_palm_m"] is None
         assert grasp["quality"]["before"] is None and 0 < grasp["quality"]["after"] <= 1
         assert set(after["flags"]) == {"barely", "by_squeeze"}
         assert grasp["penetration_m"]["after"] > 0

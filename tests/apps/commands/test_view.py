@@ -210,7 +210,7 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
         viewer.editor.set_joint(0, 0.1)
         viewer.background.measure()
         settled(viewer)
-        quality = "penetration_after"
+        quality = "penetration_m_after"
         assert np.isnan(viewer.state.collection.columns[quality].values).tolist() == [False, True, True, True]
         viewer.grasps.show(2)
         assert viewer.state.scene.object.rough and viewer.state.job.kind == "cut"

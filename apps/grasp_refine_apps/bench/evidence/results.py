@@ -30,7 +30,7 @@ NOT_SIMULATED = "not simulated"
 """Reason of grasps whose trials failed as a whole."""
 
 MEASURES: Mapping[str, tuple[str | None, str, Callable[..., float]]] = {
-    "penetration_m": ("penetration_before_m", "penetration_after_m", np.mean),
+    "penetration_m": ("penetration_m_before", "penetration_m_after", np.mean),
     "moved_palm_m": (None, "moved_palm_m", np.median),
     "moved_palm_rad": (None, "moved_palm_rad", np.median),
     "cpu_s": (None, "cpu_s", np.mean),

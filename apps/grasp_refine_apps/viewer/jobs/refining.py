@@ -96,7 +96,7 @@ def refine_grasp(
         alone, config, prepared=prepared, on_iteration=on_iteration, on_opening=lambda *done: control.check()
     )
     end = Pose(transform_from_pose(outcome.hand_pose)[0], outcome.q[0])
-    trace = recorder.result(end, outcome.contact_gap[0], float(outcome["loss"][0]))
+    trace = recorder.result(end, outcome.contact_gap[0], float(outcome["loss_m2"][0]))
     return RefinedGrasp(end, recounted(trace, scene, outcome), outcome)
 
 

@@ -115,7 +115,7 @@ def counted_in(work: Work, *, refining: bool = False) -> Counted | None:
 def title_of(state: State) -> str:
     """Return the name of the largest gap of the links that count in the shown pose."""
     counted = counted_of(state)
-    return MEASURES["contact_error"].title if counted is None else counted.title
+    return MEASURES["contact_error_m"].title if counted is None else counted.title
 
 
 def _near(prepared: HandObject, scene: Scene, pose: Pose) -> Counted | None:

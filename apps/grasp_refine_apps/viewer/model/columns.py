@@ -89,13 +89,13 @@ def numeric_columns() -> tuple[Column, ...]:
 
     Their keys are those of result files and of measuring.
     """
-    measures = sorted(MEASURES, key=lambda measure: not measure.of_grasps)
+    measures = sorted((one for one in MEASURES if one.shown), key=lambda one: not one.of_grasps)
     return tuple(column for measure in measures for column in _columns(measure))
 
 
 def measured_columns() -> dict[str, str]:
     """Return key of a column -> the measure of `Metrics` that it is filled from."""
-    return {measure.entries["after"]: measure.name for measure in VALIDATED}
+    return {measure.entries["after"]: measure.name for measure in VALIDATED if measure.shown}
 
 
 STATUS = Column("status", "Status", "how the refinement ended", np.zeros(0, dtype=str))

@@ -116,10 +116,12 @@ class Contacts:
         return contacts(prepared.hand, prepared.object, links, self.witness, T_link, prepared.faces)
 
 
-def distances_text(contact_error: float, penetration: float, title: str = MEASURES["contact_error"].title) -> str:
+def distances_text(contact_error: float, penetration: float, title: str = MEASURES["contact_error_m"].title) -> str:
     """Return text on the contact error and the penetration of a grasp, metres; a NaN error: nothing should touch."""
-    measures = (title, MEASURES["contact_error"], contact_error), ("penetration", MEASURES["penetration"], penetration)
-    error, depth = (f"{name} {measure.text(value)} {measure.unit.symbol}" for name, measure, value in measures)
+    measures = (title, "contact_error_m", contact_error), ("penetration", "penetration_m", penetration)
+    error, depth = (
+        f"{text} {MEASURES[name].text(value)} {MEASURES[name].unit.symbol}" for text, name, value in measures
+    )
     return f"{'nothing near enough to touch' if np.isnan(contact_error) else error}, {depth}"
 
 

@@ -25,4 +25,4 @@ class Counted:
     @property
     def title(self) -> str:
         """Name of their largest gap, or miss of a target."""
-        return REMAINING if self.iteration else MEASURES["contact_error"].title
+        return REMAINING if self.iteration else MEASURES["contact_error_m"].title

@@ -12,7 +12,7 @@ from grasp_refine_apps.viewer.model.columns import HELD, STATUS, Column
 
 NUMBER, MARK, NO_MARK = "number", "mark", "no mark"
 """Keys of number and mark, which need no measure, and label of the filter for grasps without a mark."""
-WORST_KEYS = ("quality_after", "wrench_residual_after", "penetration_after", "contact_error_after")
+WORST_KEYS = ("quality_after", "wrench_residual_after", "penetration_m_after", "contact_error_m_after")
 """Keys of the columns that rank the worst grasps; the first one that is known counts."""
 
 

@@ -123,10 +123,10 @@ def outcome_text(outcome: Outcome) -> str:
     """Text in Markdown on the outcome of one grasp: status, advice, and a table before and after."""
     status = Status(outcome.status[0])
     rows = (
-        (measure.headline, [measure_text(measure, value) for value in outcome[measure.key][0]])
+        (measure.headline, [measure_text(measure, value) for value in outcome[measure.name][0]])
         for measure in COMPARED
         # Those of scenes and arms are known only where there is one.
-        if not (np.isnan(outcome[measure.key][0]).all() and outcome.usable[0])
+        if not (np.isnan(outcome[measure.name][0]).all() and outcome.usable[0])
     )
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)
     count, seconds = int(outcome["iterations"][0]), float(outcome["wall_s"][0])

@@ -18,24 +18,24 @@ ROWS_PER_PAGE = 15
 """Grasps on one page of the table."""
 SHOWN_KEYS = (
     ("quality_after",),
-    ("contact_error_after", "contact_distance_after"),
-    ("penetration_after",),
+    ("contact_error_m_after", "contact_distance_m_after"),
+    ("penetration_m_after",),
     (HELD.key, STATUS.key),
     (HERE.key,),
     (MARK,),
 )
 """Keys of the columns of the table; of several, the first one with known values."""
 SHORT_LABELS = {
-    "contact_error_after": "Error",
-    "contact_distance_after": "Gap",
-    "penetration_after": "Depth",
+    "contact_error_m_after": "Error",
+    "contact_distance_m_after": "Gap",
+    "penetration_m_after": "Depth",
     HELD.key: "Test",
     NUMBER: "#",
 }
 """Shorter labels for the narrow table."""
 WIDTH_CLASSES = {
     "quality_after": "gr-wide",
-    "penetration_after": "gr-wide",
+    "penetration_m_after": "gr-wide",
     STATUS.key: "gr-word",
     HELD.key: "gr-word",
 }

@@ -43,8 +43,8 @@ def block(number: int, reasons: list[list[str]], hand: str = "leap", thing: str 
 def blocks() -> list[Block]:
     held = ["held", "held"]
     return [
-        block(0, [["moved", "held"], held, held], penetration_before_m=[0.001, 0.003], moved_palm_m=[0.0, 0.1]),
-        block(1, [["moved"], ["rotated"], ["rotated"]], thing="ball", penetration_before_m=0.005, moved_palm_m=0.02),
+        block(0, [["moved", "held"], held, held], penetration_m_before=[0.001, 0.003], moved_palm_m=[0.0, 0.1]),
+        block(1, [["moved"], ["rotated"], ["rotated"]], thing="ball", penetration_m_before=0.005, moved_palm_m=0.02),
     ]
 
 
@@ -69,7 +69,7 @@ def test_measures_are_means_but_movements_medians_and_there_is_none_as_given(blo
 
 
 def test_grasps_that_could_not_be_refined_have_no_measure(blocks: list[Block]):
-    lost = block(2, [["not finite"]] * 3, penetration_after_m=np.nan, moved_palm_m=np.nan)
+    lost = block(2, [["not finite"]] * 3, penetration_m_after=np.nan, moved_palm_m=np.nan)
     assert summary("all", [lost], NAMES)["moved_palm_m"][2] is None
     both = summary("all", [blocks[0], lost], NAMES)
     assert both["moved_palm_m"][2] == pytest.approx(0.05)

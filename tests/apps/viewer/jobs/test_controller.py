@@ -81,7 +81,7 @@ def test_a_refinement_ends_where_the_command_line_ends(viewer: Controller) -> No
     assert trace.penetration[0] > 1e-3 and trace.penetration[-1] < 1e-5
     assert state.outcome is not None and state.outcome.quality[0, 1] > 0.95 > state.outcome.quality[0, 0]
     # The remaining gap is of the links that touch in the end; the input grasp has contact links of its own.
-    before, after = state.outcome["contact_error"][0]
+    before, after = state.outcome["contact_error_m"][0]
     assert trace.remaining[0] > 2 * before
     assert trace.remaining[-1] == pytest.approx(after, abs=1e-9)
     assert viewer.contacts(state).contact_error == pytest.approx(after, abs=1e-9)
@@ -268,7 +268,7 @@ def test_with_targets_before_and_the_first_iteration_are_the_same(viewer: Contro
     start = viewer.contacts(viewer.state).contact_error
     viewer.refinement.start()
     settled(viewer, 60.0)
-    trace, (before, after) = viewer.state.trace, viewer.state.outcome["contact_error"][0]
+    trace, (before, after) = viewer.state.trace, viewer.state.outcome["contact_error_m"][0]
     assert trace.remaining[0] == pytest.approx(before, abs=1e-9)
     assert start == pytest.approx(before, abs=1e-9)
     assert viewer.contacts(viewer.state).contact_error == pytest.approx(after, abs=1e-9)
@@ -282,10 +282,10 @@ def test_a_result_file_has_one_contact_error(problem: Problem, tmp_path: Path) -
     for number in range(4):
         viewer.grasps.show(number)
         error = viewer.contacts(viewer.state).contact_error
-        assert error == pytest.approx(measured["contact_error_after"].values[number], abs=1e-7)
+        assert error == pytest.approx(measured["contact_error_m_after"].values[number], abs=1e-7)
         viewer.editor.reset()
         error = viewer.contacts(viewer.state).contact_error
-        assert error == pytest.approx(measured["contact_error_before"].values[number], abs=1e-7)
+        assert error == pytest.approx(measured["contact_error_m_before"].values[number], abs=1e-7)
         viewer.editor.undo()
     viewer.close()
 
@@ -417,7 +417,7 @@ def test_what_was_made_of_a_grasp_is_there_again_and_in_the_table(viewer: Contro
     assert viewer.state.outcome is None and viewer.state.trial is None and viewer.state.unsaved == (0,)
     columns = present(viewer.state).columns
     assert columns["quality_after"].values[0] == pytest.approx(made.outcome.quality[0, 1])
-    assert columns["contact_error_before"].values[0] == pytest.approx(made.outcome["contact_error"][0, 0])
+    assert columns["contact_error_m_before"].values[0] == pytest.approx(made.outcome["contact_error_m"][0, 0])
     assert columns["held"].values.tolist() == ["held" if made.trial.held else "failed", "", "", ""]
     assert columns["here"].values[0].startswith("refined") and columns["here"].values[1] == ""
     assert np.isnan(columns["quality_after"].values[1:]).all()

@@ -52,7 +52,7 @@ def test_there_are_examples() -> None:
 def test_all_say_the_same_before_and_after(hand: str, name: str, tmp_path: Path) -> None:
     problem = load_problem(ProblemSpec(hand=hand, object=name))
     refined = refine_problem(problem, Config(starts=1))
-    before, after = refined.outcome["contact_error"].T
+    before, after = refined.outcome["contact_error_m"].T
     np.testing.assert_allclose(page(problem), before, atol=ROUNDING_M)
     np.testing.assert_allclose(validated(problem), before, atol=ROUNDING_M)
     (path,) = refined.save(tmp_path / "refined.npz")
@@ -60,10 +60,10 @@ def test_all_say_the_same_before_and_after(hand: str, name: str, tmp_path: Path)
     np.testing.assert_allclose(page(again), after, atol=ROUNDING_M)
     np.testing.assert_allclose(validated(again), after, atol=ROUNDING_M)
     with np.load(path) as file:
-        np.testing.assert_allclose(file["contact_error_before"], before, atol=ROUNDING_M)
-        np.testing.assert_allclose(file["contact_error_after"], after, atol=ROUNDING_M)
+        np.testing.assert_allclose(file["contact_error_m_before"], before, atol=ROUNDING_M)
+        np.testing.assert_allclose(file["contact_error_m_after"], after, atol=ROUNDING_M)
     columns = Collection.of(again).columns
-    np.testing.assert_allclose(columns["contact_error_after"].values, after, atol=ROUNDING_M)
+    np.testing.assert_allclose(columns["contact_error_m_after"].values, after, atol=ROUNDING_M)
 
 
 def test_the_input_grasp_is_iteration_0_with_the_same_number(problem: Problem) -> None:
@@ -75,7 +75,7 @@ def test_the_input_grasp_is_iteration_0_with_the_same_number(problem: Problem) -
         outcome, trace = viewer.state.outcome, viewer.state.trace
         assert outcome is not None and trace is not None
         after = viewer.contacts(viewer.state).contact_error
-        np.testing.assert_allclose([opened, after], outcome["contact_error"][0], atol=ROUNDING_M)
+        np.testing.assert_allclose([opened, after], outcome["contact_error_m"][0], atol=ROUNDING_M)
         viewer.player.scrub(0)
         assert viewer.contacts(viewer.state).contact_error == pytest.approx(opened, abs=ROUNDING_M)
         assert title_of(viewer.state) == "contact error"

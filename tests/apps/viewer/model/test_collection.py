@@ -61,7 +61,7 @@ def test_grasps_keep_the_order_that_was_asked_for(results: Path) -> None:
     collection = opened(results, index=(5, 0, 19))
     assert [collection.label(i) for i in range(3)] == ["mug 5", "mug 0", "mug 19"]
     assert collection.row.tolist() == [5, 0, 19]
-    assert np.allclose(collection.columns["contact_error_after"].values, [5e-6, 0.0, 19e-6], atol=1e-12)
+    assert np.allclose(collection.columns["contact_error_m_after"].values, [5e-6, 0.0, 19e-6], atol=1e-12)
 
 
 def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: Path) -> None:
@@ -76,10 +76,10 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     columns = collection.columns
     assert np.allclose(columns["quality_after"].values, 7 * np.arange(20) % 20 / 20)
     assert np.allclose(columns["quality_before"].values, columns["quality_after"].values / 2)
-    assert columns["penetration_after"].text(10) == "0.50"
+    assert columns["penetration_m_after"].text(10) == "0.50"
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
-    assert "contact_distance_after" not in columns
+    assert "contact_distance_m_after" not in columns
 
 
 def test_refined_grasps_in_memory_are_shown_as_their_result_file(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_grasps_of_several_objects_keep_their_own_object_and_targets(tmp_path: P
     assert collection.row.tolist() == [0, 1, 2, 3, 0, 1, 2]
     assert collection.label(5) == "mug 1"
     assert collection.scene(5).object.name == "mug"
-    errors = collection.columns["contact_error_after"].values
+    errors = collection.columns["contact_error_m_after"].values
     assert np.allclose(errors, [0, 1e-6, 2e-6, 3e-6, 0, 1e-6, 2e-6], atol=1e-12)
     collection = collection.with_mark(5, "good")
     collection.save_marks(5)
@@ -150,7 +150,7 @@ def test_drawn_grasps_have_no_file_and_no_marks_to_save() -> None:
         ({"q_before": np.zeros((2, 16))}, ("hand_pose_before", "q_before", "hand_pose")),
         ({"hand_pose_before": np.zeros((20, 7))}, ("hand_pose_before", "row 0", "quaternion")),
         ({"quality_after": np.zeros(3)}, ("quality_after", "(20,)", "(3,)")),
-        ({"loss": np.array(["a"])}, ("loss",)),
+        ({"loss_m2": np.array(["a"])}, ("loss_m2",)),
         ({"status": np.array(["\x1b[2J"] * 20)}, ("status",)),
     ],
 )

@@ -66,7 +66,7 @@ def test_filters_of_what_nobody_knows_find_nothing(collection: Collection) -> No
 
 
 def test_a_column_is_sorted_best_first_at_first(collection: Collection) -> None:
-    keys = ("quality_after", "contact_error_after", "status", NUMBER, "no such column")
+    keys = ("quality_after", "contact_error_m_after", "status", NUMBER, "no such column")
     assert [first_descending(collection, key) for key in keys] == [True, False, False, False, False]
 
 
@@ -92,8 +92,8 @@ def test_the_worst_is_worst_by_quality_else_by_penetration(collection: Collectio
     assert worst(collection) == 0
     assert worst(collection, np.array([3, 7, 1])) == 7
     # Penetration grows with the number.
-    assert worst(collection, key="penetration_after") == 7
-    assert worst(replace(collection, columns={"penetration_after": collection.columns["penetration_after"]})) == 7
+    assert worst(collection, key="penetration_m_after") == 7
+    assert worst(replace(collection, columns={"penetration_m_after": collection.columns["penetration_m_after"]})) == 7
     assert worst(collection, key="status") is None
     assert worst(replace(collection, columns={})) is None
     assert worst(collection, np.zeros(0, dtype=int)) is None

@@ -194,7 +194,7 @@ def test_refinements_heed_the_regions_and_saved_results_tell_them(viewer: Contro
     assert viewer.elsewhere(viewer.state)
     viewer.refinement.start()
     settled(viewer)
-    assert viewer.state.outcome["region_miss"][0, 1] < 5e-4 and not viewer.elsewhere(viewer.state)
+    assert viewer.state.outcome["region_miss_m"][0, 1] < 5e-4 and not viewer.elsewhere(viewer.state)
     works = {0: viewer.state.work}
     recorded = json.loads(str(entries_of(viewer.state.collection, works)["provenance"]))
     assert recorded["regions"] == {"touch": [], "avoid": ["above:z=0.06"]}
@@ -206,4 +206,4 @@ def test_refinements_heed_the_regions_and_saved_results_tell_them(viewer: Contro
     viewer.regions.clear()
     viewer.many.refine([0])
     settled(viewer)
-    assert viewer.state.outcome is not first and np.isnan(viewer.state.outcome["region_miss"]).all()
+    assert viewer.state.outcome is not first and np.isnan(viewer.state.outcome["region_miss_m"]).all()

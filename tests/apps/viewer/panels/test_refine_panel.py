@@ -216,5 +216,5 @@ def test_the_outcome_is_told_with_advice(shown: Shown):
     assert "iterations" in advice
     for measure in COMPARED:
         # Measures of scenes, regions and arms are left out where there is none.
-        without = measure.key in ("scene_penetration", "region_miss", "arm_dexterity")
+        without = measure.name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m")
         assert (f"| {measure.headline} |" in table) != without

@@ -76,7 +76,7 @@ def test_a_page_lists_its_grasps_in_order(collection: Collection) -> None:
     assert page.cells[:5] == [str(expected[0]), "0.840", "0.01", "0.12", "converged"]
     assert page.doing("sort ") == [
         f"sort {key}"
-        for key in ("number", "quality_after", "contact_error_after", "penetration_after", "status", "mark")
+        for key in ("number", "quality_after", "contact_error_m_after", "penetration_m_after", "status", "mark")
     ]
     assert page.doing("page ") == ["page 0", "page 0", "page 2", "page 6"]
     assert "16 to 30 of 100" in "".join(page.cells)
@@ -116,9 +116,9 @@ def test_an_empty_list_has_no_rows(collection: Collection) -> None:
 
 def test_columns_without_any_value_are_left_out(collection: Collection) -> None:
     assert [column.key for column in shown_columns(replace(collection, columns={}))] == ["mark"]
-    gap = Column("contact_distance_after", "Contact distance", "", np.full(100, 1e-3), "mm", 1e3)
-    keys = [column.key for column in shown_columns(replace(collection, columns={"contact_distance_after": gap}))]
-    assert keys == ["contact_distance_after", "mark"]
+    gap = Column("contact_distance_m_after", "Contact distance", "", np.full(100, 1e-3), "mm", 1e3)
+    keys = [column.key for column in shown_columns(replace(collection, columns={"contact_distance_m_after": gap}))]
+    assert keys == ["contact_distance_m_after", "mark"]
 
 
 @pytest.mark.parametrize("key", ["status", "reason"])

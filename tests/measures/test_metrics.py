@@ -73,6 +73,13 @@ def test_fingers_count_once_with_their_nearest_link(hand: Hand, ball: Object) ->
     np.testing.assert_allclose(found.contact_distance_m, [0.0025, 0.004, 0.07], atol=1e-9)
 
 
+def test_contact_errors_are_the_worst_and_the_mean_of_links_that_should_touch(hand: Hand, ball: Object) -> None:
+    """The right pad is too far from the ball to be a contact link in the last grasp."""
+    found = at(hand, ball, [[0.004, 0.001, 0.05], [0.002, 0.002, 0.05], [0.004, 0.05, 0.05]])
+    np.testing.assert_allclose(found.contact_error_m, [0.004, 0.002, 0.004], atol=1e-6)
+    np.testing.assert_allclose(found.contact_error_mean_m, [0.0025, 0.002, 0.004], atol=1e-6)
+
+
 def test_a_finger_is_as_near_as_its_nearest_link(hand: Hand, ball: Object) -> None:
     palm = replace(hand.contacts[0], link="palm")
     found = at(replace(hand, contacts=(*hand.contacts, palm)), ball, [[0.004, 0.0, 0.002], [0.001, 0.0, 0.002]])

@@ -14,6 +14,7 @@ from grasp_refine.measures.formulas import MeasuredRefinement
 from grasp_refine.measures.geometry import movement
 from grasp_refine.measures.measures import (
     COMPARED,
+    COUNT,
     MEASURES,
     METRE,
     MOVEMENTS,
@@ -25,11 +26,10 @@ from grasp_refine.measures.measures import (
 from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.refine import Refinement
 from grasp_refine.results.console import text_of
 from grasp_refine.results.document import measure_entries
 from grasp_refine.results.result_files import refined_set, result_entries
-from grasp_refine.results.result_numbers import measured_entries
+from grasp_refine.results.result_numbers import number_entries
 from grasp_refine.results.table import grasp_table
 from grasp_refine.scene.scene import links_of
 from grasp_refine_apps.batch.rows import column_kinds
@@ -37,37 +37,31 @@ from grasp_refine_apps.viewer.model.columns import numeric_columns
 from made_results import plain_outcome
 from refusals import refused
 
-LENGTHS = ("contact_error", "penetration", "self_penetration", "scene_penetration", "region_miss", "arm_dexterity")
 
-
-def test_keys_in_files_are_those_that_programs_know():
-    entries = {entry for measure in RECORDED for entry in measure.entries.values()}
-    both = ("quality", "wrench_residual", *LENGTHS)
-    assert entries == {
-        *(f"{key}_{side}" for key in both for side in ("before", "after")),
-        *("starts", "iterations", "queries", "loss", "limits_violated", "cpu_s", "wall_s"),
+def test_a_measure_has_one_name_which_ends_in_its_unit():
+    """Result files, the index, JSON, and `Metrics` have these names; of both sides with `_before` and `_after`."""
+    both = {
+        *("quality", "wrench_residual", "contact_error_m", "contact_error_mean_m", "penetration_m"),
+        *("self_penetration_m", "scene_penetration_m", "region_miss_m", "arm_dexterity_m"),
+    }
+    assert {entry for measure in RECORDED for entry in measure.entries.values()} == {
+        *(f"{name}_{side}" for name in both for side in ("before", "after")),
+        *("starts", "iterations", "queries", "loss_m2", "limits_violated", "cpu_s", "wall_s"),
         *("moved_palm_m", "moved_palm_rad", "moved_joints_rad", "moved_slides_m"),
     }
-    columns = {column for measure in RECORDED for column in measure.columns.values()}
-    assert columns == {
-        f"{entry}_m" if entry.startswith(LENGTHS) else entry.replace("loss", "loss_m2") for entry in entries
-    }
-    assert {measure.name for measure in VALIDATED} == {
-        *("quality", "wrench_residual", "contact_error_m", "penetration_m", "self_penetration_m"),
-        "scene_penetration_m",
-        *("region_miss_m", "contact_distance_m", "contact_number", "limits_violated", "arm_dexterity_m"),
-    }
-    assert [measure.key for measure in COMPARED] == list(both)
+    assert {one.name for one in VALIDATED} == {*both, "contact_distance_m", "contact_number", "limits_violated"}
+    assert {one.name for one in COMPARED} == both - {"contact_error_mean_m"}
+    assert all(one.name.endswith(one.unit.suffix) for one in MEASURES)
 
 
 def test_quality_and_contacts_are_better_high_and_errors_and_costs_low():
-    found = {better: {one.key for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
-    assert found["higher"] == {"quality", "contact_number", "arm_dexterity"}
-    assert found[""] == {"starts", *(one.key for one in MOVEMENTS)}
+    found = {better: {one.name for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
+    assert found["higher"] == {"quality", "contact_number", "arm_dexterity_m"}
+    assert found[""] == {"starts", *(one.name for one in MOVEMENTS)}
     assert len(found["lower"]) + 8 == len(MEASURES)
 
 
-@pytest.mark.parametrize("measure", [*MEASURES], ids=lambda one: one.key)
+@pytest.mark.parametrize("measure", [*MEASURES], ids=lambda one: one.name)
 def test_people_read_the_unit_that_is_named(measure: Measure):
     """The factor is that from the SI unit of the key to the symbol."""
     factor = {"mm": 1e3, "mm²": 1e6, "°": 180 / np.pi, "s": 1.0, "": 1.0}[measure.unit.symbol]
@@ -81,37 +75,36 @@ def test_measures_of_a_refinement_are_each_its_own():
     T[1, :3, :3], T[1, 0, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], 0.25
     q = np.array([[0.1, 0.2], [0.1, -0.3]])
     cost = {"starts": 2, "iterations": 3, "queries": 4, "wall_s": 5.0, "cpu_s": 6.0}
-    none = np.zeros((1, 1, 3))
-    refinement = Refinement(
-        T[1:], q[1:], none[..., 0] > 0, none, none, np.ones(1, dtype=int), np.array([[7.0, 8.0]]),
-        **{key: np.array([value]) for key, value in cost.items()},
-    )  # fmt: skip
-    measured = MeasuredRefinement(refinement, movement(T[:1], q[:1], T[1:], q[1:], np.array([False, True])))
-    found = {one.key: one.formula(measured).item() for one in RECORDED if not one.of_grasps}
+    measured = MeasuredRefinement(
+        **{name: np.array([value]) for name, value in cost.items()},
+        loss=np.array([8.0]),
+        movement=movement(T[:1], q[:1], T[1:], q[1:], np.array([False, True])),
+    )
+    found = {one.name: one.formula(measured).item() for one in RECORDED if not one.of_grasps}
     moved = {"moved_palm_m": 0.25, "moved_palm_rad": np.pi / 2, "moved_joints_rad": 0.0, "moved_slides_m": 0.5}
-    assert found == pytest.approx({**cost, "loss": 8.0, **moved}) and [one.key for one in MOVEMENTS] == list(moved)
-    refinement.loss[0, 1] = np.inf
-    assert np.isnan(MEASURES["loss"].formula(measured)).all()
+    assert found == pytest.approx({**cost, "loss_m2": 8.0, **moved}) and [one.name for one in MOVEMENTS] == list(moved)
+    measured.loss[0] = np.inf
+    assert np.isnan(MEASURES["loss_m2"].formula(measured)).all()
 
 
 @pytest.fixture
 def height() -> Iterator[Measure]:
     """A measure that a script has added."""
-    measure = Measure("palm_height", "palm height", "height of the palm", METRE, lambda it: it.T_world_root[:, 2, 3])
+    measure = Measure("palm_height_m", "palm height", "height of the palm", METRE, lambda it: it.T_world_root[:, 2, 3])
     add_measure(measure)
     yield measure
-    MEASURES.remove(measure.key)
+    MEASURES.remove(measure.name)
 
 
 def test_an_added_measure_stands_where_ours_stand(height: Measure):
-    entries = ["palm_height_before", "palm_height_after"]
+    entries = ["palm_height_m_before", "palm_height_m_after"]
     assert height in RECORDED and height in COMPARED and height in VALIDATED and height not in MOVEMENTS
-    outcome = plain_outcome(2, palm_height=[[0.3, 0.1], [0.3, 0.2]])
+    outcome = plain_outcome(2, palm_height_m=[[0.3, 0.1], [0.3, 0.2]])
     assert outcome.entries()[entries[1]].tolist() == [0.1, 0.2]
     assert measure_entries(outcome.entries(), 1)["palm_height_m"] == {"before": 0.3, "after": 0.2}
     assert "palm height" in text_of(grasp_table(outcome, "allegro", Config()))
-    assert [measured_entries()[f"{entry}_m"] for entry in entries] == entries
-    assert {column_kinds()[f"{entry}_m"] for entry in entries} == {"number"}
+    assert [number_entries()[entry] for entry in entries] == entries
+    assert {column_kinds()[entry] for entry in entries} == {"number"}
     assert {column.key: column.unit for column in numeric_columns()}[entries[1]] == "mm"
     hand, ball = load_hand("allegro", candidates=16), load_object("sphere:0.03")
     T = np.tile(np.eye(4), (2, 1, 1))
@@ -121,32 +114,32 @@ def test_an_added_measure_stands_where_ours_stand(height: Measure):
 
 def test_outcomes_from_before_an_addition_have_no_values_of_it():
     outcome = plain_outcome(2)
-    add_measure(Measure("late", "added too late", "added late", METRE, lambda it: it.q[:, 0]))
+    add_measure(Measure("late_m", "added too late", "added late", METRE, lambda it: it.q[:, 0]))
     try:
-        assert "late_after" not in outcome.entries() and "quality_after" in outcome.entries()
+        assert "late_m_after" not in outcome.entries() and "quality_after" in outcome.entries()
         assert "too late" not in text_of(grasp_table(outcome, "allegro", Config()))
     finally:
-        MEASURES.remove("late")
+        MEASURES.remove("late_m")
 
 
 def test_names_of_entries_in_files_are_taken():
     hand = load_hand("allegro", candidates=16)
     links = links_of(hand)
     outcome = plain_outcome(1, links=len(links), q=hand.rest[None])
-    measures = {name for one in MEASURES for entry in one.entries.values() for name in (entry, one.mean_entry(entry))}
+    measures = {entry for one in MEASURES for entry in one.entries.values()}
     written = refined_set(hand, links, outcome).arrays() | result_entries(links, outcome)
-    columns = {*column_kinds()} - {column for one in RECORDED for column in one.columns.values()}
+    columns = {*column_kinds()} - {entry for one in RECORDED for entry in one.entries.values()}
     for name in {*written, *columns} - measures:
         with refused(GraspRefineError, "taken"):
-            add_measure(Measure(name.removesuffix("_before").removesuffix("_after"), "a", "b", METRE, len))
+            add_measure(Measure(name.removesuffix("_before").removesuffix("_after"), "a", "b", COUNT, len))
 
 
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
-        ({"key": "palm height"}, ("key", "'palm height'")),
-        ({"key": "penetration"}, ("'penetration'", "taken")),
-        ({"key": "penetration_m"}, ("'penetration_m'", "taken")),
+        ({"name": "palm height_m"}, ("name", "'palm height_m'")),
+        ({"name": "palm_height"}, ("name", "'palm_height'", "palm_height_m")),
+        ({"name": "penetration_m"}, ("'penetration_m'", "taken")),
         ({"unit": "m"}, ("unit", "Unit", "'m'")),
         ({"formula": 1}, ("formula", "a function")),
         ({"better": "up"}, ("better", "'higher'", "'up'")),
@@ -154,13 +147,13 @@ def test_names_of_entries_in_files_are_taken():
 )
 def test_measures_that_do_not_fit_are_refused(changes: dict[str, Any], parts: tuple[str, ...]):
     with refused(GraspRefineError, *parts):
-        add_measure(Measure(**{"key": "a", "title": "a", "hint": "b", "unit": METRE, "formula": len} | changes))
+        add_measure(Measure(**{"name": "a_m", "title": "a", "hint": "b", "unit": METRE, "formula": len} | changes))
     with refused(GraspRefineError, "a Measure", "'penetration'"):
         add_measure("penetration")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("value", [0.0, np.zeros((2, 1)), np.zeros(3), np.array(["a", "b"])])
 def test_values_of_another_shape_or_type_are_refused(value: Any):
-    measure = Measure("odd", "odd", "odd", METRE, lambda it: value)
+    measure = Measure("odd_m", "odd", "odd", METRE, lambda it: value)
     with refused(GraspRefineError, "odd", "(2,)"):
         measure.values(np.zeros(2))
