@@ -1,6 +1,7 @@
 """Table of all measures of grasps: result files, JSON, indices, tables, histograms and the viewer iterate over it.
 
-A measure has one name everywhere. A new measure is one entry of `MEASURES` and its formula; a script adds its own by `add_measure`.
+A measure has one name everywhere. A new measure is one entry of `MEASURES` and its formula; a
+script adds its own by `add_measure`.
 """
 
 from __future__ import annotations
