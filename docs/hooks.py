@@ -73,12 +73,15 @@ def _command(name: str, what: str) -> list[str]:
     """Paragraphs on a command."""
     import tyro
 
+    from grasp_refine_apps.commands.option_rules import OptionRules
+
     words = name.replace("--", "").split()
     module = import_module(f"grasp_refine_apps.commands.{'_'.join(words)}")
     with warnings.catch_warnings():
         # The only public way to what a parser knows.
         warnings.simplefilter("ignore", DeprecationWarning)
-        parser = tyro.extras.get_parser(getattr(module, "".join(map(str.capitalize, words))))
+        command = getattr(module, "".join(map(str.capitalize, words)))
+        parser = tyro.extras.get_parser(command, registry=OptionRules((), everything=True))
     parts = [f"## {name} {{: #{_anchor(name)} }}", parser.description or what]
     for group in parser._action_groups:
         rows = [row for action in group._group_actions if (row := _option(action))]

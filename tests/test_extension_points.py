@@ -25,7 +25,7 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine_apps.bench.align import variants as align_variants
 from grasp_refine_apps.bench.grasp import variants as grasp_variants
 from grasp_refine_apps.bench.stability import cases
-from grasp_refine_apps.commands.settings import Settings, WeightsOptions
+from grasp_refine_apps.commands.settings import Settings
 from hands.test_robots import JOINTS, MAKERS, PUBLISHED
 from readme import ROOT
 from witness.test_every_method import METHODS as TRIED
@@ -72,8 +72,7 @@ def test_hands_are_compared_with_the_makers():
 
 
 def test_weights_are_options():
-    assert issubclass(WeightsOptions, Weights)
-    assert get_type_hints(Settings)["weights"] is WeightsOptions
+    assert get_type_hints(Settings)["weights"] is Weights
 
 
 # derivative methods

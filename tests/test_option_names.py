@@ -43,7 +43,7 @@ def options() -> set[str]:
             patch.setattr("sys.stdout.write", printed.append)
             with pytest.raises(SystemExit):
                 main([*command.split(), "--help"])
-        for line in re.findall(r"^│ (?:-h, )?(--.*)", "".join(printed), re.MULTILINE):
+        for line in re.findall(r"^. (?:-h, )?(--.*)", "".join(printed), re.MULTILINE):
             found |= set(re.findall(OPTION, line))
     return found - {"--help"}
 

@@ -192,7 +192,9 @@ def test_links_outside_the_site_lead_somewhere(page: str):
 
 def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
-    for command in ("run", "batch", "validate", "view", "hands", "scenes", "convert", "assets fetch", *BENCHES):
+    methods = "run --solver levenberg-marquardt --solver descent --solver adam --derivative distance"
+    others = ("batch", "validate", "view", "hands", "scenes", "convert", "assets fetch", *BENCHES)
+    for command in ("run", methods, *others):
         with pytest.raises(SystemExit):
             main([*command.split(), "--help"])
         known |= set(re.findall(r"--[a-z][\w.-]*", capsys.readouterr().out))

@@ -39,7 +39,7 @@ class SourceSpec:
 
     hand: str | None = None
     """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
-    an asset such as hands/leap, or robot_descriptions/NAME."""
+    an asset such as hands/leap, or robot_descriptions/NAME. By default that of the grasp file."""
     urdf: Path | None = None
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Path | None = None
@@ -55,7 +55,7 @@ class SourceSpec:
     palm of a hand on an arm, else the root."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
-    Where the hand's own file has the arm, `base` alone."""
+    Where the hand's own file has the arm, `base` alone. By default none: the hand floats."""
     mount: str | None = None
     """Link of the arm that the hand is mounted on. By default that of its arm.toml, else its last link."""
     mount_pose: str | None = None
@@ -66,22 +66,23 @@ class SourceSpec:
     degrees)."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
-    folder of convex pieces, or an asset such as ycb/011_banana."""
+    folder of convex pieces, or an asset such as ycb/011_banana. By default that of the grasp file."""
     object_name: str | None = None
-    """Name of the object in the grasp file; needed when it holds several."""
+    """Name of the object in the grasp file; needed where it holds several."""
     objects: Path | None = None
     """All objects of the grasp file: a folder of meshes, or of folders of pieces, named like them, or a TOML file of
     lines name = "path"."""
     scale: float = 1.0
     """Factor on the scale of the mesh in the grasp file, which is 1 for sampled grasps."""
     unit: Unit | None = None
-    """Unit of the object's mesh after scaling."""
+    """Unit of the object's mesh after scaling. By default metres, asked about where that is unlikely."""
     holes: Holes = "refuse"
     """Treatment of an object's mesh with holes: an error, flat caps on flat holes, or its convex hull."""
     format: str | None = None
-    """Format of the grasp file, or of the files in the folder; the help of `refine-grasp convert` describes them."""
+    """Format of the grasp file, or of the files in the folder; the help of `refine-grasp convert` describes them. By
+    default it is detected."""
     index: tuple[int, ...] = ()
-    """Numbers of the grasps of each object; 0 is its first one in the file."""
+    """Numbers of the grasps of each object; 0 is its first one in the file. By default all."""
     table: float | None = None
     """Height (metres) of a table in the object's frame, z up, that no link may go through."""
     scene: str | None = None

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, fields, replace
 from errno import ENOSPC
 from pathlib import Path
 from shutil import disk_usage
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 from uuid import uuid4
 
 from rich.console import Console
-from tyro.conf import Positional, Suppress, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
@@ -41,7 +41,8 @@ from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.batch.table import batch_table
 from grasp_refine_apps.batch.words import grasps, mebibytes
 from grasp_refine_apps.batch.work import ShardWork, unusable_objects
-from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.inputs import Inputs, Sources
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.sharding import Sharding
@@ -60,8 +61,10 @@ MAX_NAMED = 10
 class Defaults(Inputs):
     """Inputs of a job that it does not specify itself."""
 
-    grasps: Suppress[Path | None] = None
-    index: Suppress[tuple[int, ...]] = ()
+    groups: ClassVar[tuple[OptionGroup, ...]] = (
+        OptionGroup("grasps", "Grasps of jobs that do not say otherwise.", ("targets", "format", "as_is")),
+        *Sources.groups[1:],
+    )
 
     def plain(self) -> Inputs:
         """Return these inputs as those of one job."""
@@ -70,7 +73,9 @@ class Defaults(Inputs):
 
 @dataclass(frozen=True)
 class Output:
-    """Outputs of the command."""
+    """Files that are written."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output"),)
 
     out: Path = Path("grasp-refine-batch")
     """Folder of the results: <job>/<hand>_<object>_<part>.npz, index.parquet or .csv, report.html."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from rich.console import Console
@@ -19,6 +19,7 @@ from grasp_refine.validation.margins.draws import MAX_DRAWS, Draws, draw
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.margins.margins import Margins, check_pushes
 from grasp_refine.validation.validate import Validated
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import OptionalFile
 from grasp_refine_apps.margins.charts import Side
 from grasp_refine_apps.margins.page import page
@@ -27,7 +28,9 @@ from grasp_refine_apps.report.command_line import flag
 
 @dataclass(frozen=True)
 class MarginsOptions:
-    """Margins of the grasps."""
+    """Margins of the grasps: what they hold when friction, mass, pose and contacts differ."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("margins"),)
 
     margins: bool = False
     """Try each grasp again in worlds drawn at random, with all factors at once and with each alone (pose of the object,

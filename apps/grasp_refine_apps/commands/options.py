@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
-from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.commands.option_rules import OptionRules
 from grasp_refine_apps.report.command_line import flag
 
 Command = TypeVar("Command")
@@ -48,32 +48,12 @@ MAY_BE_INFINITE = ("max_move",)
 """Limits that may be infinite."""
 
 
-def _indices(words: list[str]) -> tuple[int, ...]:
-    """Integers separated by spaces or commas.
-
-    Raises:
-        ValueError: a word is no integer.
-    """
-    return tuple(int(word) for word in ",".join(words).split(",") if word)
-
-
-INDICES = PrimitiveConstructorSpec(
-    nargs="*",
-    metavar="I [I ...]",
-    instance_from_str=_indices,
-    is_instance=lambda value: isinstance(value, tuple),
-    str_from_instance=lambda value: [str(number) for number in value],
-)
-"""Constructor of an option that takes integers, as in 0 3 7 or 0,3,7."""
-
 _FRAME, _RULE = "│| \n", "│╭╮╰╯─|+- "
 """Characters of tyro's boxes, also of its ASCII ones."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _PUNCTUATION = re.compile(r"[.;:?]$")
 _CHOICES = re.compile(r"(?<=one of )\('[^()]*'\)")
 _UNRECOGNIZED = "unrecognized options: "
-_OPTIONS_CLASS = re.compile(r"^(\w+)Options: (\w+)")
-"""Beginning of a message about a field of a class of options, as in "WeightsOptions: contact"."""
 
 
 def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Command:
@@ -83,12 +63,12 @@ def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Com
         GraspRefineError: options that do not exist, have no value or a wrong one.
         SystemExit: with code 0, after `--help` was printed.
     """
-    stderr = io.StringIO()
+    stderr, rules = io.StringIO(), OptionRules(arguments)
     try:
         with contextlib.redirect_stderr(stderr):
-            parsed = tyro.cli(command, prog=program, args=arguments)
+            parsed = tyro.cli(command, prog=program, args=arguments, registry=rules)
     except GraspRefineError as error:
-        raise GraspRefineError(_OPTIONS_CLASS.sub(_option_of_field, str(error))) from None
+        raise GraspRefineError(rules.with_option(str(error))) from None
     except SystemExit as end:
         if not end.code:
             raise
@@ -96,12 +76,6 @@ def parse(command: type[Command], program: str, arguments: Sequence[str]) -> Com
         raise GraspRefineError(f"{complaint}{_grasps_hint(complaint, command)}; see {program} --help") from None
     sys.stderr.write(stderr.getvalue())
     return parsed
-
-
-def _option_of_field(found: re.Match[str]) -> str:
-    """Return the option of a field: "WeightsOptions: contact" -> "--weights.contact"."""
-    group = re.sub(r"(?<!^)(?=[A-Z])", "-", found[1]).lower()
-    return f"--{group}.{found[2].replace('_', '-')}"
 
 
 def _one_line(box: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from tyro.conf import DisallowNone, arg
@@ -23,6 +23,7 @@ from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Replay, save_replay
 from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Trials
+from grasp_refine_apps.commands.option_rules import OptionGroup
 
 MAX_RECORDED = 20
 """Maximum number of grasps recorded at once: each takes some megabytes."""
@@ -30,7 +31,9 @@ MAX_RECORDED = 20
 
 @dataclass(frozen=True)
 class Recording:
-    """Recordings of a simulation."""
+    """Recordings of a simulation, to look at."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("recording"),)
 
     replays: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """Record each grasp in its worst direction into this folder: .npz with all joint values over time, .xml that opens

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -36,6 +36,7 @@ from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import links_of
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import ValidationOptions
@@ -47,6 +48,8 @@ from grasp_refine_apps.report.screen import screen
 @dataclass(frozen=True)
 class Output:
     """Outputs of the command."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output", "Files, tables, trajectories, the viewer."),)
 
     out: Path = Path("grasp-refine-results")
     """Folder for the refined grasps, <hand>_<object>.npz."""
@@ -76,7 +79,9 @@ class Output:
 class Run:
     """Refine grasps of a hand on an object, and compare them before and after.
 
-    Without options, the example grasps of the embedded hand on the embedded mug.
+    Without options, the example grasps of the embedded hand on the embedded mug. Your own: run --hand leap --grasps
+    mine.npz; 16 new grasps on a mesh in millimetres: run --hand leap --object cup.stl --unit mm --grasps sample:16.
+    With --validate, grasps are simulated before and after; with --geometry-only they only move into contact.
     """
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)

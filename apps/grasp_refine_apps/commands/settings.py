@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from math import inf
 from operator import attrgetter
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_type_hints
 
-from tyro.conf import DisallowNone, Suppress, arg
+from tyro.conf import DisallowNone, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
@@ -30,8 +30,10 @@ from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import check_device, check_numbers
 from grasp_refine_apps.report.command_line import flag
+from grasp_refine_apps.report.fields import Without
 
 FIRST_ORDER_TOLERANCE = 1e-7
 """Default of --tolerance with descent and adam, which converge slowly to smaller losses, m^2."""
@@ -58,90 +60,34 @@ THREE = PrimitiveConstructorSpec(
 )
 """Constructor of an option that takes three numbers."""
 
-
-# Fields with an option of their own, without a prefix, are left out of the options of a method.
-@dataclass(frozen=True)
-class DescentOptions(Descent):
-    """Options of normalised gradient descent."""
-
-    iterations: Suppress[int] = Descent.iterations
-    transport: Suppress[bool] = Descent.transport
-
-
-@dataclass(frozen=True)
-class AdamOptions(Adam):
-    """Options of Adam."""
-
-    iterations: Suppress[int] = Adam.iterations
-    transport: Suppress[bool] = Adam.transport
-
-
-@dataclass(frozen=True)
-class LevenbergMarquardtOptions(LevenbergMarquardt):
-    """Options of Levenberg-Marquardt."""
-
-    iterations: Suppress[int] = LevenbergMarquardt.iterations
-
-
-@dataclass(frozen=True)
-class ContactKinematicsOptions(ContactKinematics):
-    """Options of contact kinematics."""
-
-    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
-    seed: Suppress[int] = ContactKinematics.seed
-
-
-@dataclass(frozen=True)
-class DistanceOptions(Distance):
-    """Options of distance smoothing."""
-
-    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
-    seed: Suppress[int] = Distance.seed
-
-
-@dataclass(frozen=True)
-class DirectionOptions(Direction):
-    """Options of direction smoothing."""
-
-    neighborhood: Suppress[Adaptive | Fixed | Neighbor] = field(default_factory=Adaptive)
-    seed: Suppress[int] = Direction.seed
-
-
-@dataclass(frozen=True)
-class ZerothOrderOptions(ZerothOrder):
-    """Options of zeroth-order smoothing."""
-
-    seed: Suppress[int] = ZerothOrder.seed
-
-
-@dataclass(frozen=True)
-class AnalyticalOptions(Analytical):
-    """Options of analytical derivatives."""
-
-
-@dataclass(frozen=True)
-class FiniteDifferenceOptions(FiniteDifference):
-    """Options of finite differences."""
-
-
-@dataclass(frozen=True)
-class RigidOptions(Rigid):
-    """Options of rigid points: there are none."""
-
-
-@dataclass(frozen=True)
-class WeightsOptions(Weights):
-    """Weights of the loss terms; target directions of contacts exist in Python only."""
-
-    direction: Suppress[float] = Weights.direction
+OF_SOLVER, OF_DERIVATIVE = Without("iterations", "transport"), Without("neighborhood", "seed")
+"""Fields of methods that all of their kind share: they have an option of their own, without a prefix."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """Options of the refinement. A method chosen by name has its options in the field of that name."""
 
+    groups: ClassVar[tuple[OptionGroup, ...]] = (
+        OptionGroup(
+            "refinement",
+            "Aim and effort of the refinement.",
+            (
+                *("geometry_only", "starts", "max_move", "contacts", "reach", "other_link_distance"),
+                *("margin", "clearance", "pressure", "seconds", "iterations", "tolerance", "seed", "solver"),
+            ),
+        ),
+        OptionGroup(
+            "method",
+            "Numbers of the solver, and the derivatives and devices of descent and adam.",
+            ("derivative", "neighborhood", "transport", "width", "dtype", "device", "weights", "scales"),
+            on_demand="--solver",
+        ),
+    )
+
     solver: Literal["levenberg-marquardt", "descent", "adam"] = "levenberg-marquardt"
-    """Solver: damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam."""
+    """Solver: damped Gauss-Newton steps, normalised gradient descent (the paper's), or Adam. `refine-grasp run --solver
+    NAME --help` shows its own options, derivatives and the weights of the loss."""
     derivative: Literal[
         "contact-kinematics", "distance", "direction", "analytical", "zeroth-order", "finite-difference", "rigid"
     ] = "contact-kinematics"
@@ -201,32 +147,33 @@ class Settings:
     """Number type of kinematics and losses; collision queries always run in double precision."""
     device: str = Config.device
     """Torch device of kinematics and losses, such as cuda; collision queries always run on the CPU."""
-    levenberg_marquardt: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+    levenberg_marquardt: Annotated[LevenbergMarquardt, OF_SOLVER] = field(default_factory=LevenbergMarquardt)
     """With --solver levenberg-marquardt."""
-    descent: DescentOptions = field(default_factory=DescentOptions)
+    descent: Annotated[Descent, OF_SOLVER] = field(default_factory=Descent)
     """With --solver descent."""
-    adam: AdamOptions = field(default_factory=AdamOptions)
+    adam: Annotated[Adam, OF_SOLVER] = field(default_factory=Adam)
     """With --solver adam."""
-    contact_kinematics: ContactKinematicsOptions = field(default_factory=ContactKinematicsOptions)
+    contact_kinematics: Annotated[ContactKinematics, OF_DERIVATIVE] = field(default_factory=ContactKinematics)
     """With --derivative contact-kinematics."""
-    distance: DistanceOptions = field(default_factory=DistanceOptions)
+    distance: Annotated[Distance, OF_DERIVATIVE] = field(default_factory=Distance)
     """With --derivative distance."""
-    direction: DirectionOptions = field(default_factory=DirectionOptions)
+    direction: Annotated[Direction, OF_DERIVATIVE] = field(default_factory=Direction)
     """With --derivative direction."""
-    analytical: AnalyticalOptions = field(default_factory=AnalyticalOptions)
+    analytical: Analytical = field(default_factory=Analytical)
     """With --derivative analytical."""
-    zeroth_order: ZerothOrderOptions = field(default_factory=ZerothOrderOptions)
+    zeroth_order: Annotated[ZerothOrder, OF_DERIVATIVE] = field(default_factory=ZerothOrder)
     """With --derivative zeroth-order."""
-    finite_difference: FiniteDifferenceOptions = field(default_factory=FiniteDifferenceOptions)
+    finite_difference: FiniteDifference = field(default_factory=FiniteDifference)
     """With --derivative finite-difference."""
-    rigid: Suppress[RigidOptions] = field(default_factory=RigidOptions)
+    rigid: Rigid = field(default_factory=Rigid)
+    """With --derivative rigid; it has no options."""
     adaptive: Adaptive = field(default_factory=Adaptive)
     """With --neighborhood adaptive."""
     fixed: Fixed = field(default_factory=Fixed)
     """With --neighborhood fixed."""
     neighbor: Neighbor = field(default_factory=Neighbor)
     """With --neighborhood neighbor."""
-    weights: WeightsOptions = field(default_factory=WeightsOptions)
+    weights: Annotated[Weights, Without("direction")] = field(default_factory=Weights)
     """Weights of the terms of the loss, a sum of squares."""
     scales: Scales = field(default_factory=Scales)
     """Movements that count the same, with --weights.stay-near."""
@@ -263,7 +210,7 @@ class Settings:
                 self.reach, self.other_link_distance, max(self.reach, ContactSelection.farthest), self.contacts
             ),
             nearest=nearest,
-            weights=_method(replace(self.weights, wrench=0.0) if self.geometry_only else self.weights),
+            weights=replace(self.weights, wrench=0.0) if self.geometry_only else self.weights,
             scales=self.scales,
             max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
             starts=self.starts,
@@ -339,8 +286,6 @@ def _field(method: str) -> str:
     return method.replace("-", "_")
 
 
-def _method(options: Any, **others: object) -> Any:
-    """Return the method that `options` describe; `others` are values with options of their own, for its fields."""
-    given = {field.name: getattr(options, field.name) for field in fields(options)}
-    described: Any = type(options).__base__
-    return described(**given | {name: value for name, value in others.items() if name in given})
+def _method(method: Any, **shared: object) -> Any:
+    """Return a method with the values of `shared` that it has fields for."""
+    return replace(method, **{name: value for name, value in shared.items() if hasattr(method, name)})

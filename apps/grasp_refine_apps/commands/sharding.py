@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.cores import usable_cores
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import check_numbers
 
 MIN_PATIENCE_S = 5.0
@@ -18,7 +19,9 @@ MIN_PATIENCE_S = 5.0
 
 @dataclass(frozen=True)
 class Sharding:
-    """Division of the work."""
+    """Division of the work among processes, machines and calls."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("work"),)
 
     workers: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: the cores of this machine)")] = None
     """Number of processes on this machine; each takes 0.4 to 1 GB, and is replaced when it crashes or hangs."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, radians
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import DisallowNone, arg
 
@@ -16,6 +16,7 @@ from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.scene.protocols.registry import DEFAULT, PROTOCOLS, default_protocol
 from grasp_refine.validation.engine_choice import EngineChoice
 from grasp_refine.validation.validate import Checks
+from grasp_refine_apps.commands.option_rules import OptionGroup
 
 ProtocolOption = Annotated[
     str,
@@ -35,6 +36,8 @@ MAX_PUSH_S = 60.0
 @dataclass(frozen=True)
 class Simulation:
     """Simulation of the grasps."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("simulation"),)
 
     simulate: bool = True
     """Simulate the grasps, in addition to measuring their geometry."""
@@ -94,6 +97,8 @@ def _checks(protocol: Protocol, seconds: float) -> int:
 class Robustness:
     """Further trials with one thing changed, of your choice; --margins draws everything that nobody knows."""
 
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("further trials"),)
+
     noise: int = 0
     """Number of random offsets of the object at which each grasp is tried again; the score is the share that holds."""
     noise_offset: float = Noise.offset
@@ -121,6 +126,8 @@ class Robustness:
 @dataclass(frozen=True)
 class ValidationOptions:
     """Validation in simulation; `refine-grasp validate` can do more."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("simulation"),)
 
     validate: bool = False
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from rich.markup import escape
@@ -40,6 +40,7 @@ from grasp_refine_apps.commands.margins_options import (
     margins_page,
     show_margins,
 )
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.commands.recording import Recording
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
@@ -50,7 +51,9 @@ from grasp_refine_apps.report.screen import screen
 
 @dataclass(frozen=True)
 class Output:
-    """Outputs of the command."""
+    """What is compared, shown and written."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output"),)
 
     compare: Annotated[
         DisallowNone[tuple[Path, Path] | None], arg(metavar="BEFORE AFTER", help_behavior_hint="(default: none)")

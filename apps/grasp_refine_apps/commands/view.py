@@ -12,7 +12,7 @@ import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from tyro.conf import DisallowNone, Positional, arg
@@ -29,6 +29,7 @@ from grasp_refine.problem.load import Loader
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.validation.replay.replay import Stage
 from grasp_refine_apps.commands.inputs import Inputs
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite
 from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.report.json_document import save_document
@@ -54,6 +55,8 @@ CLEANUP_LIMIT_S = 5.0
 @dataclass(frozen=True)
 class Serving:
     """Address of the page."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("page"),)
 
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0: all of this machine. By default only this machine can open the page; with any

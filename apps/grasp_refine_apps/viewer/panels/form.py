@@ -8,25 +8,23 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
-from functools import cache, partial
+from functools import partial
 from operator import attrgetter
 from threading import RLock, Timer
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import viser
-from docstring_parser import parse_from_object
-from tyro.conf import Suppress
 from tyro.constructors import PrimitiveConstructorSpec
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.report.command_line import in_options
+from grasp_refine_apps.report.fields import Without, docs_of
 from grasp_refine_apps.viewer.panels.units import FieldUnit
 from grasp_refine_apps.viewer.server.viser_private import widget_id
 
 REFUSAL_DELAY_S = 1.5
 """Seconds after the last key until invalid text is refused: until then it may be half typed."""
 
-_SUPPRESSED = get_args(Suppress[int])[1]
 _NONE = type(None)
 _DEFAULT = re.compile(r"\(default: (.*?)\)")
 _OPTION = re.compile(r"--([a-z][a-z0-9-]*)(?:\.([a-z][a-z0-9-]*))?")
@@ -255,13 +253,16 @@ def in_unit(entry: Entry, unit: FieldUnit, default: Any) -> Entry:
     )
 
 
-def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Section, ...]:
-    """Return the entries of the fields of a dataclass in order, without those that tyro suppresses.
+def parts_of(
+    kind: type, prefix: str = "", about: str = "", left_out: Collection[str] = ()
+) -> tuple[Entry | Section, ...]:
+    """Return the entries of the fields of a dataclass in order.
 
     Args:
         kind: The dataclass.
         prefix: Prefix of the names of its fields.
         about: Text before the hint of each field.
+        left_out: Names of fields without a widget.
 
     Raises:
         TypeError: a field is of a type that no widget can show.
@@ -276,13 +277,14 @@ def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Sec
     parts: list[Entry | Section] = []
     for one in fields(kind):
         inner, extras = _unwrapped(hints[one.name])
-        if _SUPPRESSED in extras:
+        if one.name in left_out:
             continue
         name, label, doc = f"{prefix}{one.name}", label_of(one.name), docs_of(kind).get(one.name, "")
         if isinstance(inner, type) and is_dataclass(inner):
             choice = one.name.replace("_", "-")
             chosen_by = choosers.get(choice, "")
-            inside = parts_of(inner, f"{name}.", "" if chosen_by else doc)
+            without = {given for extra in extras if isinstance(extra, Without) for given in extra.names}
+            inside = parts_of(inner, f"{name}.", "" if chosen_by else doc, without)
             if inside:
                 parts.append(Section(name, label, inside, chosen_by, choice if chosen_by else ""))
         else:
@@ -291,18 +293,6 @@ def parts_of(kind: type, prefix: str = "", about: str = "") -> tuple[Entry | Sec
                 hint = hint.replace("None", "empty")
             parts.append(Entry(name, label, plain(hint), *_widget(name, inner, extras)))
     return tuple(parts)
-
-
-@cache
-def docs_of(kind: type) -> dict[str, str]:
-    """The docstring of each field of a dataclass, its bases' too, each in one line."""
-    found = {
-        param.arg_name: " ".join((param.description or "").split())
-        for base in reversed(kind.__mro__)
-        if is_dataclass(base)
-        for param in parse_from_object(base).params
-    }
-    return {name: text for name, text in found.items() if text}
 
 
 def label_of(name: str) -> str:

@@ -9,19 +9,19 @@ from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 import pytest
-from tyro.conf import Suppress, arg
+from tyro.conf import arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.scales import Scales
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.report.fields import Without, docs_of
 from grasp_refine_apps.viewer.panels.form import (
     Entry,
     Form,
     Section,
     as_text,
-    docs_of,
     parts_of,
     plain,
     with_value,
@@ -156,6 +156,7 @@ class Inner:
 
     depth: float = 1.5
     """How deep."""
+    hidden: int = 3
 
 
 @dataclass(frozen=True)
@@ -163,9 +164,8 @@ class Other:
     """Any dataclass."""
 
     kind: Literal[1, 2] = 1
-    hidden: Suppress[int] = 3
     named: Annotated[str | None, arg(help_behavior_hint="(default: nobody)")] = None
-    inner: Inner = field(default_factory=Inner)
+    inner: Annotated[Inner, Without("hidden")] = field(default_factory=Inner)
 
 
 def test_any_dataclass_will_do():
