@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 DAMAGED = (OSError, EOFError, MemoryError, NotImplementedError, RuntimeError)
-"""Errors that a damaged archive raises, besides those of zipfile: an absurd array size is MemoryError, an unknown
+"""Errors that a damaged archive raises, besides zipfile's own: an absurd array size is MemoryError, an unknown
 compression NotImplementedError, an encrypted entry RuntimeError."""
 
 ZIP_ERRORS = (*DAMAGED, zipfile.BadZipFile, zlib.error, struct.error, ValueError, LookupError)
@@ -40,7 +40,7 @@ MAX_UNPACKED_BYTES = 2**31
 MEMORY_ALLOWANCE_BYTES = 2**26
 """Bytes that the arrays read may take as float64, however small the file: 64 MiB."""
 MAX_MEMORY_RATIO = 16
-"""Most bytes beyond that, as a multiple of the file's size. Tightly packed float32 poses take 3 times, those with long
+"""Most bytes beyond that, as a multiple of the file's size. Tightly packed float32 poses take 3 times, poses with long
 object names and empty targets 10 times; zeros are packed to a thousandth."""
 MAGIC = b"\x93NUMPY"
 """First bytes of an array file."""

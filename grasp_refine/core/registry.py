@@ -1,4 +1,4 @@
-"""Registry of named entries: ours, those of installed packages by entry points, and those that a script adds."""
+"""Registry of named entries: ours, entries of installed packages by entry points, and entries added by a script."""
 
 from __future__ import annotations
 
@@ -147,5 +147,5 @@ class View(Sequence[Entry]):
     @overload
     def __getitem__(self, place: slice) -> Sequence[Entry]: ...
     def __getitem__(self, place: int | slice) -> Entry | Sequence[Entry]:
-        """Return the entry at a place, or those of a slice."""
+        """Return the entry at an index, or the entries of a slice."""
         return tuple(iter(self))[place]

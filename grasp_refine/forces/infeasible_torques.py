@@ -23,7 +23,7 @@ LEVER_M = 0.06
 
 @dataclass(frozen=True, eq=False)
 class InfeasibleTorques:
-    """Torques that a hand cannot make, over `LEVER_M`: first those of coupled joints, then those in modes."""
+    """Torques that a hand cannot make, over `LEVER_M`: first of coupled joints, then in modes."""
 
     hand: Hand
     chain: Chain

@@ -20,7 +20,7 @@ from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 
 CONTACT_STIFFNESS = 5e4
-"""Stiffness in N/m, in any direction, of a contact with the mean pressure of those of its grasp, as in simulations: a
+"""Stiffness in N/m, in any direction, of a contact with the mean pressure of its grasp, as in simulations: a
 fingertip that presses with 5 N sinks in by 0.1 mm. That of others is in proportion to their pressures."""
 
 TORSION_LEVER_M = 0.01
@@ -113,8 +113,9 @@ def _moved_torques(
 ) -> Float[np.ndarray, "N n n"]:
     """Return the derivatives (N, n, n) of the joint torques J^T f by the joint values, at forces that stay the same.
 
-    A joint turns those beyond it, and the points of their links: for a joint i before j, or j itself, the derivative of
-    f . V_j(p) is f . (w_i x V_j(p)). Of joints that follow others on a curve, the change of slope is left out.
+    A joint turns the joints beyond it, and the points of their links: for a joint i before j, or j itself, the
+    derivative of f . V_j(p) is f . (w_i x V_j(p)). Of joints that follow others on a curve, the change of slope is left
+    out.
     """
     v, w = (frames.axes[:, part, 6:].mT for part in (slice(3), slice(3, 6)))
     moves = chain.joint_mask(link)[..., 6:, None]

@@ -22,7 +22,7 @@ TOUCHING_M = 2e-4
 """Depth in metres up to which two bodies only touch."""
 
 SELF_TOUCHING_M = 5e-4
-"""The same for two links, which a refined grasp may leave in each other by that much."""
+"""Largest allowed depth of two links in each other, which a refined grasp may leave."""
 
 Overlaps = tuple[np.ndarray, float, np.ndarray, tuple[str, ...], tuple[str, ...]]
 """Depths (K, P) of pairs in metres, what is allowed of them, places (K, P, 3), and the names of both sides (P,)."""

@@ -98,7 +98,7 @@ class Way:
     why: str
     """Obstacle in the way, or leg out of reach, in words; empty where the way is free."""
     legs: tuple[HandPath, ...]
-    """Paths of `LEGS`, as set points; those up to the first that is not free, none where there is no grasp."""
+    """Paths of `LEGS`, as set points, up to the first that is not free; none where there is no grasp."""
     direction: tuple[float, float, float] | None = None
     """Unit vector from the pregrasp to the start of the approach, in the object's frame."""
     obstruction: Obstruction | None = None

@@ -1,4 +1,4 @@
-"""Problems on arms: grasps of a hand become those of the hand on an arm, whose base stands in the object's frame."""
+"""Problems on arms: grasps of a hand become grasps of the hand on an arm, whose base stands in the object's frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ MAX_REASONS = 5
 """Number of grasps out of reach whose reasons are noted; the others are counted."""
 
 MAX_SUNK_M = 0.02
-"""Depth of the base in a body of the scene, in metres, from which on it is told: bases stand on tables, not in them."""
+"""Depth of the base in a body of the scene, in metres, from which on it is reported: bases stand on tables, not in
+them."""
 
 
 def check_arm(spec: SourceSpec) -> None:
@@ -100,7 +101,7 @@ def check_base(problem: Problem, spec: SourceSpec) -> None:
 
 
 def problem_on_arm(problem: Problem, spec: SourceSpec, *, seed: int = 0) -> Problem:
-    """Return the grasps of a hand as those of the hand on an arm, with their arms by inverse kinematics.
+    """Return the grasps of a hand as grasps of the hand on an arm, solved by inverse kinematics.
 
     Args:
         problem: The hand on its arm, and grasps of the hand alone, or such as begin at the base of the arm already;
@@ -261,7 +262,7 @@ def reach_of(
 
 
 def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:
-    """Return the function that tells how far the moving links of the arm are from object, table and other bodies."""
+    """Return the function that measures the distance of the moving arm links from object, table and other bodies."""
     arm = hand.arm
     assert arm is not None
     moving = arm.links - arm.standing

@@ -66,7 +66,7 @@ def problem_of(
 
     Args:
         hand: The hand.
-        obj: The object, or its mesh as for `load_object`, in metres; scales of the grasps are those of its mesh.
+        obj: The object, or its mesh as for `load_object`, in metres; scales of the grasps apply to its mesh.
         grasps: Grasps on this object alone, joint values by name.
         table: Height (metres) of a table in the object's frame, z up; None: there is none.
         scene: Bodies around the object, as of `load_scene`; None: there are none.
@@ -74,7 +74,7 @@ def problem_of(
             metres, roll, pitch, yaw in degrees. Needed for grasps that give poses of its palm, which inverse kinematics
             reaches.
         touch: Regions of the object in which links should touch it, or their specifications (`contact_regions`); none:
-            those of the scene, else everywhere.
+            the scene's, else everywhere.
         avoid: Regions in which they should not touch it.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames than the arguments of
             `GraspSet`, such as joint values in degrees; they are then warned about, not refused.
@@ -91,7 +91,7 @@ def problem_of(
     if len(names) > 1 or len(np.unique(grasps.scale)) > 1:
         listing = ", ".join(f"{name} ({np.count_nonzero(grasps.object == name)})" for name in names)
         raise GraspRefineError(
-            f"the grasps are on several objects or scales: {listing}; choose those on {obj.name} with "
+            f"the grasps are on several objects or scales: {listing}; choose the grasps on {obj.name} with "
             "grasps.select(...), or give the file to load_problem"
         )
     plane = None if table is None else Plane(offset=table)

@@ -1,4 +1,4 @@
-"""Signs that the poses of a grasp file are those of another frame than the hand's base link: a turned one, or a link.
+"""Signs that the poses of a grasp file use another frame than the hand's base link: rotated, or a link.
 
 A grasp *fits* when no link is deeper than `DEEP_M` in the object, and two fingers are within `NEAR_M` of it: jaws when
 they are closed, the fingers of other hands as they are.
@@ -43,7 +43,7 @@ class Reading:
     """A frame whose poses a file may give."""
 
     name: str
-    """What poses are, for people, such as "turned by 90 degrees about z"."""
+    """Description of the frame for people, such as "turned by 90 degrees about z"."""
     T_frame_base: Float[np.ndarray, "4 4"]
     """Pose (4, 4) of the hand's base link in it."""
 
@@ -88,7 +88,7 @@ def frame_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
         return f"{fit} of {count} grasps fit the object{penetrate}"
 
     return (
-        f"poses look like those of another frame than link {some[0].hand.base_link}: as read, "
+        f"poses look like poses of another frame than link {some[0].hand.base_link}: as read, "
         f"{said(int(fits.sum()), depth)}; {best.name}, {said(round(most * count), its_depth)}: check the frame",
     )
 
@@ -141,7 +141,7 @@ def _readings(hand: Hand) -> Iterator[Reading]:
         seen.append(transform(R, np.zeros(3)))
     links = tuple(sorted(hand.fixed_to(hand.base_link) - {hand.base_link}))
     frames = dict(zip(links, Chain(hand, links)(still[None], hand.rest[None]).T_world_link[0], strict=True))
-    readings = [(f"as those of link {link}", T) for link, T in frames.items()]
+    readings = [(f"as poses of link {link}", T) for link, T in frames.items()]
     if (middle := _middle(hand)) is not None:
         origin = "with the origin between the fingers"
         readings += [(origin, transform(np.eye(3), middle))]
@@ -165,13 +165,13 @@ def _middle(hand: Hand) -> Float[np.ndarray, " 3"] | None:
 
 
 def _turns() -> list[tuple[Float[np.ndarray, "3 3"], str]]:
-    """Return the 23 rotations (3, 3) that take axes to axes, those about z first, with names for people."""
+    """Return the 23 rotations (3, 3) that take axes to axes, about z first, with names for people."""
     found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         R = np.eye(3)[list(order)] * np.array(signs)[:, None]
         if np.linalg.det(R) > 0.0 and not np.array_equal(R, np.eye(3)):
             found.append((R, _turn_name(R)))
-    # Those about one axis before others, quarter turns before half turns.
+    # Rotations about one axis before others, quarter turns before half turns.
     return sorted(found, key=lambda turn: (not turn[1].endswith("about z"), -np.trace(turn[0]), turn[1]))
 
 

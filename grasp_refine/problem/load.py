@@ -314,7 +314,7 @@ class Loader:
             raise GraspFileError(f"{wanted}: has no targets (target_link, target_point_link, target_point_object)")
         if len(other) != len(grasps) or (other.object != grasps.object).any():
             raise GraspFileError(
-                f"{wanted}: its rows must be those of {path}: {len(other)} against {len(grasps)} grasps"
+                f"{wanted}: its rows must match {path}: {len(other)} against {len(grasps)} grasps"
                 + ("" if len(other) != len(grasps) else ", of other objects")
             )
         return other.targets

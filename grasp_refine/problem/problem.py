@@ -39,7 +39,7 @@ class Group:
     rows: np.ndarray
     """Rows of the grasps (N,) in their file."""
     index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object."""
+    """Numbers of the grasps (N,) within their object."""
     place: np.ndarray
     """Positions of the grasps (N,) among all requested ones."""
 
@@ -57,7 +57,7 @@ class Group:
 
         Args:
             source: "file": pregrasps and squeezes of the file; "own": our own, which close open hands first; "auto":
-                stage by stage, those of the file where it has them.
+                stage by stage, the file's where it has them.
 
         Raises:
             GraspFileError: the source is "file", and the file lacks some.
@@ -72,7 +72,7 @@ class Group:
 class Problem:
     """Problem of refinement or validation: all requested grasps.
 
-    Until its objects are decomposed, grasps of a hand on an arm are those of the hand alone, and those to be sampled
+    Until its objects are decomposed, grasps of a hand on an arm are grasps of the hand alone, and grasps to be sampled
     are none.
     """
 

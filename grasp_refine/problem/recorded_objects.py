@@ -79,7 +79,7 @@ def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
 def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """Return the regions, wanted and to avoid, of the refinement of grasps in result files, and notes on others.
 
-    Those that cannot be read any more, or were made in Python, are left out, and all of them where files differ.
+    Objects that cannot be read any more, or were made in Python, are left out, and all where files differ.
     """
     found: dict[str, list[str]] | None = None
     for file in files:
@@ -159,7 +159,7 @@ def check_objects(files: Iterable[Path], groups: Iterable[Group], *, other: bool
 
     Args:
         files: The grasp files; other files than results, and results without recorded objects, are skipped.
-        groups: The grasps on the present objects; pieces of those that are not decomposed yet are not compared.
+        groups: The grasps on the present objects; pieces of objects that are not decomposed yet are not compared.
         other: Whether another object is accepted.
 
     Raises:

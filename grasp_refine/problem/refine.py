@@ -190,11 +190,11 @@ def _simulate(
     motions: list[Motion] = []
     for group, part, world in zip(problem.groups, parts, worlds, strict=True):
         simulations = engine_of(engine, world)
-        tell = listener.simulating(group)
+        report = listener.simulating(group)
         refined = part.motion
         motions.append(refined)
         for motion, trials, when in ((group.motion(), before, "before"), (refined, after, "after")):
-            progress = partial(tell, f"simulating, {when}")
+            progress = partial(report, f"simulating, {when}")
             trials.append(
                 judge(world, motion, numbers=group.rows, threads=threads, progress=progress, engine=simulations)
             )

@@ -99,7 +99,7 @@ class RefinedGrasps:
     def columns(self) -> dict[str, np.ndarray]:
         """Return one column (N,) per number or name of the grasps, as for `pandas.DataFrame(refined.columns())`.
 
-        They are those of `after`, the status, and all measures by their names in result files, in SI units.
+        They are the columns of `after`, the status, and all measures by their names in result files, in SI units.
         """
         return {**self.after.columns(), "status": self.status, **self.outcome.entries()}
 

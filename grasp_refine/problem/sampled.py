@@ -58,11 +58,11 @@ def with_samples(
 
     Args:
         problem: Request of grasps, with one group without any.
-        index: Numbers of those that are kept; none: all.
+        index: Numbers of the kept grasps; none: all.
         seed: Seed of the first draw.
         on_wait: Called with a line on what takes time.
-        reaches: Mask (N,) of grasps that an arm reaches, in a scene: others are replaced by those of further draws, up
-            to `MAX_DRAWS` in all; where none is reached, they are those of the first draw. None: there is no arm.
+        reaches: Mask (N,) of grasps that an arm reaches, in a scene: others are replaced from further draws, up
+            to `MAX_DRAWS` in all; where none is reached, they are from the first draw. None: there is no arm.
     """
     from grasp_refine.sampling.sample import sample_grasps
 

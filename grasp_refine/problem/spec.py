@@ -103,7 +103,7 @@ class SourceSpec:
     """Whether to accept results that were refined on another object, or on the same one in another size, or in another
     scene."""
     as_is: bool = False
-    """Whether to accept grasps that are most likely in other units, quaternions or frames than those of their format,
+    """Whether to accept grasps that are most likely in other units, quaternions or frames than their format's,
     such as joint values in degrees."""
 
     def __post_init__(self) -> None:
@@ -162,8 +162,8 @@ class ProblemSpec(SourceSpec):
     """Grasp file, or a folder of them: ours (.npz), or of another program (see `format`); or sample:N, as in sample:32,
     for N new grasps of `hand` on `object`, which `seed` varies."""
     targets: str = AUTO
-    """Target points of links: a grasp file with targets; auto: those of `grasps`, else anywhere; or nearest: the points
-    where they are nearest to the object at first."""
+    """Target points of links: a grasp file with targets; auto: the targets of `grasps`, else anywhere; or nearest: the
+    points where they are nearest to the object at first."""
 
 
 def check_hull_limit(metres: float) -> None:

@@ -71,7 +71,7 @@ def margins_table(
     Args:
         margins: Margins of N grasps.
         objects: Name of the object of each (N,).
-        index: Number of each among those of its object (N,).
+        index: Number of each within its object (N,).
         hand: Name of the hand.
         verbose: Whether all grasps are listed.
     """

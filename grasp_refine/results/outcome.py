@@ -67,7 +67,7 @@ class Outcome:
     stage_pose: np.ndarray
     """Poses (N, 3, 7) of the base link at pregrasp, grasp and squeeze, as `hand_pose`."""
     stage_q: np.ndarray
-    """Joint values (N, 3, n) at these stages; those of a squeeze may lie beyond the limits."""
+    """Joint values (N, 3, n) at these stages; a squeeze may exceed the limits."""
     weakness: np.ndarray
     """Text on what costs the refined grasps (N,) most quality; empty where nothing does."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -159,7 +159,7 @@ def compare(
         name: The object's name in results.
         scale: Factor that took the object's mesh to metres.
         row: Rows of the grasps (N,) in their file.
-        index: Numbers of the grasps (N,) among those of the object.
+        index: Numbers of the grasps (N,) within their object.
     """
     count = len(scene.q)
     # Invalid poses have no measures.

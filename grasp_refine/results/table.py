@@ -123,7 +123,7 @@ def plain_table(title: str = "", between: int = 1) -> Table:
 
 
 def _joint_keys(outcome: Outcome) -> tuple[str, ...]:
-    """Return the key of the movement of joints that is shown: of those that slide where the hand has no others."""
+    """Return the key of the joint movement that is shown: of prismatic joints where the hand has no others."""
     return tuple(key for key in _JOINT_HEADS if np.isfinite(outcome[key]).any())[:1] or ("moved_joints_rad",)
 
 
@@ -195,7 +195,7 @@ def _over(of: Callable[..., Any], values: np.ndarray) -> Any:
 def _holding(outcome: Outcome, config: Config, held: np.ndarray | None) -> list[Text]:
     """Return lines on the estimate by quality, where nothing was simulated, and advice on grasps that may slip."""
     before, after = (should_hold(quality) for quality in outcome.quality.T)
-    # Those that touch elsewhere are told apart.
+    # Grasps that touch elsewhere are marked.
     slips, how = outcome.usable & ~after & ~touches_outside(outcome)[:, 1], "may slip"
     lines = []
     if held is None:

@@ -85,7 +85,7 @@ def validate_document(
 
 
 def _grasp(validated: Validated, i: int, protocol: Protocol | None, frictions: Sequence[float]) -> dict[str, Any]:
-    """Return an entry like those of `run`: measures are under "after", and "before" is null."""
+    """Return an entry as in `run`: measures are under "after", and "before" is null."""
 
     def after(value: Any) -> dict[str, Any]:
         return {"before": None, "after": value}
@@ -146,7 +146,7 @@ def refinement_keys() -> tuple[str, ...]:
 def flat_rows(
     parts: Sequence[Validated], files: Sequence[Path], protocol: Protocol | None, frictions: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """Return one flat row per grasp: the entries of the document, without those of single directions."""
+    """Return one flat row per grasp: the entries of the document, without single directions."""
     rows = []
     entries = (
         {"file": str(path), **_grasp(part, i, protocol, frictions)}

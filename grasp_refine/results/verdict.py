@@ -1,4 +1,4 @@
-"""Verdicts on grasps by quality, which is an estimate, and by simulation, with advice on those that may slip."""
+"""Verdicts on grasps by quality, which is an estimate, and by simulation, with advice on grasps that may slip."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.quality import DEEP, LOW_FRICTION, MOST_YIELDING, SHORTCOMINGS, YIELDING_RAD_N, Quality
 
 NEGLIGIBLE_COST = 0.5
-"""Log odds below which the costliest shortcoming is not told."""
+"""Log odds below which the costliest shortcoming is not reported."""
 
 AXES = "xyz"
 """Names of the axes of the object."""

@@ -15,10 +15,10 @@ def contact_gaps(scene: Scene, witness: Witness, selection: ContactSelection | N
 
     The contact links of a grasp are the links that should touch the object. They are
 
-    1. those recorded with the grasp (`Scene.contact_gap`): a refinement records the links that it made touch, with the
+    1. links recorded with the grasp (`Scene.contact_gap`): a refinement records the links that it made touch, with the
        gap that each should keep;
-    2. those with a target;
-    3. without either, those near the object at the grasp (`ContactSelection`), or with a wanted normal.
+    2. links with a target;
+    3. without either, links near the object at the grasp (`ContactSelection`), or with a wanted normal.
 
     The contact error of a grasp is the largest of |signed distance - gap| over its contact links, and of the misses of
     their targets. An input grasp and its refinement are two grasps, each with its own contact links.

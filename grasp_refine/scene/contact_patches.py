@@ -36,7 +36,7 @@ class PatchMisses:
     miss: Float[np.ndarray, "N L"]
     """Largest distance (N, L) of a point of the patch, metres; 0 for links that do not touch, and inside."""
     point: Float[np.ndarray, "N L 3"]
-    """That point (N, L, 3), object frame, metres; the witness point on the object where the patch is inside."""
+    """The point (N, L, 3), object frame, metres; the witness point on the object where the patch is inside."""
 
 
 def patch_misses(

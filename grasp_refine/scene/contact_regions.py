@@ -1,4 +1,4 @@
-"""Regions in which hands should touch an object: those that are given, else those of its scene."""
+"""Regions in which hands should touch an object: given ones, else the regions of its scene."""
 
 from __future__ import annotations
 

@@ -25,10 +25,10 @@ PALM = "palm"
 
 @dataclass(frozen=True)
 class ContactSelection:
-    """The links that are part of a grasp: those that are near the object at its start."""
+    """Selection of the contact links of a grasp: links near the object at its start."""
 
     reach: float = 0.01
-    """Contact links (fingertips) within this signed distance of the object touch it, in metres; of those fixed to each
+    """Contact links (fingertips) within this signed distance of the object touch it, in metres; of links fixed to each
     other, where the program chose them, only the nearest, and what is flush with it."""
     other_link_distance: float = 0.003
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
@@ -36,7 +36,7 @@ class ContactSelection:
     farthest: float = 0.03
     """Distance up to which the nearest contact links count where fewer than two groups (fingers, palm) are in reach."""
     links: tuple[str, ...] = ()
-    """Links that touch, instead of those near the object. The name of a finger means its contact links."""
+    """Links that touch, instead of the links near the object. The name of a finger means its contact links."""
 
     def __post_init__(self) -> None:
         """Refuse invalid distances.

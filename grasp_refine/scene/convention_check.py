@@ -93,8 +93,8 @@ CONVENTIONS = (
     Convention("positions look like centimetres", "in metres", _scaled(1e-2), unit=True),
     Convention("quaternions look like x y z w", "w x y z", lambda pose: pose[:, [0, 1, 2, 6, 3, 4, 5]]),
     Convention(
-        "poses look like those of the object in the hand's frame",
-        "those of the hand in the object's frame",
+        "poses look like poses of the object in the hand's frame",
+        "poses of the hand in the object's frame",
         lambda pose: pose_from_transform(inverse(transform_from_pose(pose))),
     ),
 )
@@ -102,7 +102,7 @@ CONVENTIONS = (
 
 
 def convention_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
-    """Notes on the conventions that a file most likely uses, where they are clearly not those that were read.
+    """Notes on the conventions that a file most likely uses, where they clearly differ from the assumed ones.
 
     Args:
         scenes: The grasps of one hand, as read, by object.
@@ -256,5 +256,5 @@ def _pose_notes(hand: Hand, at: _Objects, pose: Poses, q: np.ndarray) -> tuple[s
         return ()
     return (
         f"hand and object are far apart: in {apart.sum()} of {len(pose)} grasps no part of the hand comes within "
-        f"{1e2 * APART_M:.0f} cm; poses must be those of link '{hand.base_link}' in the object's frame, in metres",
+        f"{1e2 * APART_M:.0f} cm; poses must be of link '{hand.base_link}' in the object's frame, in metres",
     )

@@ -140,7 +140,7 @@ class Environment:
     def boxes(self) -> Float[np.ndarray, "B 2 3"]:
         """Lower and upper corners (B, 2, 3) of the bodies' bounding boxes along the axes of the object, metres.
 
-        They are those of `cleared`.
+        They are as in `cleared`.
         """
         found, down = np.empty((len(self.bodies), 2, 3)), -self.lift * self.up
         for row, (one, T) in enumerate(zip(self.bodies, self.T_object_body, strict=True)):

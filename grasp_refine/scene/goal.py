@@ -55,7 +55,7 @@ def goal_of(
         scene: Hand, object, grasps and, perhaps, targets.
         touching: Selection of the links that touch where there are no targets.
         prepared: Geometry of the hand and the object; None: built here.
-        nearest: Without targets, those links should touch at their present witness points, and not just anywhere;
+        nearest: Without targets, these links should touch at their present witness points, not just anywhere;
             links that are not near but have a target normal get no target.
     """
     prepared = prepared or HandObject.of(scene)
@@ -77,7 +77,7 @@ def goal_of(
 
 
 def _with_directions(touching: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the links (N, L) that should touch, including those with a target normal."""
+    """Return the links (N, L) that should touch, including links with a target normal."""
     return touching if scene.direction is None else touching | ~np.isnan(scene.direction[..., 0])
 
 

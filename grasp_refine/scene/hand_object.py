@@ -112,7 +112,7 @@ class HandObject:
 
     @cached_property
     def _outline(self) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 1"]]:
-        """Vertices of the object with the radii about them, at least those that its bounding boxes touch."""
+        """Vertices of the object with the radii about them, at least vertices that its bounding boxes touch."""
         pieces = self.object.body.pieces
         vertices = np.concatenate([piece.vertices for piece in pieces])
         radius = np.concatenate([np.full((len(piece.vertices), 1), piece.radius) for piece in pieces])
@@ -128,7 +128,7 @@ class HandObject:
         return Pairs.against(self.bodies, point), Pairs.against((self.object.body,) * len(self.bodies), point)
 
     def surroundings(self, scene: Scene) -> Surroundings | None:
-        """Return the links with those bodies around the object that grasps may reach in a refinement; None: none."""
+        """Return the links with the bodies around the object that grasps may reach in a refinement; None: none."""
         if scene.environment is None:
             return None
         with np.errstate(invalid="ignore"):

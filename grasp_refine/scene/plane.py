@@ -37,7 +37,7 @@ class Plane:
     def heights(self, bodies: Sequence[Body], T_world_body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances (M, L) of bodies from the plane in metres, and where (M, L, 3) they are least, object frame.
 
-        Arguments are those of `lowest`.
+        Arguments are as in `lowest`.
         """
         point = transform_points(T_world_body, self.lowest(bodies, T_world_body))
         return point @ np.asarray(self.normal) - self.offset, point

@@ -150,7 +150,7 @@ class Scene:
 
 
 def is_out_of_reach(hand: Hand, T_world_root: np.ndarray, q: np.ndarray) -> Bool[np.ndarray, " N"]:
-    """Return a mask (N,) of poses (N, 4, 4) and joint values (N, n) of which only those of the arm are not finite."""
+    """Return a mask (N,) of poses (N, 4, 4) and joint values (N, n) that are finite except for the arm's joints."""
     arm = hand.arm_joints
     rest = np.isfinite(T_world_root).all(axis=(1, 2)) & np.isfinite(q[:, ~arm]).all(axis=1)
     return rest & ~np.isfinite(q[:, arm]).all(axis=1)

@@ -39,7 +39,7 @@ SUNK_M = 0.02
 """Depth in metres of palms in a table or a body from which on a note says so, if it is that of all grasps."""
 
 OTHER_SHARE = 1e-3
-"""Share of the diagonal by which the bounds of an object may differ from those of the scene's own."""
+"""Share of the diagonal by which the bounds of an object may differ from the scene's own."""
 
 MAX_STEPS, TOLERANCE_M = 30, 2e-5
 """Most steps of a lift, and accuracy of lifts and gaps in metres."""
@@ -49,7 +49,7 @@ MAX_NAMED = 5
 
 
 def surroundings_notes(scenes: Sequence[Scene]) -> tuple[str, ...]:
-    """Return notes on the surroundings of objects: those of `check_object`, `hand_notes` and `body_notes`.
+    """Return the notes of `check_object`, `hand_notes` and `body_notes` on the surroundings of objects.
 
     Args:
         scenes: Grasps of a hand on objects, all on one table or in one environment.

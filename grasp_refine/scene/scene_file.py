@@ -61,7 +61,7 @@ MAX_BODIES = 10_000
 def load_scene(
     path: str | Path, *, on_message: Callable[[str], None] | None = None, cache: Path | None | str = "user"
 ) -> Environment:
-    """Return the bodies of a scene around its object; concave meshes are cut into convex pieces as objects are.
+    """Return the bodies of a scene around its object; concave meshes are decomposed as objects are.
 
     Args:
         path: A TOML file, or the name of a scene that comes with the program (`list_scenes`).
@@ -151,7 +151,7 @@ def scene_path(source: str | Path) -> Path:
     """Return the file of a scene, or of one that comes with the program.
 
     Raises:
-        GraspRefineError: there is none; names those that there are.
+        GraspRefineError: there is none; lists the scenes.
     """
     path = expand_user(Path(source))
     if isinstance(source, Path) or path.suffix or len(path.parts) != 1:

@@ -45,7 +45,7 @@ class Nearby:
     T_link: Float[np.ndarray, "M L 4 4"]
     """Poses of the links."""
     bound: Float[np.ndarray, "M C"]
-    """Lower bounds of the signed distances of all C pairs in metres; of those queried the distance itself."""
+    """Lower bounds of the signed distances of all C pairs in metres; of queried pairs the distance itself."""
     column: Int[np.ndarray, "M K"]
     """Pairs that were queried and are near; -1: none."""
     witness: Witness
@@ -70,7 +70,7 @@ class Nearby:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """L links of a hand, and those bodies of an environment that they may meet; C = L B pairs, link after link."""
+    """L links of a hand, and the bodies of an environment that they may meet; C = L B pairs, link after link."""
 
     links: tuple[Body, ...]
     """Bodies of the links."""
@@ -285,7 +285,7 @@ def choose_bodies(
     Args:
         environment: The bodies.
         spheres: Bounding spheres of the links.
-        T_link: Their poses; those that are not finite do not count.
+        T_link: Their poses; poses that are not finite do not count.
         slack: Metres.
         box: Lower and upper corner (3,) of another box, object frame, metres.
     """
@@ -316,7 +316,7 @@ def _no_witness(count: int, width: int) -> Witness:
 
 
 def _places(row: np.ndarray, slack: np.ndarray, count: int) -> np.ndarray:
-    """Return the place (I,) of each item among those of its row, by increasing slack."""
+    """Return the place (I,) of each item within its row, by increasing slack."""
     order = np.lexsort((slack, row))
     each = np.bincount(row, minlength=count)
     place = np.empty(len(row), dtype=np.int64)
@@ -325,7 +325,7 @@ def _places(row: np.ndarray, slack: np.ndarray, count: int) -> np.ndarray:
 
 
 def _lookup(previous: Nearby, row: np.ndarray, column: np.ndarray, columns: int) -> Witness:
-    """Return the last answers of items, by row and pair; those that have none are FAR."""
+    """Return the last answers of items, by row and pair; FAR where there is none."""
     known = np.flatnonzero(previous.column.reshape(-1) >= 0)
     width = previous.column.shape[1]
     keys = (known // max(width, 1)) * columns + previous.column.reshape(-1)[known]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """What grasps must do, and where.
+    """Task of grasps: requirements and surroundings.
 
     Fields may be given by name: `Task("strict", table=0.0)`, `Task(scene="mug-on-table")`.
     """
@@ -46,9 +46,9 @@ class Task:
     """Pose of the base of a hand's arm in the object's frame, or in the world of the scene: (4, 4), or x, y, z in
     metres, or x, y, z, roll, pitch, yaw with angles in degrees. Kept as a tuple."""
     touch: Regions | None = None
-    """Regions of the object in which links should touch it, or their specifications. None: those of the scene."""
+    """Regions of the object in which links should touch it, or their specifications. None: the scene's."""
     avoid: Regions | None = None
-    """Regions of the object in which links should not touch it. None: those of the scene."""
+    """Regions of the object in which links should not touch it. None: the scene's."""
 
     def __post_init__(self) -> None:
         """Load what is given by name, and refuse what is invalid.
@@ -113,17 +113,17 @@ class Task:
     @cached_property
     def regions(self) -> ContactRegions | None:
         """Regions of a task that is `on` an object; None: links may touch it everywhere."""
-        assert self.is_on_object, "the regions of a task are those on an object: task.on(obj)"
+        assert self.is_on_object, "the regions of a task must be made for an object: task.on(obj)"
         return ContactRegions(self.touch, self.avoid) if self.touch or self.avoid else None  # type: ignore[arg-type]
 
     @property
     def is_on_object(self) -> bool:
-        """Whether the regions are those of an object: no specifications, and those of the scene among them."""
+        """Whether the regions are made for an object, including the scene's: no specifications."""
         given = self.touch, self.avoid
         return all(isinstance(some, tuple) and all(isinstance(one, Region) for one in some) for some in given)
 
     def on(self, obj: Object) -> Task:
-        """Return the task with its regions made for an object, and with those of the scene where it names none.
+        """Return the task with its regions made for an object, and with the scene's where it names none.
 
         Raises:
             GraspRefineError: a region cannot be used, or holds none of the object's surface.
@@ -137,7 +137,7 @@ class Task:
         return replace(self, touch=found.touch, avoid=found.avoid)
 
     def over(self, other: Task) -> Task:
-        """Return the fields that this task names, and those of another task where it names none."""
+        """Return the fields that this task names, and the fields of another task where it names none."""
         values = {name: getattr(self, name) for name in FIELDS}
         if values["table"] is not None or values["scene"] is not None:
             # A table replaces a scene, and a scene a table.

@@ -83,7 +83,7 @@ def save_task(task: Task, path: str | Path, *, overwrite: bool = False) -> None:
 
 
 def task_entry(task: Task) -> dict[str, Any]:
-    """Return the record of a task in results: its fields, without those that it does not name.
+    """Return the record of a task in results: the fields that it names.
 
     Files of regions have their whole path, so that they are found from other folders, too.
     """

@@ -13,7 +13,7 @@ from grasp_refine.hands.linkages.servos import actuator_name
 from grasp_refine.validation.engines.mujoco.world import World
 
 NEGLIGIBLE_EXCESS = 1e-3
-"""Excess of a set point, in rad or m, that is not told."""
+"""Excess of a set point, in rad or m, that is not reported."""
 
 MAX_NAMES = 4
 """Largest number of actuators that are named."""

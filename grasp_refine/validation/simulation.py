@@ -76,7 +76,7 @@ def simulate(
         first_failure: A grasp that failed in so many directions that it does not hold is not simulated further in
             the others, for which the worst reason is then given.
         progress: Called with the number of finished grasps, in fractions.
-        engine: Simulations of the world; by default those of MuJoCo.
+        engine: Simulations of the world; by default MuJoCo's.
 
     Raises:
         GraspRefineError: an argument of another type, a motion of other shapes than the hand's, or no grasp at all.
@@ -277,7 +277,7 @@ def push(
 
 
 def _first_name(closing: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-    """Return the first name (N,) that is not empty, of those of closing (N,) and of pushes (N, D)."""
+    """Return the first nonempty name (N,) of closing (N,) and pushes (N, D)."""
     rows = np.concatenate([closing[:, None], pushes], axis=1)
     return rows[np.arange(len(rows)), (rows != "").argmax(axis=1)]
 
@@ -291,7 +291,7 @@ def _directions(world: World, conditions: Conditions) -> tuple[str, ...]:
 
 def _lift(rows: Simulations, protocol: Protocol, check: int) -> float:
     """Raise the hands to their height at a check; return that height in metres."""
-    # In steps as small as those in which the hand closes.
+    # In steps as small as while the hand closes.
     parts = max(protocol.steps_per_check // protocol.steps_per_move, 1)
     for part in range(1, parts + 1):
         height = protocol.lift * (check - 1 + part / parts) / protocol.checks

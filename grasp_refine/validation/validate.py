@@ -164,11 +164,11 @@ def validate(
         name: Name of the object.
         scale: Factor that takes the object's mesh to metres.
         rows: Rows of the grasps in their file.
-        index: Numbers of the grasps among those of their object.
+        index: Numbers of the grasps within their object.
         world: Hand and object for MuJoCo; None: nothing is simulated.
         motion: Motion that closes the hand to the grasps; needed for simulation.
         checks: Further trials beside the protocol; by default none.
-        engine: Engine of the simulation; both: Drake's trials beside those in MuJoCo.
+        engine: Engine of the simulation; both: Drake's trials beside MuJoCo's.
         progress: Called with the progress of the simulation.
 
     Raises:

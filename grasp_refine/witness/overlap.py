@@ -26,7 +26,7 @@ _MAX_HALF_PLANES = 64
 
 @dataclass(frozen=True, eq=False)
 class Overlap:
-    """K overlaps of two polytopes a and b: all (p, z) with m . p + c z <= o for F half-spaces, those of a first.
+    """K overlaps of two polytopes a and b: all (p, z) with m . p + c z <= o for F half-spaces, a's first.
 
     p are coordinates across the push, about the goal; z is the height along it. The overlaps are epsilon deep.
     """

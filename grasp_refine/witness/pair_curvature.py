@@ -88,7 +88,7 @@ class PairCurvatures:
         """Fit K_a and K_b (M, 2, 2) of M items in 1/m, in their tangent bases.
 
         The neighbourhood of a witness has the radius 2 width |t - x|, or at least `smallest_radius`; with a width of 0
-        there is none, and the curvatures are those of the exact face, edge or vertex, rounded or not.
+        there is none, and the curvatures belong to the exact face, edge or vertex, rounded or not.
 
         Args:
             pair: Body pair (M,) of each item.

@@ -70,7 +70,7 @@ def _chosen(which: str | None) -> list[Asset]:
 
 
 def asset_facts(asset: Asset, origin: Origin) -> dict[str, Any]:
-    """Return the facts about an asset, for JSON; sizes are in bytes and are those of the origin."""
+    """Return the facts about an asset, for JSON; sizes are in bytes, as at the origin."""
     return {
         "kind": asset.kind,
         "name": asset.name,

@@ -67,7 +67,7 @@ class Defaults(Inputs):
     )
 
     def plain(self) -> Inputs:
-        """Return these inputs as those of one job."""
+        """Return these inputs as the inputs of one job."""
         return Inputs(**{option.name: getattr(self, option.name) for option in fields(Inputs)})
 
 
@@ -262,7 +262,7 @@ class Batch:
 
     @contextmanager
     def _pool(self, work: ShardWork, workers: int) -> Iterator[Pool]:
-        """Yield the workers: processes of this machine, or those of the cluster."""
+        """Yield the workers: processes of this machine or of the cluster."""
         if self.sharding.dask is None:
             with closing(LocalPool(work, workers, self.sharding.patience)) as pool:
                 yield pool
@@ -319,7 +319,7 @@ def _room_text(session: Session, out: Path) -> str:
 
 
 def _report_states(shards: Sequence[Shard], states: Mapping[int, State], progress: Progress) -> None:
-    """Print the numbers of existing results, and of those computed again."""
+    """Print the numbers of existing and of recomputed results."""
     count = Counter(states.values())
     if count[State.COMPLETE]:
         progress.say(f"{count[State.COMPLETE]} of {count_text(len(shards), 'shard')} complete and skipped")

@@ -142,7 +142,7 @@ class BenchGrasp(BenchCommand):
         plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
         if options.assets is None:
             if options.sets is not None:
-                raise GraspRefineError("--sets are those of a folder of assets: give it with --assets")
+                raise GraspRefineError("--sets name sets in a folder of assets: give it with --assets")
             if not plain:
                 return ((inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", (inputs,)),)
             hands = [hand]

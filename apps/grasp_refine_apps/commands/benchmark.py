@@ -62,7 +62,7 @@ class BenchCommand:
 
 
 def check_comparison(options: Any, compared: Sequence[str]) -> None:
-    """Refuse options without a value, and beside a preset those that choose the comparison.
+    """Refuse options without a value, and beside a preset options that choose the comparison.
 
     Raises:
         GraspRefineError: names the option.

@@ -1,4 +1,4 @@
-"""`refine-grasp convert`: convert grasp files of one program to those of another."""
+"""`refine-grasp convert`: convert grasp files of one program to another's."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Convert:
     (.pt), acronym (.h5), multigripper (.json): one file per object. unidexgrasp, frogger: read only.
 
     Before a file takes its place, it is read again: fingertips must agree to 1e-6 m, which shows that nothing was lost
-    in the conversion; poses and joints where the hand is not at hand. A folder is never replaced. Pickles and torch
+    in the conversion; poses and joints where the hand is unknown. A folder is never replaced. Pickles and torch
     files are read without executing them. Non-finite grasps are left out, and counted.
     """
 
@@ -137,7 +137,7 @@ class Convert:
                 messages.print(f"{self.output}: not written: {found}", soft_wrap=True, markup=False)
                 return NOTHING_USABLE
         if loaded is None:
-            lost = [*lost, f"hand '{grasps.hand}' is not at hand: poses and joints are compared instead of fingertips"]
+            lost = [*lost, f"hand '{grasps.hand}' is unknown here: poses and joints are compared instead of fingertips"]
         notes = tuple(dict.fromkeys([*doubts, *read.notes, *lost, *changed]))
         _print_notes(notes[len(doubts) :], messages)
         save_document(

@@ -52,7 +52,7 @@ class Doctor:
 
 
 def examine() -> dict[str, Any]:
-    """Return all findings, for JSON; `problems` lists those that keep the program from working."""
+    """Return all findings, for JSON; `problems` lists findings that keep the program from working."""
     packages = [_package(need) for need in requirements() if need.extra != DEVELOPMENT]
     problems = [
         f"{package['name']} is {package['state']}, {package['range']} is needed"
@@ -134,7 +134,7 @@ def _cache() -> dict[str, Any]:
 
 
 def _assets() -> dict[str, Any]:
-    """Folder of fetched assets, numbers of those here and of all known ones, and the mirror, if there is one."""
+    """Folder of fetched assets, numbers of fetched and of all known ones, and the mirror, if there is one."""
     here = sum(any(seems_here(asset, layout) for layout in LAYOUTS) for asset in all_assets())
     mirror, fault = os.environ.get(VARIABLE), None
     try:

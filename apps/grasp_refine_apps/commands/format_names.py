@@ -1,4 +1,4 @@
-"""Names of grasp formats as choices of options: ours, and those of installed packages."""
+"""Names of grasp formats as choices of options: ours, and of installed packages."""
 
 from typing import TYPE_CHECKING, Literal
 

@@ -189,7 +189,7 @@ class Hands:
         console = screen()
         show_hand(hand, console)
         if not hand.contacts_guessed:
-            console.print("contact links are those that hand.toml names")
+            console.print("contact links are named in hand.toml")
         for note in hand.notes:
             console.print(f"note: {note}", markup=False, soft_wrap=True)
         for note in notes:

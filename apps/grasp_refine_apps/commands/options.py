@@ -118,7 +118,7 @@ def _has_option(command: Any, name: str) -> bool:
 
 
 def check_numbers(options: Any, prefix: str = "--") -> None:
-    """Refuse numbers out of range in a dataclass, and in those nested in it.
+    """Refuse numbers out of range in a dataclass, and in dataclasses nested in it.
 
     Floats must be finite and not negative, integers at least 1, some of them at least 0.
 

@@ -138,7 +138,7 @@ class Recording:
 
 
 def _path(folder: Path, hand: str, group: Group, number: int, direction: str) -> Path:
-    """Path of the replay of a grasp; those of one call differ in grasp, object, size or folder."""
+    """Path of the replay of a grasp; paths of one call differ in grasp, object, size or folder."""
     # An object in another size counts as another object.
     name = group.object if group.scale == 1 else f"{group.object}_x{group.scale:g}"
     return folder / f"{UNUSUAL.sub('_', f'{hand}_{name}_{number}_{direction}')}.npz"

@@ -75,7 +75,7 @@ class Scenes:
 
 
 def scene_facts(environment: Environment) -> dict[str, Any]:
-    """Return what a scene holds, for JSON: metres, world frame; distances are those of the object from each body."""
+    """Return what a scene holds, for JSON: metres, world frame; distances are between the object and each body."""
     distance = np.full(len(environment.bodies), np.nan)
     if environment.object is not None and environment.bodies:
         obj = environment.load_object().body

@@ -165,7 +165,7 @@ class Validate:
             )
 
     def _check(self, protocol: Protocol | None, files: tuple[Path, ...]) -> None:
-        """Refuse invalid options, and those without effect.
+        """Refuse invalid options, and options without effect.
 
         Raises:
             GraspRefineError: names them.

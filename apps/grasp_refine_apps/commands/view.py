@@ -102,7 +102,7 @@ class View:
         check_writable(self.serving.json, overwrite=self.serving.overwrite)
         # Refused before anything is shown.
         self.settings.config()
-        # First, so that a browser can load the page, and tell what goes on, while the rest loads.
+        # First, so that a browser can load the page, and show the progress, while the rest loads.
         page = open_server(self.serving.host, self.serving.port)
         try:
             screen().print(f"{page.address} shows it; Ctrl-C ends it", soft_wrap=True, highlight=False)
@@ -251,7 +251,7 @@ def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
 def _wait(controller: Controller) -> None:
     """Wait for an interrupt; from then on, the time for cleaning up is limited.
 
-    The first Ctrl-C only tells of grasps that are not saved, if there are any.
+    The first Ctrl-C only warns of unsaved grasps, if there are any.
     """
     asked = False
     while True:

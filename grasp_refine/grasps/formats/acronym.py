@@ -94,8 +94,8 @@ class Acronym:
         else:
             layout = Layout(named or UNNAMED, hand.base_link if hand else UNNAMED, ())
             notes.append(opened)
-            taken = f"taken as those of link {layout.base_link}" if hand else "give it with `hand`"
-            notes.append(f"poses are those of the base of the gripper {named or 'that it does not name'}: {taken}")
+            taken = f"read as poses of link {layout.base_link}" if hand else "give it with `hand`"
+            notes.append(f"poses are of the base of the gripper {named or 'that it does not name'}: {taken}")
         grasps = GraspSet(
             hand=hand.name if hand else layout.hand,
             base_link=layout.base_link,

@@ -48,7 +48,7 @@ FORMATS: Registry[Format] = Registry(
     check=check_format,
     error=GraspFileError,
 )
-"""Formats of grasp files, ours first; those of installed packages and of scripts follow."""
+"""Formats of grasp files, ours first; formats of installed packages and of scripts follow."""
 
 add_format = FORMATS.add
 

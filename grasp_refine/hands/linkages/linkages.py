@@ -1,7 +1,7 @@
 """Linkages of an MJCF, whose chains are closed by connect equalities: passive joints as functions of the driven one.
 
 A hand is a tree of joints. Where equalities close chains and an actuator drives one joint of them, the others follow
-it: for values of the driven joint over its range, the others are those at which the chains are closed and the springs
+it: for values of the driven joint over its range, the others take values at which the chains are closed and the springs
 at the joints are at rest as nearly as the limits allow, found by bounded least squares. Polynomials through them, whose
 degree is the least that is exact enough, are the couplings of the hand.
 """

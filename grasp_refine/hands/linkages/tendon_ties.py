@@ -37,8 +37,9 @@ def tendon_ties(spec: mujoco.MjSpec, model: mujoco.MjModel, driven: Collection[s
     """Return the joints that tendons tie, from driven joints outwards: each leader is driven or a follower before.
 
     In MuJoCo an equality of tendons is l1 - r1 = c0 + c1 (l2 - r2), with lengths l = sum of coefficient x joint value
-    and those at the reference positions r; without a second tendon l1 - r1 = c0. Those of two joints are ties. So are
-    limits of a tendon over two hinges that leave the follower less than `MAX_PLAY_RAD`, which then is in their middle.
+    and lengths at the reference positions r; without a second tendon l1 - r1 = c0. Tendons of two joints are ties. So
+    are limits of a tendon over two hinges that leave the follower less than `MAX_PLAY_RAD`, which then is in their
+    middle.
 
     Args:
         spec: The MJCF.

@@ -7,7 +7,7 @@ degrees on, offsets of up to 5 mm and 5 degrees; `scripts/eval_grasp_config_dict
 offsets. `docs/dataset_generation.md`: 5 offsets.
 
 Differences: labels stay labels there; grasps above 0.5 are taken as good ones to vary
-(`scripts/augment_grasp_config_dicts.py`), those from 0.9 on to train the sampler (`docs/model_training.md`). Here a
+(`scripts/augment_grasp_config_dicts.py`), grasps from 0.9 on to train the sampler (`docs/model_training.md`). Here a
 grasp holds from 0.5 on. Offsets are uniform in a sphere instead of a cube, and on the table: shifts along it, turns
 about its normal. Collisions are the largest penetration of DexGraspBench instead of a factor of the label; that at
 least three links touch, and only allowed ones, is not asked. PhysX has another contact model, and its table a friction

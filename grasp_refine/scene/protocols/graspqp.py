@@ -5,7 +5,7 @@ Dexterous Grasping", CoRL 2025 (arXiv 2508.15002), by its code, github.com/legge
 `graspqp_isaaclab/src/graspqp_isaaclab`. `tasks/manipulation/grasp/grasp_mining_env.py`: no gravity, friction 1.0, 3 N
 for half a second in each of six directions, and an object that is lost once it is 3 cm away;
 `tasks/manipulation/grasp/config/object_mining_env.py`: 0.2 kg; `agents/eval.py`: a grasp that does not fail in at least
-half of the trials is a success. The text of the paper was not at hand.
+half of the trials is a success. The text of the paper was not available.
 
 Differences: there, the pushes of an axis follow each other, a trial succeeds if the object stays along any of three
 axes, and trials repeat; here the trials are the six pushes, each from the same state, of which three must be held.

@@ -38,7 +38,7 @@ _POSITIVE = (
 class Protocol:
     """Test of a grasp: the hand closes over grasp to squeeze; then the object must stay while pushed, or be lifted.
 
-    The defaults are those of DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark), but for the
+    The defaults are from DexGraspBench (Chen et al., "BODex", ICRA 2025, and its public benchmark), but for the
     palm, which is held rigidly.
     """
 

@@ -69,10 +69,10 @@ def protocol_of_table(given: Mapping[str, Any], where: str) -> Protocol:
 
 
 def protocol_of(given: Mapping[str, Any], base: Protocol = PROTOCOLS[DEFAULT], *, where: str = "") -> Protocol:
-    """Return a protocol with the given fields, and those of another where nothing is given.
+    """Return a protocol with the given fields, and another's where nothing is given.
 
     Args:
-        given: Field -> value; those of `contact` and `noise` are a mapping, too.
+        given: Field -> value; `contact` and `noise` have a mapping.
         base: The other protocol.
         where: Prefix of messages, such as the name of a file.
 

@@ -1,6 +1,6 @@
 """Protocol that lifts the object out of its scene: off a table, a bin or a shelf, among other bodies.
 
-The numbers are those of `tabletop`. Flat faces touch in several points, without which bodies on a table would tilt.
+The numbers are from `tabletop`. Flat faces touch in several points, without which bodies on a table would tilt.
 
 Source: that of `tabletop`; that it is lifted out of a scene is ours.
 """

@@ -1,6 +1,6 @@
 """Protocol of DexGraspBench with less friction.
 
-Source: our own. Half of the sliding friction, and a tenth of the torsional friction, tell grasps apart of which nearly
+Source: our own. Half of the sliding friction, and a tenth of the torsional friction, distinguish grasps of which nearly
 all hold under the protocol of DexGraspBench.
 """
 

@@ -63,7 +63,7 @@ class Simulations(ABC):
 
     @abstractmethod
     def step(self, count: int) -> None:
-        """Advance running simulations by `count` steps; those that diverge stop."""
+        """Advance running simulations by `count` steps; diverging ones stop."""
 
     @abstractmethod
     def touching(self, rows: np.ndarray) -> Touch:
@@ -87,4 +87,4 @@ class Simulations(ABC):
 
 
 Engine = Callable[..., Simulations]
-"""Maker of simulations: called with world, conditions, (N,) True for those that run, threads, and a callback."""
+"""Maker of simulations: called with world, conditions, (N,) True for running ones, threads, and a callback."""

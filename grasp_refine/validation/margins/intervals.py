@@ -25,7 +25,7 @@ def mean_interval(held: Bool[np.ndarray, "N K"]) -> tuple[float, float, float]:
     """Return the mean share of N grasps held in K shared draws with its interval of 95 %: mean, lower, upper.
 
     It is that of `wilson` for as many independent trials as have the variance of the mean over the draws: from K, where
-    all grasps are lost in the same draws, to N K. It tells how much other draws would change the mean of these grasps.
+    all grasps are lost in the same draws, to N K. It states how much other draws would change the mean of these grasps.
     """
     count, draws = held.shape
     mean, most = float(held.mean()), float(count * draws)

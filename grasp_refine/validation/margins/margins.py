@@ -46,7 +46,7 @@ class Worlds:
     usual: World
     """Hand, object and protocol, the palm held rigidly: forces are drawn that a soft weld would give way to."""
     other: World | None
-    """The same with the hand's other model; None: the hand has none."""
+    """Trials with the hand's other model; None: the hand has none."""
     middle: Float[np.ndarray, " 3"]
     """Centre of mass (3,) of the object, metres."""
 

@@ -28,7 +28,7 @@ _PHYSICS = re.compile(
     r"(body|jnt|dof|geom|exclude|pair|eq|tendon|wrap|actuator)_(?!.*(group|user|rgba|matid|aabb|rbound|sameframe|bvh|spec"
     r"|objtype))|qpos"
 )
-"""Names of the arrays of a model that determine its motion; not those of its looks, of shortcuts, and of units."""
+"""Names of the arrays of a model that determine its motion; not of its looks, of shortcuts, and of units."""
 _OF_MESH_FRAMES = ("geom_pos", "geom_quat", "geom_size")
 """Of these, the arrays that depend for meshes on a frame that MuJoCo chooses anew."""
 
@@ -159,7 +159,7 @@ def _check_same_physics(model: mujoco.MjModel, text: str) -> None:
     except ValueError as error:
         raise GraspRefineError(f"the exported model cannot be compiled: {one_line(error)}") from None
     for name in filter(_PHYSICS.match, dir(model)):
-        # Of sites and actuators, those of the push are the last.
+        # The last site and actuators belong to the push.
         ours, theirs = getattr(model, name), getattr(written, name)[: len(getattr(model, name))]
         if name in _OF_MESH_FRAMES and ours.shape == theirs.shape:
             solid = model.geom_type != mujoco.mjtGeom.mjGEOM_MESH

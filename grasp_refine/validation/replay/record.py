@@ -35,7 +35,7 @@ def record(
         direction: One of the protocol's directions, or "lift".
         name: Name of the grasp, for people.
         hand: Name of the hand.
-        conditions: Pose of the object, and friction; by default those of the grasp and the protocol.
+        conditions: Pose of the object, and friction; by default from the grasp and the protocol.
         also: Called after every simulation step too; an exception that it raises ends the recording.
     """
     protocol = world.protocol

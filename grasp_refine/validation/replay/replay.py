@@ -63,7 +63,7 @@ class Replay:
     force: Float[np.ndarray, " 3"]
     """Force of the push at the object's centre of mass (3,), newtons, world frame; it acts during `Stage.PUSH`."""
     qpos_names: tuple[str, ...]
-    """Names of the values of `qpos`: joints, those of a free joint followed by x, y, z, qw, qx, qy or qz."""
+    """Names of the values of `qpos`: joints; of a free joint followed by x, y, z, qw, qx, qy or qz."""
     time: Float[np.ndarray, " T"]
     """Seconds since the hand began to close (T,), never decreasing."""
     stage: Int[np.ndarray, " T"]

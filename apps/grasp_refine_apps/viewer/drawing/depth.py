@@ -104,7 +104,7 @@ def near_triangles(
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"], Float[np.ndarray, " V"]] | None:
     """Return small triangles of a shape that are in a body or may be near it; None: there are none.
 
-    Triangles are halved until their edges are short. Those that cannot come near the body are left out first: depth
+    Triangles are halved until their edges are short. Triangles that cannot come near the body are left out first: depth
     changes by no more than a point moves.
 
     Args:

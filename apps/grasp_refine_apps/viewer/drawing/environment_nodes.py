@@ -17,7 +17,7 @@ from grasp_refine_apps.viewer.drawing.scene_nodes import Meshes, place
 from grasp_refine_apps.viewer.drawing.shapes import pieces_shape
 
 FIXED_COLOR, MOVABLE_COLOR = (200, 190, 175), (176, 198, 160)
-"""Colours of bodies that stand still, and of those that a simulation may push."""
+"""Colours of fixed bodies, and of bodies that a simulation may push."""
 
 OPACITY = 0.55
 """Opacity of what stands beside the object, so that bins and shelves do not hide the hand."""

@@ -24,7 +24,7 @@ class GapField:
     """Signed distance of points from a body; built once for a body."""
 
     def __init__(self, field: DepthField) -> None:
-        """Build it; `field` tells how deep points are in the body."""
+        """Build it; `field` gives the depth of points in the body."""
         self.field = field
         point = build_body("point", [sphere(POINT)], candidates=16)
         self._pairs = Pairs((field.body,), (point,))
@@ -38,7 +38,7 @@ class GapField:
 
         Args:
             points: The points.
-            depth: Their depth by the field; of those outside at least the negated distance.
+            depth: Their depth by the field; outside, at least the negated distance.
             reach: Distance in metres.
         """
         distance = np.where(depth > 0.0, -depth, reach)

@@ -25,7 +25,7 @@ CONE_SIDES, CONE_LINES = 24, 4
 
 
 def segments(start: Float[np.ndarray, "K 3"], end: Float[np.ndarray, "K 3"]) -> Float32[np.ndarray, "S 2 3"]:
-    """End points (S, 2, 3) of lines between paired points, without those that have a NaN."""
+    """End points (S, 2, 3) of lines between paired points, without lines that have a NaN."""
     both = np.stack([start, end], axis=1)
     return both[np.isfinite(both).all(axis=(1, 2))].astype(np.float32)
 
@@ -89,7 +89,7 @@ def friction_cones(
 ) -> Float32[np.ndarray, "S 2 3"]:
     """Line segments (S, 2, 3) that outline the friction cones: each opens from its contact along the normal, inwards.
 
-    The half angle is atan(friction). The forces that friction allows are those in the cone.
+    The half angle is atan(friction). Friction allows the forces inside the cone.
     """
     height = CONE_HEIGHT * obj.diagonal
     normal, point = np.asarray(normal, dtype=np.float64), np.asarray(point, dtype=np.float64)

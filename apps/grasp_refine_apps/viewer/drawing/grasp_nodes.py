@@ -207,7 +207,7 @@ class GraspNodes:
         return np.concatenate(points)[::every].astype(float)
 
     def _draw_surroundings(self, state: State, blocking: Collection[str]) -> None:
-        """Draw the table and the bodies around the object, those that links are in tinted."""
+        """Draw the table and the bodies around the object, tinted where links are inside."""
         if self._table is not None:
             self._table.color = tinted(TABLE_COLOR, DEEP_COLOR) if TABLE in blocking else TABLE_COLOR
         if self.environment is not None:

@@ -68,7 +68,7 @@ class RegionNodes:
 
     @cached_property
     def _surface_lifted(self) -> Float[np.ndarray, "V 3"]:
-        """Those vertices (V, 3) in front of the surface."""
+        """The vertices (V, 3) in front of the surface."""
         return raised(*self._fine)
 
 

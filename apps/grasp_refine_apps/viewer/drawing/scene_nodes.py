@@ -178,7 +178,7 @@ class ColoredPatches:
         self.nodes: list[Any] = []
 
     def draw(self, patches: Sequence[tuple[DepthPatch, Float[np.ndarray, "4 4"]]]) -> None:
-        """Draw patches at poses (4, 4) in the frame of their parent, instead of those before."""
+        """Draw patches at poses (4, 4) in the frame of their parent, instead of the previous ones."""
         import trimesh
 
         while self.nodes:
@@ -195,7 +195,7 @@ class ColoredPatches:
 
 
 def _without_light(tree: dict[str, Any]) -> None:
-    """Give the meshes of a glTF tree a material that no light changes, so that their colours are those of the scale."""
+    """Give the meshes of a glTF tree a material that no light changes, so that their colours match the scale."""
     tree["extensionsUsed"] = ["KHR_materials_unlit"]
     tree["materials"] = [{"extensions": {"KHR_materials_unlit": {}}, "doubleSided": True}]
     for mesh in tree["meshes"]:

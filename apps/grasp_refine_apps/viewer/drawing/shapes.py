@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import trimesh
 
 LINK_COLOR, CONTACT_COLOR, OBJECT_COLOR = (189, 194, 204), (242, 184, 102), (168, 199, 237)
-"""Colours of links, of those that should touch, and of the object."""
+"""Colours of links, of links that should touch, and of the object."""
 
 PIECE_COLORS = (
     (168, 199, 237),
@@ -154,7 +154,7 @@ class LinkPoses:
     def __call__(
         self, T_object_root: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"]
     ) -> dict[str, Float[np.ndarray, "4 4"]]:
-        """Return the pose (4, 4) of each link, also of those without a shape, in the object's frame, by name."""
+        """Return the pose (4, 4) of each link, including links without a shape, in the object's frame, by name."""
         return dict(zip(self.chain.links, self.chain(T_object_root[None], q[None]).T_world_link[0], strict=True))
 
 

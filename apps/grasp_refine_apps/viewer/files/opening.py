@@ -127,7 +127,7 @@ def _with_object(upload: Upload, scene: Scene, pose: Pose, options: MeshOptions,
 
 
 def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions, control: Control) -> Opened:
-    """Return the open grasps with an uploaded mesh as the object of those that name it."""
+    """Return the open grasps with an uploaded mesh as the object of grasps that name it."""
     problem, groups, notes = open_now.problem, [], []
     for group in problem.groups:
         if group.object == name:
@@ -246,7 +246,7 @@ def _hand_of(grasps: GraspSet, present: Hand, upload: Upload, control: Control) 
         return load_hand(grasps.hand, base_link=grasps.base_link, progress=control.describe)
     raise UploadError(
         f"{upload.name}: is for hand '{grasps.hand}', which is neither the present one ('{present.name}') nor one of "
-        f"those included ({', '.join(list_hands())}): upload that hand first"
+        f"the included ones ({', '.join(list_hands())}): upload that hand first"
     )
 
 

@@ -77,9 +77,9 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
         "index": [int(collection.group(n).index[collection.member[n]]) for n in numbers.tolist()],
         "row": collection.row[numbers],
     }
-    heeded = [work.heeded for work in works.values() if work.outcome is not None]
-    if heeded and heeded[0] is not None and all(regions is heeded[0] for regions in heeded):
-        provenance["regions"] = regions_entry(heeded[0])
+    used = [work.refined_regions for work in works.values() if work.outcome is not None]
+    if used and used[0] is not None and all(regions is used[0] for regions in used):
+        provenance["regions"] = regions_entry(used[0])
     return {**found, "provenance": np.array(dumps(provenance))}
 
 

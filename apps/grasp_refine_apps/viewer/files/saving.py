@@ -94,11 +94,11 @@ def grasp_sets(
 ) -> GraspSet:
     """Return several grasps as they stand, in order, with pregrasps and squeezes.
 
-    These are those of the refinement of a grasp, those of its file where it was not moved, or else our own.
+    They come from the refinement of a grasp, from its file where it was not moved, or are generated.
 
     Args:
         collection: The grasps as in their files.
-        works: Those to return, by number.
+        works: Works to return, by number.
         report: Called with the completed share, 0 to 1.
         check: Called often; its exceptions end the work.
 
@@ -137,7 +137,7 @@ def grasp_sets(
 
 
 def _contact_links(hand: Hand, counted: Sequence[Counted | None]) -> ContactLinks | None:
-    """Return the contact links of grasps for a file, not those that an iteration closes; None: there are none."""
+    """Return the contact links of grasps for a file, not the links that an iteration closes; None: there are none."""
     links = links_of(hand)
     none = np.full(len(links), np.nan)
     gap = np.stack([none if one is None or one.iteration else one.gap for one in counted])

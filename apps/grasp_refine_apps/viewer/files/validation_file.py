@@ -97,7 +97,7 @@ class ValidationFile:
         if not found:
             simulated = any(entry.trials for entry in self.entries)
             raise self._error(
-                f"none of its {len(self.entries)} grasps is among those that are open"
+                f"none of its {len(self.entries)} grasps is open"
                 if simulated
                 else "nothing was simulated: run needs --validate, and validate no --no-simulate"
             )

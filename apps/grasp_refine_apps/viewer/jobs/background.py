@@ -33,7 +33,7 @@ class Background:
             if obj is None:
                 return True
             self._not_cut.discard(obj)
-            self._store.notify("its object is cut into convex pieces first: try again when that is done")
+            self._store.notify("its object is decomposed into convex pieces first: try again when that is done")
             self.cut_shown()
             return False
 

@@ -102,7 +102,7 @@ class Editor:
         # Results of another pose do not hold for this one.
         forgotten = {} if pose is state.pose else NO_RESULTS
         if "targets" in changes:
-            # The links with targets count, no longer those of the file or of a refinement.
+            # The links with targets count, no longer the file's or a refinement's.
             changes = {"counted": None, **changes}
         return state.evolve(**{"pose": pose, "frame": None, "motion": None, **forgotten, **changes})
 

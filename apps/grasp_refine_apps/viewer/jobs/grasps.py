@@ -40,7 +40,7 @@ class OpenGrasps:
             self._background.cut_shown()
 
     def reopen(self, at: int) -> None:
-        """Show grasps of the shelf again, as they were left; those that are open take their place."""
+        """Show grasps of the shelf again, as they were left; the open ones take their place."""
         with self._store.lock:
             shelf, compared = self._store.state.shelf, self._store.state.compared
             if 0 <= at < len(shelf):
@@ -49,7 +49,7 @@ class OpenGrasps:
                 state = self._store.state
                 others = tuple(each for each in state.shelf if each is not found)
                 works = {**state.works, **found.works}
-                # Grasps that were compared are so with those that were open.
+                # Compared grasps stay compared with the grasps that were open.
                 swapped = compared is not None and compared.collection.same_grasps(found.collection)
                 compared = state.shelf[0] if swapped else None
                 self._store.set(works=works, listing=found.listing, shelf=others, compared=compared)
@@ -62,7 +62,7 @@ class OpenGrasps:
                 self.open(state.collection, number)
 
     def compare(self, at: int | None) -> None:
-        """Compare the open grasps with those of this place on the shelf, number by number; None: with none."""
+        """Compare the open grasps with the grasps at this place on the shelf, by number; None: with none."""
         with self._store.lock:
             state = self._store.state
             if at is None or not 0 <= at < len(state.shelf):

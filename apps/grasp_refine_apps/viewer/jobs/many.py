@@ -22,7 +22,7 @@ from grasp_refine_apps.viewer.model.work import NO_RESULTS, Work, now
 
 
 class ManyGrasps:
-    """Commands on many grasps; results are kept one by one, as they come."""
+    """Commands on many grasps; results are kept one by one, as they arrive."""
 
     def __init__(self, store: Store, background: Background, prepare: Prepare, make_world: MakeWorld) -> None:
         """Work on what the state has."""
@@ -30,7 +30,7 @@ class ManyGrasps:
         self._prepare, self._make_world = prepare, make_world
 
     def refine(self, numbers: Sequence[int]) -> None:
-        """Refine grasps as they stand, but those that these settings have refined; each is kept as soon as it is."""
+        """Refine the current grasps, except grasps that these settings have refined; each is kept when done."""
         store = self._store
         with store.lock:
             config = store.checked(store.state.settings.config)
@@ -39,8 +39,8 @@ class ManyGrasps:
             collection = store.state.collection
 
             def is_refined(number: int, work: Work) -> bool:
-                heeded = work.heeded is collection.group(number).scene.regions
-                return heeded and work.outcome is not None and work.config == config
+                same_regions = work.refined_regions is collection.group(number).scene.regions
+                return same_regions and work.outcome is not None and work.config == config
 
             wanted = self._without(numbers, is_refined)
             if not wanted:
@@ -56,7 +56,7 @@ class ManyGrasps:
                     scene = batch.group.scene
                     outcome = refine_batch(batch, config, self._prepare(scene.hand, scene.object), control)
                     for i, number in enumerate(batch.numbers):
-                        results = {"config": config, "heeded": scene.regions}
+                        results = {"config": config, "refined_regions": scene.regions}
                         self._keep_refined(control, number, todo[number], outcome.select(np.array([i])), results)
                     done += len(batch.numbers)
                 store.notify(f"{count_text(done, 'grasp')} refined: they are listed in Browse, and not saved yet")
@@ -64,7 +64,7 @@ class ManyGrasps:
             self._run("refining", work)
 
     def test(self, numbers: Sequence[int]) -> None:
-        """Simulate grasps as they stand, but those that the protocol has tested; each result is kept at once."""
+        """Simulate the current grasps, except grasps that the protocol has tested; each result is kept at once."""
         store = self._store
         with store.lock:
             protocol = store.checked(lambda: protocol_of(*store.state.protocol))
@@ -98,7 +98,7 @@ class ManyGrasps:
             self._run("testing", work)
 
     def _without(self, numbers: Sequence[int], done: Callable[[int, Work], bool]) -> list[int]:
-        """Numbers of some grasps without those whose work is done."""
+        """Numbers of some grasps whose work is not done."""
         works = self._store.state.works
         return [number for number in numbers if number not in works or not done(number, works[number])]
 

@@ -62,7 +62,7 @@ def refine_grasp(
         control: Receives the progress, and can stop the refinement.
         show: Called with the iterations so far, often, and after each step of a paused refinement.
         group: Group of this grasp, for the names in the outcome.
-        counted: Contact links of this grasp, as shown; None: those of `contact_gaps`.
+        counted: Contact links of this grasp, as shown; None: from `contact_gaps`.
 
     Raises:
         GraspRefineError: a link that should touch does not exist.

@@ -104,7 +104,7 @@ class Store:
                 self.set(job=None)
 
     def _run_jobs(self) -> None:
-        """Do one job after the other; those before it have usually been stopped then."""
+        """Run one job after the other; earlier jobs have usually been stopped."""
         while (job := self._jobs.get()) is not None:
             job()
 
@@ -120,7 +120,7 @@ class Store:
             return
         except GraspRefineError as error:
             failure = str(error)
-        except Exception as error:  # noqa: BLE001 - a job that fails must not end all others; the user is told
+        except Exception as error:  # noqa: BLE001 - a job that fails must not end all others; the user is notified
             traceback.print_exc()
             failure = f"this failed ({type(error).__name__}: {error}); see the terminal"
         with self.lock:

@@ -105,7 +105,7 @@ class PosedGrasp:
     def motion(self, check: Callable[[], None] = lambda: None) -> tuple[Motion, Mapping[str, str]]:
         """Return the closing motion, and the source of pregrasp and squeeze: stage -> "file" or "own".
 
-        They are those of the file if the pose is that of the file, and the file has them; otherwise they are our own.
+        They come from the file if it has them and the pose is the file's; otherwise they are generated.
 
         Args:
             check: Called often; its exceptions end the work.

@@ -14,7 +14,7 @@ from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.state import State
 
 QUALITY = MEASURES["quality"]
-"""Measure that is told where the file has it."""
+"""Measure that is shown where the file has it."""
 
 
 def check_comparable(collection: Collection, other: Collection) -> None:

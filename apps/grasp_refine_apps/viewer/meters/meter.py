@@ -24,7 +24,7 @@ class ContactMeter:
     """Contacts of the shown grasp, for the scene and for all texts: one definition of which links count.
 
     They are the contact links of the grasp as it was opened (`contact_gaps`), also if it was moved since; after a
-    refinement, those of its result. An iteration has the links that it closes.
+    refinement, the links of its result. An iteration has the links that it closes.
     """
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class ContactMeter:
             return self._of(scene)
 
     def __call__(self, state: State) -> Contacts:
-        """Return the contacts of the shown grasp; in a simulation, those from before."""
+        """Return the contacts of the shown grasp; in a simulation, the contacts before it."""
         pose, work = state.standing, state.work
         with self._lock:
             prepared = self._of(state.scene)
@@ -55,7 +55,7 @@ class ContactMeter:
             return self._last[1]
 
     def counted(self, state: State) -> Counted | None:
-        """Return the links that count in the shown pose; None: those with a target."""
+        """Return the links that count in the shown pose; None: links with a target."""
         with self._lock:
             return self._counted(state, self._of(state.scene))
 
@@ -73,7 +73,7 @@ class ContactMeter:
         return self._near[1]
 
     def at(self, scene: Scene, pose: Pose, counted: Counted | None) -> Contacts:
-        """Return the contacts of another pose of the hand; without `counted`, those of links near the object there."""
+        """Return the contacts of another pose of the hand; without `counted`, of links near the object there."""
         with self._lock:
             prepared = self._of(scene)
             if self._other is None or self._other[0] is not pose or self._other[1].prepared is not prepared:

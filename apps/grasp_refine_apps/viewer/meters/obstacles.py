@@ -40,7 +40,7 @@ class Overlap:
 
 
 class ObstacleMeter:
-    """Overlaps of the shown hand, for the scene and for texts; those of the last pose are kept."""
+    """Overlaps of the shown hand, for the scene and for texts; the last pose's are kept."""
 
     def __init__(self) -> None:
         """Start without a hand."""

@@ -27,14 +27,14 @@ class Elsewhere:
     reason: str
     """Distance from where it may touch, and the region, as of `ContactRegions.reason`."""
     miss: float
-    """That distance in metres."""
+    """The distance in metres."""
 
     def __str__(self) -> str:
         return f"{self.link}, {self.reason}"
 
 
 class RegionMeter:
-    """Links that touch elsewhere; those of the last contacts are kept."""
+    """Links that touch elsewhere; the last contacts' are kept."""
 
     def __init__(self) -> None:
         """Start without contacts."""

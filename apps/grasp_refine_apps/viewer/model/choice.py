@@ -1,4 +1,4 @@
-"""Choice of grasps for commands on many: all, those that are listed, or those that are marked good."""
+"""Choice of grasps for commands on many: all, the listed ones, or the ones marked good."""
 
 from __future__ import annotations
 

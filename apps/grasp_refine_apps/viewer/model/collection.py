@@ -39,7 +39,7 @@ class Collection:
     member: Int[np.ndarray, " N"]
     """Row of each grasp in its group (N,)."""
     files: tuple[Path, ...]
-    """Files of the grasps: one, or those of a folder; empty if they were sampled."""
+    """Files of the grasps: one, or a folder's; empty if they were sampled."""
     file_of: Int[np.ndarray, " N"]
     """Number of each grasp's file in `files` (N,)."""
     row: Int[np.ndarray, " N"]
@@ -157,7 +157,7 @@ class Collection:
         return shortened(self.name(number))
 
     def name(self, number: int) -> str:
-        """Name of a grasp, such as "mug 3": that of its object, and its number among those of the object."""
+        """Name of a grasp, such as "mug 3": its object, and its number within the object."""
         group = self.group(number)
         return f"{group.object} {group.index[self.member[number]]}"
 

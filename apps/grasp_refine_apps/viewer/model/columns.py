@@ -85,9 +85,9 @@ def _columns(measure: Measure) -> Iterator[Column]:
 
 
 def numeric_columns() -> tuple[Column, ...]:
-    """Return the columns of all measures without values; those of refinements come last.
+    """Return the columns of all measures without values; refinement's come last.
 
-    Their keys are those of result files and of measuring.
+    Their keys are as in result files and in measuring.
     """
     measures = sorted((one for one in MEASURES if one.shown), key=lambda one: not one.of_grasps)
     return tuple(column for measure in measures for column in _columns(measure))

@@ -65,7 +65,8 @@ class Contacts:
     should: Bool[np.ndarray, " K"]
     """True for links that should touch (K,)."""
     error: Float[np.ndarray, " K"]
-    """Largest of gap and target misses (K,), as `validation.geometry` measures it; NaN of those that need not touch."""
+    """Largest of gap and target misses (K,), as `validation.geometry` measures it; NaN for links that need not
+    touch."""
     target_link: Float[np.ndarray, "G 3"]
     """Present position of the point on the link of each of the G targets; NaN: that link cannot touch."""
     target_object: Float[np.ndarray, "G 3"]
@@ -92,7 +93,7 @@ class Contacts:
 
     @property
     def forces(self) -> Forces:
-        """Best balancing forces of the contacts that `grasp_forces` counts, not necessarily those that should touch."""
+        """Best balancing forces of the contacts in `grasp_forces`, not necessarily of links that should touch."""
         points = self._points
         found = grasp_forces(points, self.prepared.object, self.frames.T_world_root[:, :3, :3])
         near = np.isfinite(points.point[0, :, 0])
@@ -139,8 +140,8 @@ def contacts_of(
         prepared: The hand and the object.
         T_object_root: Pose of the hand's base link in the object's frame.
         q: Joint values.
-        gap: Gap in metres that links should keep which should touch, besides those with a target, columns as
-            `Scene.links`; NaN for other links. None: without targets, those that `ContactSelection` takes.
+        gap: Target gap in metres of links that should touch, besides links with a target, columns as
+            `Scene.links`; NaN for other links. None: without targets, links that `ContactSelection` takes.
         targets: Target points of links on the object.
     """
     hand, links = prepared.hand, prepared.chain.links

@@ -1,4 +1,4 @@
-"""Links whose gaps a text is on: the contact links of a grasp, or those that an iteration closes."""
+"""Links whose gaps a text is on: the contact links of a grasp, or links that an iteration closes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from grasp_refine.measures.measures import MEASURES
 
 REMAINING = "remaining gap"
-"""Name of the largest gap of the links that an iteration of a refinement closes, which are not those of the input."""
+"""Name of the largest gap of the links that an iteration of a refinement closes, which differ from the input's."""
 
 
 @dataclass(frozen=True, eq=False)

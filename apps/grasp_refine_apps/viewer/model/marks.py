@@ -22,7 +22,7 @@ MARKS: tuple[Mark, ...] = tuple(mark for mark in get_args(Mark) if mark)
 MARKS_SUFFIX = ".marks.csv"
 """Suffix added to the name of a grasp file for the file of its marks."""
 HEADER = ("row", "object", "index", "mark", "time")
-"""Columns of a file of marks: row in the grasp file, name of the object, number of the grasp among those of the object,
+"""Columns of a file of marks: row in the grasp file, name of the object, number of the grasp within the object,
 mark, and when it was given, in UTC."""
 MAX_FILE_BYTES = 2**26
 """Maximum bytes of a file of marks: 64 MiB, or a million marks."""
@@ -35,7 +35,7 @@ class MarkedGrasp:
     object: str
     """Name of the grasp's object."""
     index: int
-    """Number of the grasp among those of the object."""
+    """Number of the grasp within the object."""
     mark: Mark
     """Mark of the grasp."""
     time: str
@@ -113,7 +113,7 @@ class Marks:
 def marks_path(path: Path) -> Path:
     """Path of the marks of a grasp file, or of a folder of them: beside it, with `MARKS_SUFFIX` added to its name.
 
-    Those of grasps that come with the program are kept in the current folder.
+    Marks of embedded grasps are kept in the current folder.
     """
     folder = path.resolve().parent
     if folder.is_relative_to(resource_dir("robots").resolve()):

@@ -1,4 +1,4 @@
-"""Faces of an object that are seen in a rectangle of a picture, painted as those to touch or to avoid."""
+"""Faces of an object that are seen in a rectangle of a picture, painted as faces to touch or to avoid."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class PaintedFaces:
         return "".join(f"{number}\n" for number in np.unique(self.face[chosen]))
 
     def _of_faces(self, regions: Sequence[Region]) -> list[Faces]:
-        """Return those regions that are faces of this mesh."""
+        """Return the regions that are faces of this mesh."""
         return [region for region in regions if isinstance(region, Faces) and len(region.chosen) == len(self.face)]
 
 
@@ -182,7 +182,7 @@ def specs_text(regions: Sequence[Region]) -> str:
 
 
 def given_regions(text: str, known: Sequence[Region]) -> tuple[str | Region, ...]:
-    """Return the regions of a line of specifications; those that are known, such as painted ones, as they are."""
+    """Return the regions of a line of specifications; known ones, such as painted regions, unchanged."""
     by_spec = {region.spec: region for region in known}
     specs = (part.strip() for part in text.split(SEPARATOR))
     return tuple(by_spec.get(spec, spec) for spec in specs if spec)

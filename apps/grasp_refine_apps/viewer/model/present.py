@@ -1,4 +1,4 @@
-"""Collection as it is now: measures and verdicts of what was made of its grasps, in place of those of the file."""
+"""Collection as it is now: measures and verdicts of edited and refined grasps replace the file's."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _made(works: Works) -> dict[int, Work]:
 
 
 def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Column]:
-    """Columns of measures and status, with those of moved grasps replaced."""
+    """Columns of measures and status, replaced for moved grasps."""
     entries = {
         number: {} if work.outcome is None else {key: float(v[0]) for key, v in work.outcome.entries().items()}
         for number, work in works.items()
@@ -84,7 +84,7 @@ def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Co
 
 
 def _texts(count: int, texts: Mapping[int, str], before: np.ndarray | None = None) -> np.ndarray:
-    """Texts of `count` grasps: those given, else those of before."""
+    """Texts of `count` grasps: the given ones, else the previous ones."""
     found = np.full(count, "", dtype=object) if before is None else before.astype(object)
     for number, text in texts.items():
         found[number] = text

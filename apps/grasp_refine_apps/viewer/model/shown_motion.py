@@ -53,7 +53,7 @@ class ShownMotion:
     T_root: Float[np.ndarray, "T 4 4"]
     """Poses of the hand's base link (T, 4, 4)."""
     q: Float[np.ndarray, "T n"]
-    """Joint values (T, n) in `Hand.joint_names` order, nearest to those of the simulation."""
+    """Joint values (T, n) in `Hand.joint_names` order, nearest to the simulation's."""
     T_object: Float[np.ndarray, "T 4 4"]
     """Poses of the object (T, 4, 4); the first is the identity."""
     displacement_m: Float[np.ndarray, " T"]
@@ -116,7 +116,7 @@ class ShownMotion:
 def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None) -> ShownMotion:
     """Return a replay as frames of a hand, at most `FRAME_RATE_HZ` per second.
 
-    Joint values in MuJoCo are matrix q + offset, and those of joints that mimic others may differ a little from that:
+    Joint values in MuJoCo are matrix q + offset, and values of joints that mimic others may differ a little from that:
     q is the least-squares solution.
 
     Args:
@@ -212,7 +212,7 @@ def _body_poses(replay: Replay) -> Iterator[tuple[str, Float[np.ndarray, "T 4 4"
 
 
 def _joint_values(hand: Hand, hand_model: HandModel, replay: Replay) -> Float[np.ndarray, "T n"]:
-    """Joint values (T, n) of the hand that are nearest to those in MuJoCo."""
+    """Joint values (T, n) of the hand that are nearest to MuJoCo's."""
     values = np.stack([_column(replay, f"{HAND}/{joint}") for joint in hand_model.joints], axis=1)
     # Joints that follow on a curve say nothing that the joints they follow do not.
     curves = hand_model.curves

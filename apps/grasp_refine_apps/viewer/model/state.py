@@ -29,7 +29,7 @@ JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "valid
 Gizmo = Literal["none", "hand", "object"]
 
 MAX_SHELVED = 6
-"""Number of the last opened files that are kept; those with unsaved grasps are kept in any case."""
+"""Number of the last opened files that are kept; files with unsaved grasps are always kept."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class DisplayOptions:
 
 
 _OF_WORK = frozenset(field.name for field in fields(Work))
-"""Fields of a state that are those of the shown grasp's work."""
+"""Fields of a state taken from the shown grasp's work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,5 +274,5 @@ class State:
 
     @property
     def num_unsaved(self) -> int:
-        """Number of grasps, also of those on the shelf, that were edited or refined, and not saved since."""
+        """Number of grasps, including the shelf, that were edited or refined, and not saved since."""
         return sum(len(each.unsaved) for each in (self.shelved, *self.shelf))

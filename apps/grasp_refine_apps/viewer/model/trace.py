@@ -27,7 +27,7 @@ class Trace:
     gap: Float[np.ndarray, "K L"]
     """Gaps (K, L) in metres that the links should keep which an iteration closes; NaN for others."""
     loss: Float[np.ndarray, " K"]
-    """Losses (K,) in m^2; those of different stages do not compare."""
+    """Losses (K,) in m^2; different stages do not compare."""
     remaining: Float[np.ndarray, " K"]
     """Largest gap or target miss (K,) of these links, metres."""
     penetration: Float[np.ndarray, " K"]

@@ -31,7 +31,7 @@ class Work:
     T_world_object: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     """Pose of the object (4, 4), world frame; all else is in the object's frame and moves with it."""
     counted: Counted | None = None
-    """Links that count by the file or by the last refinement; None: those with a target or within reach."""
+    """Links that count by the file or by the last refinement; None: links with a target or within reach."""
     trace: Trace | None = None
     """Iterations of the last refinement."""
     frame: int | None = None
@@ -40,8 +40,8 @@ class Work:
     """Outcome of the last refinement, one row, if `pose` is its result."""
     config: Config | None = None
     """Settings of that refinement."""
-    heeded: ContactRegions | None = None
-    """Regions of the object that it heeded."""
+    refined_regions: ContactRegions | None = None
+    """Regions of the object that the refinement respected."""
     refined_at: datetime | None = None
     """Time of that refinement."""
     trial: TrialResult | None = None
@@ -55,7 +55,7 @@ class Work:
     saved: Pose | None = None
     """Pose that was saved last; None: none was."""
     regions_before: ContactRegions | None = None
-    """Of a snapshot before other regions were set, those that were; None: it is none."""
+    """Earlier regions, in a snapshot from before others were set; None in other snapshots."""
     undo_steps: tuple[Work, ...] = ()
     """Snapshots before the edits that can be undone, the last one last."""
     redo_steps: tuple[Work, ...] = ()
@@ -87,7 +87,9 @@ class Work:
         return self.changed and (self.saved is None or not self.saved.same(self.pose))
 
 
-NO_RESULTS: dict[str, Any] = dict.fromkeys(("outcome", "config", "heeded", "refined_at", "trial", "tested_at", "way"))
+NO_RESULTS: dict[str, Any] = dict.fromkeys(
+    ("outcome", "config", "refined_regions", "refined_at", "trial", "tested_at", "way")
+)
 """Fields without results, which do not hold for another pose."""
 
 Works = Mapping[int, Work]

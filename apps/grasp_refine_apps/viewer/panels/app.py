@@ -199,7 +199,7 @@ def _heading(state: State, controller: Controller) -> str:
 
 
 def badge(hand: Hand) -> str:
-    """Return HTML that tells of a hand whose shapes are our own, and what to give for the maker's; empty: it is not."""
+    """Return HTML on a hand with simplified shapes, and the option for the maker's; empty for other hands."""
     if not hand.urdf.is_relative_to(resource_dir("robots")):
         return ""
     name = hand.urdf.stem

@@ -18,7 +18,7 @@ STYLE = (
 
 
 class Banner:
-    """Text over the scene; nothing where there is nothing to tell."""
+    """Text over the scene; empty where there is nothing to report."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         """Make the banner, empty."""
@@ -42,7 +42,7 @@ def banner_text(state: State) -> str:
     name = state.collection.group(state.number).object
     if state.scene.object.rough:
         return (
-            f"'{name}' is still to be cut into convex pieces: until then, contacts are those of its convex hull. "
+            f"'{name}' is still to be decomposed into convex pieces: until then, contacts are on its convex hull. "
             "Refinement and tests wait for it."
         )
     if name not in state.collection.stand_ins:

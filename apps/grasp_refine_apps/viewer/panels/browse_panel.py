@@ -89,7 +89,7 @@ class BrowsePanel:
             "Compare with",
             (NOTHING,),
             visible=False,
-            hint="Draw the grasp of the same number of other open grasps as a ghost, and tell its numbers",
+            hint="Draw the grasp of the same number of other open grasps as a ghost, and show its numbers",
         )
         # Clicks on the table, which is HTML, arrive as values of this widget, which is hidden.
         self.clicks = gui.add_text("click", "", visible=False)

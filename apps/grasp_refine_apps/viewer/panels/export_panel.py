@@ -309,7 +309,7 @@ def camera_in_object(state: State, position: np.ndarray, look_at: np.ndarray) ->
 
 
 def shelf_titles(state: State) -> tuple[str, ...]:
-    """Titles of the open grasps and of those on the shelf, all different."""
+    """Titles of the open grasps and of the shelf, all different."""
     titles: list[str] = []
     for collection in (state.collection, *(each.collection for each in state.shelf)):
         title, count = collection.title, 2

@@ -35,7 +35,7 @@ class Entry:
     """Display and parsing of one field."""
 
     name: str
-    """Name of the field, after those of its parent dataclasses: `weights.contact`."""
+    """Name of the field, prefixed by its parent dataclasses: `weights.contact`."""
     label: str
     """Label before the widget."""
     hint: str

@@ -1,4 +1,4 @@
-"""Histogram of a measure as HTML: all grasps pale, those that are listed dark; a brush over it filters the list."""
+"""Histogram of a measure as HTML: all grasps pale, listed ones dark; a brush over it filters the list."""
 
 from __future__ import annotations
 

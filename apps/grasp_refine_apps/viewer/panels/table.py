@@ -135,7 +135,7 @@ def _row(collection: Collection, columns: list[Column], number: int, *, several:
 
 
 def _cell(column: Column, number: int) -> str:
-    """Cell of a column; what was done here is told by letters, with the times as a hint."""
+    """Cell of a column; letters mark work done here, with the times as a hint."""
     text = column.text(number)
     if column.key == HERE.key:
         letters = " ".join(part[:1].upper() for part in text.split(", "))

@@ -1,4 +1,4 @@
-"""Units in which fields of the settings are shown and typed: those of people instead of SI units."""
+"""Units in which fields of the settings are shown and typed: readable units instead of SI."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class ValidatePanel:
         )
         self.test = gui.add_button("Test in MuJoCo", hint="Simulate whether the grasp that is shown holds the object")
         self.plan = gui.add_button(
-            "Plan the way", hint="Approach, grasp and lift: tell what is in the way, and play it as far as it is known"
+            "Plan the way", hint="Approach, grasp and lift: report obstacles, and play the motion as far as it is known"
         )
         in_a_row(gui, (self.test, self.plan))
         self.bar: Any = gui.add_progress_bar(0.0, visible=False)
@@ -169,7 +169,7 @@ class ValidatePanel:
             self._motion = motion
             self.replay.pause()
             self.end.visible = motion is not None
-            # The heading tells of the frames of a way, too, and what is in the way stands above.
+            # The heading also describes the frames of a way; obstacles stand above.
             self.line.visible = isinstance(motion, ShownMotion)
             self.replay.set_visible(motion is not None)
         if motion is None:

@@ -72,7 +72,7 @@ class LiveInput:
         self._unsent: Any = None
         """Value of a user that was not sent yet; None: there is none."""
         self._unsettled = False
-        """Whether a user has moved the widget since pages were last told its value."""
+        """Whether a user has moved the widget since its value was last sent to pages."""
         self._until = float("-inf")
         self._timer: TimerHandle | None = None
         self._closed = False

@@ -1,4 +1,4 @@
-"""Access to the page: by this machine only, or over the network by those who have the address with its token."""
+"""Access to the page: by this machine only, or over the network by people who have the address with its token."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ELSEWHERE = ("192.0.2.1", "2001:db8::1")
 
 PUBLIC_WARNING = (
     "whoever has this address can open the page, upload files and start computations on this machine, and others on "
-    "the network may read along: share it only with those you trust; ssh -L is safer"
+    "the network may read along: share it only with people you trust; ssh -L is safer"
 )
 """Warning about a page that others can reach."""
 

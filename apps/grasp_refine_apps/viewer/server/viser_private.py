@@ -54,7 +54,7 @@ def is_removed(handle: Any) -> bool:
 
 
 def send_value(handle: Any) -> None:
-    """Tell all pages the value of a widget; setting it to what it is tells nobody."""
+    """Send the value of a widget to all pages; setting an unchanged value sends nothing."""
     handle._queue_update("value", handle.value)
 
 

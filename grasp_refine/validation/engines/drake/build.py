@@ -34,7 +34,7 @@ from grasp_refine.validation.engines.drake.tendons import Tendons
 from grasp_refine.validation.engines.mujoco.world import HAND, HOLDER, OBJECT, World
 
 STICTION_SPEED_M_S = 1e-4
-"""Speed of slip in m/s from which on friction is fully developed: what holds creeps by less, 0.2 mm in two seconds."""
+"""Speed of slip in m/s from which on friction is fully developed: held objects creep by less, 0.2 mm in two seconds."""
 
 NEAR_RIGID_THRESHOLD = 0.1
 """Share of a time step below which the period of a stiff constraint is not resolved but damped (SAP's beta): of the
@@ -167,7 +167,7 @@ class _Builder:
             slides = kind == mujoco.mjtJoint.mjJNT_SLIDE
             child = added if joint == joints[-1] else self._massless(f"{name} carrier")
             at = RigidTransform(model.jnt_pos[joint])
-            # The poses of the file are those at the reference positions.
+            # The poses of the file are at the reference positions.
             back = -model.qpos0[model.jnt_qposadr[joint]] * axis
             turned = RigidTransform(back) if slides else rigid(transform(exp_so3(back), np.zeros(3)))
             on_parent = self._frame(f"{name} parent", above, rigid(T) @ at @ turned)

@@ -72,7 +72,7 @@ def touching_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that MuJoCo lets collide.
 
     These are pairs of which one has a bit in `contype` that the other has in `conaffinity`, unless their bodies are
-    welded together, or are child and parent, or are excluded; and those of the model's own list.
+    welded together, or are child and parent, or are excluded; and pairs of the model's own list.
     """
     excluded = set(model.exclude_signature.tolist())
     weld, parent = model.body_weldid, model.body_weldid[model.body_parentid[model.body_weldid]]
@@ -89,7 +89,7 @@ def touching_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def let_collide(scene: SceneGraph, geoms: Mapping[int, GeometryId], pairs: list[tuple[int, int]]) -> None:
-    """Let those pairs of geoms collide, and no others."""
+    """Let these pairs of geoms collide, and no others."""
     rule = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(geoms.values())))
     for a, b in pairs:
         rule.AllowBetween(GeometrySet(geoms[a]), GeometrySet(geoms[b]))

@@ -64,7 +64,7 @@ class Plant:
     servos: Int[np.ndarray, " u"]
     """Indices (u,) among the set points of MuJoCo's actuators."""
     gear: Float[np.ndarray, " u"]
-    """Set points of MuJoCo's actuators (u,) are those of Drake times this."""
+    """Set points of MuJoCo's actuators (u,) are Drake's times this."""
     control_range: Float[np.ndarray, "u 2"]
     """Smallest and largest set point (u, 2) of MuJoCo's actuators."""
     rest: Float[np.ndarray, " s"]
@@ -79,7 +79,7 @@ class Plant:
     """Geometry -> number of the geom in MuJoCo."""
 
     def set_points(self, control: Float[np.ndarray, "N u"]) -> Float[np.ndarray, "N u"]:
-        """Return the set points of Drake's servos for those of MuJoCo's, which its limits clip."""
+        """Return the set points of Drake's servos for MuJoCo's, clipped at their limits."""
         return np.clip(control, *self.control_range.T) / self.gear
 
 

@@ -110,7 +110,7 @@ class Plants:
         threads: int,
         on_step: StepCallback | None = None,
     ) -> Rows:
-        """Return N simulations under `conditions`, of which those that are `running` will be stepped.
+        """Return N simulations under `conditions`; only the `running` ones are stepped.
 
         Raises:
             GraspRefineError: a condition that only MuJoCo knows.
@@ -123,7 +123,7 @@ class Plants:
 
 
 def parameters_of(conditions: Conditions, row: int, nominal: Parameters) -> Parameters:
-    """Return the parameters of one grasp; `nominal` says those that the conditions leave open."""
+    """Return the parameters of one grasp; `nominal` has the values that the conditions leave open."""
     values = {name: getattr(conditions, name) for name in (field.name for field in fields(Parameters))}
     return replace(nominal, **{name: float(value[row]) for name, value in values.items() if value is not None})
 
@@ -134,7 +134,7 @@ class Rows(Simulations):
     def __init__(
         self, world: World, spaces: Sequence[Workspaces], running: Bool[np.ndarray, " N"], threads: int
     ) -> None:
-        """Begin at rest, with the hands' roots at the origin; `spaces` are those of each simulation."""
+        """Begin at rest, with the hands' roots at the origin; `spaces` has one entry per simulation."""
         self.world = world
         self.running = running.copy()
         self.unstable = np.zeros(len(running), dtype=bool)
@@ -180,7 +180,7 @@ class Rows(Simulations):
         self._wrench = wrench
 
     def step(self, count: int) -> None:
-        """Advance running simulations by `count` steps; those that diverge stop."""
+        """Advance running simulations by `count` steps; diverging ones stop."""
 
         def advance(row: int, space: Workspace) -> None:
             self._moving[row] = space.step(count)

@@ -1,4 +1,4 @@
-"""Fixed tendons in Drake: joints whose value is a weighted sum of those of other joints."""
+"""Fixed tendons in Drake: joints whose value is a weighted sum of other joints' values."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Tendons:
     joints: dict[int, Joint] = field(default_factory=dict)
     """Number of a tendon in MuJoCo -> joint whose value is its length."""
     terms: list[tuple[Joint, Joint, float]] = field(default_factory=list)
-    """Joint of a chain, joint that it follows, and ratio; those of one joint of a chain add up."""
+    """Joint of a chain, joint that it follows, and ratio; entries of one joint of a chain add up."""
 
     def add(self, model: mujoco.MjModel, number: int, joints: Mapping[int, Joint]) -> None:
         """Add a tendon of a model, given the joints by their numbers in MuJoCo.

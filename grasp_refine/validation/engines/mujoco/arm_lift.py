@@ -14,7 +14,7 @@ from grasp_refine.validation.engines.mujoco.world import HAND, World
 
 @dataclass(frozen=True, eq=False)
 class ArmLift:
-    """Set points of an arm in a world, by inverse kinematics from those that it has."""
+    """Set points of an arm in a world, by inverse kinematics from its current ones."""
 
     kinematics: ArmKinematics
     """Kinematics of the palm."""

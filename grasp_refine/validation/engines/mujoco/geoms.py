@@ -22,7 +22,7 @@ def add_piece(
         body: The body, in whose frame the piece is.
         piece: The piece; with a radius and more than two vertices it becomes a polyhedron.
         name: Name of the geom, and of its mesh.
-        inertia: Method of MuJoCo for moments of a mesh: by default those of the hull; others than this and the shell
+        inertia: Method of MuJoCo for moments of a mesh: by default the hull's; others than this and the shell
             need a surface whose volume is well defined, and only the shell accepts thin or tiny meshes.
     """
     if len(piece.vertices) == 1:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class HandModel:
-    """One tree of bodies with actuated joints, whose values follow from those of a `Hand` by name, not by order.
+    """One tree of bodies with actuated joints, whose values follow from a `Hand`'s by name, not by order.
 
-    The root has no joint yet, and contact parameters are those of the file: the world that the hand is added to sets
+    The root has no joint yet, and contact parameters come from the file: the world that the hand is added to sets
     both.
     """
 

@@ -24,13 +24,13 @@ from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.urdf_model import add_actuators
 
 SIZE_FIELDS = ("memory", "nstack", "njmax", "nconmax", "nemax", "nkey", "nuserdata")
-"""Fields of <size>, except those for user data of bodies, joints and so on (`nuser_*`)."""
+"""Fields of <size>, except user data of bodies, joints and so on (`nuser_*`)."""
 
 
 def mjcf_model(hand: Hand, path: Path) -> HandModel:
     """Return the hand in the MJCF file `path`, which must move as `hand` does.
 
-    Collision geometry, contact parameters, dampings, limits and position actuators are those of the file. Removed are
+    Collision geometry, contact parameters, dampings, limits and position actuators come from the file. Removed are
     visual geometry (its mass stays), cameras, lights, keyframes, sensors, a free joint at the root, and everything in
     the world beside the hand. Joints that `hand` lacks are fixed at their reference positions.
 
@@ -95,7 +95,7 @@ def mjcf_model(hand: Hand, path: Path) -> HandModel:
 def _reset(spec: mujoco.MjSpec) -> None:
     """Reset the options of simulation and display, and the sizes, to the defaults of MuJoCo.
 
-    These belong to the world, not to the hand; MuJoCo warns where they differ from those of the world.
+    These belong to the world, not to the hand; MuJoCo warns where they differ from the world's.
     """
     plain = mujoco.MjSpec()
     visual = [(getattr(spec.visual, name), getattr(plain.visual, name)) for name in _public(plain.visual)]

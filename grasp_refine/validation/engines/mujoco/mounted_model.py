@@ -20,7 +20,7 @@ from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 def mounted_model(hand: Hand) -> HandModel:
     """Return the model of a hand that was mounted on an arm: the arm from its links, the hand from its MJCF.
 
-    Links of arm and hand collide in pairs of `touching_pairs`; the hand's own pairs are those of its file.
+    Links of arm and hand collide in pairs of `touching_pairs`; the hand's own pairs come from its file.
 
     Raises:
         HandError: the MJCF cannot be used, or is of another hand, or the arm is simulated from an MJCF.
@@ -74,7 +74,7 @@ def _exclude(spec: mujoco.MjSpec, hand: Hand, links: dict[str, str]) -> None:
 
 
 def _curves(below: Curves | None, above: Curves | None, shift: int) -> Curves | None:
-    """Return the curves of both, those above by the joints after the first `shift`."""
+    """Return the curves of both; the upper ones use the joints after the first `shift`."""
     if below is None or above is None:
         return None
     width = max(below.higher.shape[1], above.higher.shape[1])

@@ -47,7 +47,7 @@ StepCallback = Callable[[Batch], None]
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions that differ between N simulations of one world; None: those of the world and its protocol."""
+    """Conditions that differ between N simulations of one world; None: as in the world and its protocol."""
 
     T_world_object: Float[np.ndarray, "N 4 4"]
     """Poses (N, 4, 4) of the object at the start, in the frame of the grasps."""
@@ -69,7 +69,7 @@ class Conditions:
     thickness: Float[np.ndarray, " N"] | None = None
     """Distance (N,) by which the surface of the object lies outside that of its pieces, metres; negative: inside.
 
-    Depths and links that touch at a stage are told without it.
+    Depths and touching links of a stage do not need it.
     """
 
     __repr__ = brief
@@ -102,7 +102,7 @@ class Rows(Simulations):
         threads: int,
         on_step: StepCallback | None = None,
     ) -> None:
-        """Begin N simulations at the model's initial state, of which those that are `running` will be stepped."""
+        """Begin N simulations at the model's initial state, and step only the `running` ones."""
         self.world = world
         self.batch = Batch(world.model, len(running), threads)
         self.running = running.copy()
@@ -199,7 +199,7 @@ class Rows(Simulations):
         self._held_at, self._set_points = self.batch.mocap_pos.copy(), self.batch.ctrl.copy()
 
     def step(self, count: int) -> None:
-        """Advance running simulations by `count` steps; those that diverge stop."""
+        """Advance running simulations by `count` steps; diverging ones stop."""
         for steps in (count,) if self._on_step is None else (1,) * count:
             ids = np.flatnonzero(self.running)
             if not len(ids):

@@ -50,7 +50,7 @@ class Parts:
     joints: tuple[str, ...]
     """Names of the m joints that can move."""
     still: Mapping[str, float]
-    """Values in rad or m of the movable joints that cannot move: those with equal limits, and mimics of these."""
+    """Values in rad or m of the movable joints that cannot move: equal limits, and mimics of such joints."""
     of: Mapping[str, str]
     """Link -> first link of its part, which is the child of a joint, or the base link."""
     carrier: Mapping[str, str]
@@ -122,7 +122,7 @@ def add_actuators(
 ) -> None:
     """Add position actuators of `hand` to `spec`, named like their joints: one per joint, one per coupled group.
 
-    A group acts on a tendon whose length is the sum of ratio x joint value; stiffness and force limit are those of
+    A group acts on a tendon whose length is the sum of ratio x joint value; stiffness and force limit come from
     its first joint.
 
     Args:
@@ -217,7 +217,7 @@ def _add_geoms(spec: mujoco.MjSpec, body: mujoco.MjsBody, link: Link) -> bool:
 def _add_masses(hand: Hand, parts: Parts, bodies: Mapping[str, mujoco.MjsBody]) -> list[str]:
     """Set mass and inertia of the bodies; return notes on repairs."""
     kinds: dict[str, list[str]] = {
-        f"mass and inertia of {{}} are those of solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
+        f"mass and inertia of {{}} assume solid pieces of {DENSITY:g} kg/m^3: the URDF gives no mass": [],
         "inertia of {} follows from mass and geometry, or is that of a sphere of 1 cm: the URDF gives none above 0": [],
         "inertia of {} follows from mass and geometry: that of the URDF needs matter far outside of the link": [],
         "inertia of {} balanced: its principal moments broke the triangle inequality": [],

@@ -138,7 +138,7 @@ def build_world(
     check_kind("table", table, Plane | None)
     check_kind("environment", environment, Environment | None)
     protocol = protocol.for_contacts(hand.patches)
-    # Pushes are those of an object in empty space.
+    # Pushes act on an object in empty space.
     around = environment if protocol.tabletop else None
     spec = mujoco.MjSpec()
     spec.modelname = f"{obj.name} in a hand"

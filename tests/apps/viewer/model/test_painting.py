@@ -1,4 +1,4 @@
-"""Regions are painted on what is seen of an object, written in words, undone, heeded, and saved to be read again."""
+"""Regions are painted on what is seen of an object, written in words, undone, respected, and saved to be read again."""
 
 from __future__ import annotations
 
