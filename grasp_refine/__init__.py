@@ -100,8 +100,8 @@ if TYPE_CHECKING:
     from grasp_refine.hands.hand import list_hands as list_hands
     from grasp_refine.hands.hand import load_hand as load_hand
     from grasp_refine.hands.mount import mount as mount
-    from grasp_refine.motion.way import WayOptions as WayOptions
-    from grasp_refine.motion.way_files import PlannedWays as PlannedWays
+    from grasp_refine.motion.plan import TrajectoryOptions as TrajectoryOptions
+    from grasp_refine.motion.trajectory_files import PlannedTrajectories as PlannedTrajectories
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
     from grasp_refine.problem.facade import Evaluation as Evaluation
@@ -117,8 +117,8 @@ if TYPE_CHECKING:
     from grasp_refine.problem.refine import refine_problem as refine_problem
     from grasp_refine.problem.refined import RefinedGrasps as RefinedGrasps
     from grasp_refine.problem.spec import ProblemSpec as ProblemSpec
-    from grasp_refine.problem.ways import follow_ways as follow_ways
-    from grasp_refine.problem.ways import plan_ways as plan_ways
+    from grasp_refine.problem.trajectories import follow_trajectories as follow_trajectories
+    from grasp_refine.problem.trajectories import plan_trajectories as plan_trajectories
     from grasp_refine.refinement.config import Config as Config
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
     from grasp_refine.scene.environment import Environment as Environment
@@ -138,8 +138,8 @@ _HOMES = {
     "hands.arm_file": ("load_arm",),
     "hands.hand": ("Hand", "list_hands", "load_hand"),
     "hands.mount": ("mount",),
-    "motion.way": ("WayOptions",),
-    "motion.way_files": ("PlannedWays",),
+    "motion.plan": ("TrajectoryOptions",),
+    "motion.trajectory_files": ("PlannedTrajectories",),
     "objects.object": ("Object", "load_object"),
     "problem.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
     "problem.load": ("load_problem",),
@@ -148,7 +148,7 @@ _HOMES = {
     "problem.refine": ("refine_problem",),
     "problem.refined": ("RefinedGrasps",),
     "problem.spec": ("ProblemSpec",),
-    "problem.ways": ("follow_ways", "plan_ways"),
+    "problem.trajectories": ("follow_trajectories", "plan_trajectories"),
     "refinement.config": ("Config",),
     "sampling.sample": ("sample_grasps",),
     "scene.environment": ("Environment",),

@@ -1,4 +1,4 @@
-"""Execution of ways in MuJoCo: a position-controlled hand, and its arm, follow their set points over time."""
+"""Execution of trajectories in MuJoCo: a position-controlled hand, and its arm, follow their set points over time."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from grasp_refine.core.se3 import distances, inverse, pose_from_transform, trans
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
+from grasp_refine.motion.plan import LEGS, REACH, MotionPlan
 from grasp_refine.motion.trajectory import Trajectory, trajectory
-from grasp_refine.motion.way import LEGS, REACH, Way
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
 from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, OTHER_GEOM, SCENE, World
 from grasp_refine.validation.simulation import CHUNK_GRASPS, Course
@@ -44,7 +44,7 @@ def execute(
     check_kind("hand", hand, Hand)
     if not world.protocol.tabletop:
         raise GraspRefineError(
-            f"protocol {world.protocol.name} pushes the object in empty space: ways are followed under one that lifts, "
+            f"protocol {world.protocol.name} pushes the object in empty space: trajectories need one that lifts, "
             "such as scene or tabletop"
         )
     starts = range(0, len(trajectories), CHUNK_GRASPS)
@@ -52,9 +52,9 @@ def execute(
     return join(*parts) if parts else _execute(world, hand, (), threads)
 
 
-def follow(world: World, hand: Hand, ways: Sequence[Way], *, threads: int | None = None) -> Executions:
+def follow(world: World, hand: Hand, plans: Sequence[MotionPlan], *, threads: int | None = None) -> Executions:
     """Follow the free trajectories of N, as `execute` does, by the speed limits of the joints."""
-    timed = [trajectory(hand, way) if way.free else None for way in ways]
+    timed = [trajectory(hand, plan) if plan.free else None for plan in plans]
     return execute(world, hand, timed, threads=threads)
 
 

@@ -1,4 +1,4 @@
-"""Results of ways that were followed in simulation."""
+"""Results of trajectories that were followed in simulation."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ MAX_TOLD_HITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Executions:
-    """N ways as they were followed in simulation; NaN where there was no way to follow."""
+    """N trajectories as followed in simulation; NaN where there was none to follow."""
 
     followed: Bool[np.ndarray, " N"]
-    """True (N,) where there was a way, which was simulated."""
+    """True (N,) where there was a trajectory, which was simulated."""
     held: Bool[np.ndarray, " N"]
     """True (N,) where the palm has lifted the object at the end, within the protocol's limits of where it should be."""
     lifted_m: Float[np.ndarray, " N"]
@@ -57,7 +57,7 @@ class Executions:
 
     @property
     def clean(self) -> Bool[np.ndarray, " N"]:
-        """True (N,) where a way was followed and nothing was hit."""
+        """True (N,) where a trajectory was followed and nothing was hit."""
         return self.followed & np.array([not hits for hits in self.hits], dtype=bool)
 
     def lines(self, most: int = 5, labels: Sequence[str] | None = None) -> list[str]:
@@ -69,7 +69,7 @@ class Executions:
         """
         ran = np.flatnonzero(self.followed)
         if not len(ran):
-            return ["followed in simulation: none, as no way is free"]
+            return ["followed in simulation: none, as no trajectory is free"]
         lines = [
             f"followed in simulation: {int(self.held.sum())} of {len(ran)} held and lifted, nothing hit in "
             f"{int(self.clean.sum())}{self._tracking()}"

@@ -1,4 +1,4 @@
-"""Paths of a hand: straight ways of the palm, by the joints of its arm if it has one, and ways between two poses."""
+"""Paths of a hand: straight lines of the palm, by the joints of its arm if it has one, and between two poses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
 
 KNOT_M = 0.01
-"""Largest distance in metres between the poses of a straight way at which an arm's joints are solved for."""
+"""Largest distance in metres between the poses of a straight trajectory at which an arm's joints are solved for."""
 
 MAX_JUMP_RAD = 0.3
 """Largest movement of a joint of an arm between two of them; more is a jump near a singularity."""

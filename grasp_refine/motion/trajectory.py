@@ -1,4 +1,4 @@
-"""Times of a way by the speed limits of the joints, so that a robot can follow it."""
+"""Trajectories: plans timed by the speed limits of the joints, so that a robot can follow them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from grasp_refine.hands.arm_gains import DEFAULT_SPEED_RAD_S
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath
-from grasp_refine.motion.way import WAYPOINTS, Way
+from grasp_refine.motion.plan import WAYPOINTS, MotionPlan
 
 PALM_SPEED = (0.25, 1.0)
 """Speed limits of the palm, in m/s, the reduced speed of ISO 10218-1, and rad/s."""
@@ -50,7 +50,7 @@ class Trajectory:
     waypoints: tuple[int, ...]
     """Places of the waypoints among them, the first one and the end of each leg."""
     reaches: bool = False
-    """Whether the arm comes from a start configuration first: `Way.reach`."""
+    """Whether the arm comes from a start configuration first: `MotionPlan.reach`."""
 
     __repr__ = brief
 
@@ -98,19 +98,19 @@ def speed_limits(hand: Hand) -> Float[np.ndarray, " n"]:
     return np.array([fallback if limit is None else limit for limit, fallback in zip(given, default, strict=True)])
 
 
-def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajectory:
-    """Return a way with times at which no joint, nor the palm, is faster than a share of its limit.
+def trajectory(hand: Hand, plan: MotionPlan, *, share: float = SPEED_SHARE) -> Trajectory:
+    """Return a trajectory at which no joint, nor the palm, is faster than a share of its limit.
 
     Each leg begins and ends at rest.
 
     Args:
         hand: The hand, or the hand on its arm.
-        way: Its legs are taken as far as they are known.
+        plan: Its legs are taken as far as they are known.
         share: Share of the speed limits.
     """
     limits = speed_limits(hand) * share
     T, q, waypoints = [], [], [0]
-    for number, known in enumerate(way.legs if way.reach is None else (way.reach, *way.legs)):
+    for number, known in enumerate(plan.legs if plan.reach is None else (plan.reach, *plan.legs)):
         leg = known if len(known) > MIN_KNOTS else known.at(np.linspace(0.0, len(known) - 1, MIN_KNOTS + 1))
         T_palm = palm_poses(hand, leg.T_world_root, leg.q)
         palm = np.stack(distances(T_palm[:-1], T_palm[1:]), axis=1) / (share * np.array(PALM_SPEED))
@@ -129,4 +129,4 @@ def trajectory(hand: Hand, way: Way, *, share: float = SPEED_SHARE) -> Trajector
         n = len(hand.joint_names)
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)), np.zeros((0, n)), ())
     time = PERIOD_S * np.arange(waypoints[-1] + 1)
-    return Trajectory(time, np.concatenate(T), np.concatenate(q), tuple(waypoints), way.reach is not None)
+    return Trajectory(time, np.concatenate(T), np.concatenate(q), tuple(waypoints), plan.reach is not None)

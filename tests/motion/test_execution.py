@@ -1,4 +1,4 @@
-"""Ways that MuJoCo follows: what is held and lifted, hit and pushed, and how far the palm is from its set points."""
+"""MuJoCo follows trajectories: objects held and lifted, hit and pushed, and the tracking error of the palm."""
 
 from dataclasses import replace
 
@@ -17,9 +17,9 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
 from grasp_refine.motion.execution import execute
 from grasp_refine.motion.executions import Executions
+from grasp_refine.motion.plan import MotionPlan, PlanStatus, TrajectoryOptions, plan_motions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
-from grasp_refine.motion.way import Way, WayOptions, WayStatus, ways
-from grasp_refine.motion.way_files import PlannedWays
+from grasp_refine.motion.trajectory_files import PlannedTrajectories
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
@@ -52,7 +52,7 @@ def hand(request: pytest.FixtureRequest) -> Hand:
 
 @pytest.fixture(scope="module")
 def timed(hand: Hand) -> Trajectory:
-    """Return the way of a grasp of the box from above, planned above the table alone."""
+    """Return the trajectory of a grasp of the box from above, planned above the table alone."""
     T_palm, fingers = transform_from_rpy([0.0, 0.0, 0.1434, 180.0, 0.0, 0.0]), np.array([[0.036], [0.025], [0.0]])
     T, q = np.tile(T_palm, (3, 1, 1)), fingers
     if hand.arm is not None:
@@ -61,9 +61,9 @@ def timed(hand: Hand) -> Trajectory:
         q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
         T = np.tile(T_BASE, (3, 1, 1))
     scene = Scene(hand, THING, T[1], q[1], environment=Environment((TABLE,), np.eye(4)))
-    (way,) = ways(scene, Motion(T[None], q[None]), WayOptions(approach=0.08))
-    assert way.free, way.why
-    return trajectory(hand, way)
+    (plan,) = plan_motions(scene, Motion(T[None], q[None]), TrajectoryOptions(approach=0.08))
+    assert plan.free, plan.why
+    return trajectory(hand, plan)
 
 
 def followed(
@@ -74,8 +74,8 @@ def followed(
     return execute(build_world(model_of(hand), THING, protocol, environment=environment), hand, timed, threads=1)
 
 
-def test_free_way_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajectory) -> None:
-    """By 0.1 m within millimetres; the palm follows its set points; a grasp without a way leaves others alone."""
+def test_free_trajectory_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajectory) -> None:
+    """By 0.1 m within millimetres; the palm follows its set points; a grasp without a trajectory changes no other."""
     alone, found = followed(hand, [timed]), followed(hand, [None, timed])
     assert found.followed.tolist() == [False, True] and found.held.tolist() == [False, True]
     assert abs(found.lifted_m[1] - 0.1) < 3e-3 and found.displacement_m[1] < 5e-3
@@ -85,7 +85,7 @@ def test_free_way_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajector
     assert (alone.lifted_m[0], alone.tracking_m[0]) == (found.lifted_m[1], found.tracking_m[1])
 
 
-def test_what_is_in_the_way_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> None:
+def test_an_obstacle_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> None:
     """A bar that the planner did not know stops a finger as the hand comes; a ledge above, the box as it rises."""
     bar = body("bar", [0.3, 0.012, 0.01], (0.0, 0.05, 0.05))
     found = followed(hand, [timed], bar)
@@ -130,11 +130,11 @@ def test_many_hits_are_told_in_short_and_kept_whole() -> None:
     assert (document := found.document(0)) is not None and len(document["hits"]) == 12
 
 
-def test_ways_of_another_hand_are_not_followed(hand: Hand) -> None:
+def test_trajectories_of_another_hand_are_not_followed(hand: Hand) -> None:
     """Both hands are named."""
     other = load_hand("allegro", candidates=32)
     T, count = np.eye(4)[None], len(other.joint_names)
     refined = gr.refine(other, THING, GraspSet.of(other, T, np.zeros((1, count))), gr.Config(starts=1))
     labels = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
     with pytest.raises(GraspRefineError, match=f"{hand.name}.*allegro"):
-        gr.follow_ways(refined, PlannedWays(hand, *labels, (Way(WayStatus.NO_GRASP, "", ()),)))
+        gr.follow_trajectories(refined, PlannedTrajectories(hand, *labels, (MotionPlan(PlanStatus.NO_GRASP, "", ()),)))

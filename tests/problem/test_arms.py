@@ -95,7 +95,7 @@ def test_grasps_are_sampled_until_as_many_are_within_reach() -> None:
 
 
 def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -> None:
-    """From 3 m away the palm misses metres; a wall across the arm is met by one of its links, of all its ways."""
+    """From 3 m away the palm misses metres; a wall across the arm is met by one of its links, in all solutions."""
     notes = gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))).notes
     (found,) = (note for note in notes if note.startswith("grasp 0 out of reach"))
     millimetres = float(found.split(" mm")[0].split()[-1])
@@ -226,7 +226,7 @@ def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:
 
 @pytest.mark.slow
 def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
-    """World, object, bodies, in another order, and base moved, up kept: the same grasps and ways, to 1e-9."""
+    """World, object, bodies, in another order, and base moved, up kept: the same grasps and trajectories, to 1e-9."""
     scene, hand = gr.load_scene("box-in-corner"), gr.load_hand("franka_hand", candidates=32)
     box, whole = gr.load_object(scene.object or ""), gr.mount(gr.load_hand("ur5e", candidates=32), hand)
     grasps = gr.sample_grasps(hand, box, 3, environment=scene)
@@ -235,7 +235,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
     bodies = tuple(replace(body, T_world_body=G @ body.T_world_body) for body in scene.bodies)
     there = replace(scene, bodies=bodies[::-1], T_world_object=G @ scene.T_world_object)
     (first, its), (second, others) = (
-        (found, gr.plan_ways(found))
+        (found, gr.plan_trajectories(found))
         for found in (
             gr.refine(whole, box, grasps, CONFIG, scene=one, base=base)
             for one, base in ((scene, T_base), (there, G @ T_base))
@@ -244,7 +244,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
     assert its.free.any() and (first.status == second.status).all()
     for name in ("hand_pose", "q", "q_before", "stage_q", "quality"):
         np.testing.assert_allclose(getattr(first.outcome, name), getattr(second.outcome, name), atol=1e-9, err_msg=name)
-    for one, other in zip(its.ways, others.ways, strict=True):
+    for one, other in zip(its.plans, others.plans, strict=True):
         assert (one.status, one.other_arm) == (other.status, other.other_arm)
         for leg, same in zip(one.legs, other.legs, strict=True):
             np.testing.assert_allclose(leg.q, same.q, atol=1e-9)

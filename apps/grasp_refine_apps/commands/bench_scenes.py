@@ -1,4 +1,4 @@
-"""`refine-grasp bench scenes`: grasps of hands on an arm in scenes, along their whole way."""
+"""`refine-grasp bench scenes`: grasps of hands on an arm in scenes, along their trajectories."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SMOKE = {"scenes": ("mug-on-table",), "hands": ("franka_hand",), "count": 1}
 
 @dataclass(frozen=True)
 class BenchScenes(BenchCommand):
-    """Measure how many sampled grasps are reachable, free on their whole way, and held and lifted along it in MuJoCo.
+    """Measure how many sampled grasps are reachable, free along their trajectory, and held and lifted in MuJoCo.
 
-    Each hand on its arm samples grasps in each scene; ways are planned before and after refinement, and free ones are
-    followed in simulation as `run --way --validate` does. The same again without knowing of the scene, which the
-    simulation has nevertheless.
+    Each hand on its arm samples grasps in each scene; trajectories are planned before and after refinement, and free
+    ones are followed in simulation as `run --trajectory --validate` does. The same again without knowing of the scene,
+    which the simulation has nevertheless.
     """
 
     command = "bench scenes"

@@ -15,8 +15,8 @@ from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_no_input, check_writable, save_json
 from grasp_refine.core.profiling import Stopwatch, cpu_seconds
-from grasp_refine.motion.way import WayOptions
-from grasp_refine.motion.way_files import check_way_file
+from grasp_refine.motion.plan import TrajectoryOptions
+from grasp_refine.motion.trajectory_files import check_trajectory_file
 from grasp_refine.objects.region_spec import is_of_file
 from grasp_refine.problem.load import Loader
 from grasp_refine.problem.problem import Group, Problem
@@ -24,7 +24,7 @@ from grasp_refine.problem.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.problem.refine import refine_problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
-from grasp_refine.problem.ways import follow_ways, plan_ways
+from grasp_refine.problem.trajectories import follow_trajectories, plan_trajectories
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.terms.weights import Weights
@@ -55,17 +55,17 @@ class Output:
     """Folder for the refined grasps, <hand>_<object>.npz."""
     json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
-    way: OptionalFile = None
-    """Plan the whole way of each grasp, approach, pregrasp, grasp, squeeze and lift, tell what is in it, and write
+    trajectory: OptionalFile = None
+    """Plan the trajectory of each grasp, approach, pregrasp, grasp, squeeze and lift, tell what is in it, and write
     waypoints and set points over time to this file, .json or .npz. With --validate and a protocol that lifts, MuJoCo
-    follows each free way, and tells what was held, hit and pushed."""
-    approach: float = WayOptions.approach
-    """Length (metres) of the straight approach to the pregrasp, with --way."""
-    lift: float = WayOptions.lift
-    """Height (metres) of the lift, with --way."""
+    follows each free trajectory, and tells what was held, hit and pushed."""
+    approach: float = TrajectoryOptions.approach
+    """Length (metres) of the straight approach to the pregrasp, with --trajectory."""
+    lift: float = TrajectoryOptions.lift
+    """Height (metres) of the lift, with --trajectory."""
     start: Annotated[str | None, arg(name="from", metavar="JOINTS")] = None
     """Joint values of the arm (radians, or metres of slides) with commas between them, from which it comes to the
-    approach, straight in its joints, with --way. By default the way begins with the approach."""
+    approach, straight in its joints, with --trajectory. By default the trajectory begins with the approach."""
     overwrite: Overwrite = False
     verbose: bool = False
     """List all grasps, even if there are more than 40."""
@@ -113,8 +113,10 @@ class Run:
         limit_torch_threads(config)
         watch = Stopwatch() if self.output.profile else None
         with watch or nullcontext(), Reporter(screen(stderr=True)) as reporter:
-            way = self._way_options()
-            check_writable(self.output.json, self.output.way, overwrite=self.output.overwrite, inside=self.output.out)
+            options = self._trajectory_options()
+            check_writable(
+                self.output.json, self.output.trajectory, overwrite=self.output.overwrite, inside=self.output.out
+            )
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             problem = loader.problem()
             if protocol is not None:
@@ -137,9 +139,9 @@ class Run:
 
             # Before the simulation, too, so that whatever happens in it loses no refined grasps.
             refined = refine_problem(problem, config, protocol, listener=reporter, on_refined=write)
-            planned = None if way is None else plan_ways(refined, way)
+            planned = None if options is None else plan_trajectories(refined, options)
             if planned is not None and protocol is not None and protocol.tabletop:
-                planned = follow_ways(refined, planned, protocol)
+                planned = follow_trajectories(refined, planned, protocol)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome
@@ -151,21 +153,22 @@ class Run:
             )
             if planned is not None:
                 for number, entry in enumerate(document["grasps"]):
-                    entry["way"] = planned.entry(number)
+                    entry["trajectory"] = planned.entry(number)
             save_json(self.output.json, document)
-        if planned is not None and self.output.way is not None:
-            planned.save(self.output.way)
+        if planned is not None and self.output.trajectory is not None:
+            planned.save(self.output.trajectory)
         console = screen()
         console.print(refined.table(verbose=self.output.verbose))
         for line in () if planned is None else planned.lines():
             console.print(line, soft_wrap=True, markup=False)
         if planned is not None and protocol is not None and planned.executions is None:
             console.print(
-                f"ways are not followed in simulation: {protocol.name} pushes; --protocol scene lifts", soft_wrap=True
+                f"trajectories are not followed in simulation: {protocol.name} pushes; --protocol scene lifts",
+                soft_wrap=True,
             )
         elif planned is not None and protocol is not None and _floats(problem):
             console.print(
-                "the simulation puts a table under the object, of which refinement and ways do not know: give --table",
+                "the simulation puts a table under the object, unknown to refinement and trajectories: give --table",
                 style="yellow",
                 soft_wrap=True,
             )
@@ -174,7 +177,7 @@ class Run:
         if not outcome.usable.any():
             console.print("no usable results; no grasps were written")
             return NOTHING_USABLE
-        written = [*paths.values(), *filter(None, (self.output.json, self.output.way))]
+        written = [*paths.values(), *filter(None, (self.output.json, self.output.trajectory))]
         between = " " if len(written) == 1 else "\n  "
         console.print(f"{wall:.1f} s; wrote", *written, sep=between, soft_wrap=True, markup=False)
         return self._show_result(paths) if self.output.view else 0
@@ -185,22 +188,24 @@ class Run:
         read = inputs.grasps is not None and not str(inputs.grasps).startswith(SAMPLE)
         return bool(inputs.touch or inputs.avoid or read or inputs.scene not in (None, NO_SCENE))
 
-    def _way_options(self) -> WayOptions | None:
-        """Return the lengths of the ways; None where none are planned.
+    def _trajectory_options(self) -> TrajectoryOptions | None:
+        """Return the lengths of the trajectories; None where none are planned.
 
         Raises:
-            GraspRefineError: a length is not one, or there is no --way that it is for, or that is no such file.
+            GraspRefineError: a length is not one, or there is no --trajectory that it is for, or that is no such file.
         """
         out = self.output
-        if out.way is None:
+        if out.trajectory is None:
             for name in ("approach", "lift"):
-                if getattr(out, name) != getattr(WayOptions, name):
-                    raise GraspRefineError(f"--{name} needs --way, which plans the way of the grasps")
+                if getattr(out, name) != getattr(TrajectoryOptions, name):
+                    raise GraspRefineError(f"--{name} needs --trajectory, which plans the trajectory of the grasps")
             if out.start is not None:
-                raise GraspRefineError(f"--from {out.start}: needs --way, which plans the way of the grasps")
+                raise GraspRefineError(
+                    f"--from {out.start}: needs --trajectory, which plans the trajectory of the grasps"
+                )
             return None
-        check_way_file(out.way)
-        return WayOptions(out.approach, out.lift, None if out.start is None else _joint_values(out.start))
+        check_trajectory_file(out.trajectory)
+        return TrajectoryOptions(out.approach, out.lift, None if out.start is None else _joint_values(out.start))
 
     def _show_result(self, paths: dict[str, Path]) -> int:
         """Show the result of the first object until interrupted."""
@@ -266,9 +271,9 @@ class Run:
         """
         out = self.output
         paths = result_paths(out.out, problem.hand.name, tuple(stamps))
-        for path in filter(None, (*paths.values(), out.json, out.way)):
+        for path in filter(None, (*paths.values(), out.json, out.trajectory)):
             check_no_input(
-                path, problem.files, "the results would overwrite an input; give another --out, --json or --way"
+                path, problem.files, "the results would overwrite an input; give another --out, --json or --trajectory"
             )
         for name, path in paths.items():
             again = is_same_refinement(path, stamps[name], settings(protocol))

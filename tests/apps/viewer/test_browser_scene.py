@@ -1,4 +1,4 @@
-"""A scene in a real browser: what is around the object is drawn, and the way is planned and played."""
+"""A scene in a real browser: what is around the object is drawn, and the trajectory is planned and played."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def page(start_viewer: Callable[..., Viewer], browser: Browser) -> Iterator[Vise
     opened.close()
 
 
-def test_the_way_over_the_table_is_planned_and_played(page: ViserPage) -> None:
+def test_the_trajectory_over_the_table_is_planned_and_played(page: ViserPage) -> None:
     assert page.visible(TABLE)
     start = page.pose("/grasp/object")[2, 3]
     page.tab("Validate")
     assert page.value("Protocol") == "scene"
-    page.click("Plan the way")
-    page.wait_for_text("The way is free")
+    page.click("Plan the trajectory")
+    page.wait_for_text("The trajectory is free")
     # It plays by itself, to the end of the lift.
     until(lambda: page.pose("/grasp/object")[2, 3] > start + 0.099, "the object is lifted by 10 cm")
     np.testing.assert_allclose(page.pose(TABLE)[:2, 3], 0.0, atol=0.5)

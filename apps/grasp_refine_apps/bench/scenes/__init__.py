@@ -1,1 +1,1 @@
-"""Study of what scenes and arms leave of grasps: reachable, free on the whole way, held and lifted."""
+"""Study of scenes and arms: grasps within reach, trajectories free of collision, objects held and lifted."""

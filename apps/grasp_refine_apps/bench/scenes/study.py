@@ -1,4 +1,4 @@
-"""The benchmark of scenes: sampled grasps of hands on an arm, before and after refinement, along their whole way."""
+"""The benchmark of scenes: sampled grasps on an arm, before and after refinement, along their trajectories."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from grasp_refine.core.se3 import transform
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
 from grasp_refine.motion.execution import follow
-from grasp_refine.motion.way import ways
+from grasp_refine.motion.plan import plan_motions
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.refine import refine_group
@@ -30,8 +30,8 @@ from grasp_refine_apps.bench.jobs import Job, Progress, part_of
 from grasp_refine_apps.bench.report import Column, Report, Table
 
 COUNTS = ("free", "held", "clean")
-"""Keys of rows with numbers before and after: ways that are free, objects that were held and lifted along them, and
-those of them with nothing hit."""
+"""Keys of rows with numbers before and after: trajectories that are free, objects that were held and lifted along them,
+and those of them with nothing hit."""
 
 FALLEN_M = 1.0
 """Displacement in metres from which on a neighbour fell off what it stood on."""
@@ -96,7 +96,7 @@ class ScenesStudy:
             Column("label", "hand and scene"),
             Column("grasps", "grasps", form="d"),
             Column("reachable", "reach\u00adable", form="d"),
-            Column("free", "way is free", form=_both),
+            Column("free", "trajectory is free", form=_both),
             Column("held", "held and lifted", form=_both),
             Column("clean", "and nothing hit", form=_both),
             Column("pushed_m", "neighbour pushed, at most", "mm", _pushed),
@@ -134,8 +134,8 @@ class SceneTask:
     def run(self, progress: Progress) -> list[Row]:
         """Sample, refine, plan and follow in simulation; return a row with knowledge of the scene, and one without.
 
-        Either way the simulation has the whole scene. Ways are planned with what is known, so that without knowledge
-        free ones may hit something.
+        Either way the simulation has the whole scene. Trajectories are planned with what is known, so that without
+        knowledge free ones may hit something.
 
         Raises:
             GraspRefineError: no grasp is found, or MuJoCo cannot compile the world.
@@ -158,9 +158,9 @@ class SceneTask:
             refined = outcome.posed(group.scene), outcome.motion
             counts, pushed = [], []
             for stage, (given, motion) in enumerate([(group.scene, group.motion()), refined]):
-                planned = ways(given, motion)
+                planned = plan_motions(given, motion)
                 found = follow(world, whole, planned, threads=1)
-                counts.append([sum(way.free for way in planned), found.held.sum(), (found.held & found.clean).sum()])
+                counts.append([sum(plan.free for plan in planned), found.held.sum(), (found.held & found.clean).sum()])
                 pushed.append(np.nanmax(found.pushed_m, initial=0.0))
                 share(0.7 + 0.3 * stage)
             rows.append(

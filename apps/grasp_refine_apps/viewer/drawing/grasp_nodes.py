@@ -46,7 +46,7 @@ from grasp_refine_apps.viewer.meters.obstacles import TABLE
 from grasp_refine_apps.viewer.model.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 from grasp_refine_apps.viewer.model.state import State
 
 GRASP_NODE = "/grasp"
@@ -165,7 +165,7 @@ class GraspNodes:
         self._draw_ghost(state)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
         blocked, blocking = {overlap.link for overlap in overlaps}, {overlap.body for overlap in overlaps}
-        met = state.motion.obstruction_at(state.motion_frame) if isinstance(state.motion, ShownWay) else None
+        met = state.motion.obstruction_at(state.motion_frame) if isinstance(state.motion, ShownTrajectory) else None
         if met is not None:
             blocked |= {met.first, met.second}
             blocking |= blocked
@@ -298,7 +298,7 @@ class GraspNodes:
             self._depth_fields[body] = DepthField.of(body)
         return self._depth_fields[body]
 
-    def _draw_simulated_contacts(self, motion: ShownMotion | ShownWay, frame: int) -> None:
+    def _draw_simulated_contacts(self, motion: ShownMotion | ShownTrajectory, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""
         points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
         for markers in (self.points_link, self.targets, self._targets_link, self.picked):

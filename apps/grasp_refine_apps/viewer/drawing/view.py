@@ -19,7 +19,7 @@ from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.comparison import compared_pose
 from grasp_refine_apps.viewer.model.contacts import Contacts
 from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 from grasp_refine_apps.viewer.model.state import DisplayOptions, State
 
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
@@ -44,7 +44,7 @@ class View:
         self._camera: FirstCamera | None = None
         self._beside = False
         self._aspects: dict[int, float] = {}
-        self._motion: ShownMotion | ShownWay | None = None
+        self._motion: ShownMotion | ShownTrajectory | None = None
         light(server.scene)
 
     @property
@@ -76,7 +76,7 @@ class View:
             nodes.draw(state)
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras so that hand and object are fully in view."""
+        """Place all cameras for one grasp, for two side by side or overlaid, or for a whole trajectory or lift."""
         shown = state.shown
         if not shown.finite:
             return
@@ -114,7 +114,7 @@ class View:
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
         """Points (N, 3) on all that is shown, world frame."""
         points = transform_points(state.T_world_object, nodes.corners(state.shown))
-        if isinstance(state.motion, ShownWay):
+        if isinstance(state.motion, ShownTrajectory):
             ends = [nodes.corners(state.motion.pose(k), state.motion.T_object[k], arm=True) for k in (0, -1)]
         elif _travels(state.motion):
             # Objects that are lost may be anywhere.
@@ -131,7 +131,7 @@ class View:
         return np.concatenate([points, other])
 
     def _place_cameras(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, for two side by side or one over the other, or for a whole way or lift."""
+        """Place all cameras for one grasp, for two side by side or overlaid, or for a whole trajectory or lift."""
         camera = self._camera
         if camera is None:
             return
@@ -151,9 +151,9 @@ class View:
             place.position, place.look_at = found.position, found.look_at
 
 
-def _travels(motion: ShownMotion | ShownWay | None) -> TypeGuard[ShownMotion | ShownWay]:
+def _travels(motion: ShownMotion | ShownTrajectory | None) -> TypeGuard[ShownMotion | ShownTrajectory]:
     """Return whether the hand goes somewhere else than to the grasp."""
-    return isinstance(motion, ShownWay) or (motion is not None and motion.direction in LIFT)
+    return isinstance(motion, ShownTrajectory) or (motion is not None and motion.direction in LIFT)
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:

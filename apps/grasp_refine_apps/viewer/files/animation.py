@@ -25,7 +25,7 @@ from grasp_refine_apps.viewer.drawing.shapes import LinkPoses, object_shapes, vi
 from grasp_refine_apps.viewer.model.contacts import contacts_of
 from grasp_refine_apps.viewer.model.pose import Pose, Target
 from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.trace import Trace, subsample
 from grasp_refine_apps.viewer.server.page import without_greeting
@@ -131,7 +131,7 @@ def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Tar
     return Film(f"{hand.name} and {obj.name}: refinement", hand, obj, frames, first_camera_of(found[-1]))
 
 
-def motion_film(hand: Hand, obj: Object, motion: ShownMotion | ShownWay) -> Film:
+def motion_film(hand: Hand, obj: Object, motion: ShownMotion | ShownTrajectory) -> Film:
     """Return the film of at most `MAX_FRAMES` frames of a simulation."""
     prepared = HandObject(hand, obj)
     size = float(np.linalg.norm(obj.mesh.extents))

@@ -1,10 +1,10 @@
-"""Playing: the shown iteration of a refinement, and the shown frame of a simulation or a way."""
+"""Playing: the shown iteration of a refinement, and the shown frame of a simulation or a trajectory."""
 
 from __future__ import annotations
 
 from grasp_refine_apps.viewer.jobs.store import Store
 from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 
 
 class Player:
@@ -23,12 +23,12 @@ class Player:
                 self._store.set(frame=frame, motion=None)
 
     def show_frame(self, frame: int) -> None:
-        """Show a frame of the simulation or the way."""
+        """Show a frame of the simulation or the trajectory."""
         with self._store.lock:
             motion = self._store.state.motion
             if motion is not None:
                 self._store.set(motion_frame=min(max(frame, 0), len(motion) - 1))
 
-    def show(self, motion: ShownMotion | ShownWay | None) -> None:
-        """Show a simulation, or a way, from its start; None: the grasp again."""
+    def show(self, motion: ShownMotion | ShownTrajectory | None) -> None:
+        """Show a simulation, or a trajectory, from its start; None: the grasp again."""
         self._store.set(motion=motion, motion_frame=0)

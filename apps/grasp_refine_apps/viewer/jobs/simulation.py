@@ -1,4 +1,4 @@
-"""Commands that simulate the shown grasp, and plan its way."""
+"""Commands that simulate the shown grasp, and plan its trajectory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from grasp_refine_apps.viewer.jobs.background import Background
 from grasp_refine_apps.viewer.jobs.editor import Editor
-from grasp_refine_apps.viewer.jobs.planning import plan_way
+from grasp_refine_apps.viewer.jobs.planning import plan_trajectory
 from grasp_refine_apps.viewer.jobs.store import Change, Store
 from grasp_refine_apps.viewer.jobs.targets import Prepare
 from grasp_refine_apps.viewer.jobs.validating import (
@@ -21,7 +21,7 @@ from grasp_refine_apps.viewer.model.work import now
 
 
 class Simulation:
-    """Simulation and way of the shown grasp."""
+    """Simulation and trajectory of the shown grasp."""
 
     def __init__(
         self, store: Store, editor: Editor, background: Background, prepare: Prepare, make_world: MakeWorld
@@ -47,22 +47,22 @@ class Simulation:
                 self._editor.keep_tested_pose(grasp.pose)
                 self._store.set(trial=None, tested_at=None)
 
-    def plan_way(self) -> None:
-        """Plan the way of the shown grasp, and show it from its start; a way that is known is shown at once."""
+    def plan_trajectory(self) -> None:
+        """Plan the trajectory of the shown grasp, if it is not known, and show it from its start."""
         with self._store.lock:
             state = self._store.state
-            if state.work.way is not None and state.standing is state.pose:
-                self._store.set(motion=state.work.way, motion_frame=0)
+            if state.work.plan is not None and state.standing is state.pose:
+                self._store.set(motion=state.work.plan, motion_frame=0)
                 return
             if not self._background.ready():
                 return
             grasp = PosedGrasp.of(state.collection, state.number, state.standing)
 
             def work(control: Control) -> Change:
-                found = plan_way(grasp.with_bodies(self._prepare), control)
-                return lambda state: state.evolve(way=found, motion=found, motion_frame=0)
+                found = plan_trajectory(grasp.with_bodies(self._prepare), control)
+                return lambda state: state.evolve(plan=found, motion=found, motion_frame=0)
 
-            if self._store.run_job("way", "planning the way", work):
+            if self._store.run_job("plan", "planning the trajectory", work):
                 self._editor.keep_tested_pose(grasp.pose)
 
     def record(self, direction: str) -> None:

@@ -23,9 +23,9 @@ from grasp_refine_apps.viewer.model.work import Work, Works
 
 if TYPE_CHECKING:
     from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.model.shown_way import ShownWay
+    from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 
-JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "way", "replay", "export"]
+JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "plan", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
 
 MAX_SHELVED = 6
@@ -147,8 +147,8 @@ class State:
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
-    motion: ShownMotion | ShownWay | None = None
-    """Shown simulation, or way."""
+    motion: ShownMotion | ShownTrajectory | None = None
+    """Shown simulation, or trajectory."""
     motion_frame: int = 0
     """Number of its shown frame."""
     display: DisplayOptions = DisplayOptions()

@@ -15,7 +15,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
 from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.pose import Pose, Target
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.model.validated import TrialResult
 
@@ -48,8 +48,8 @@ class Work:
     """Simulation result of `pose`."""
     tested_at: datetime | None = None
     """Time of that simulation; None: it is from a document, or there is none."""
-    way: ShownWay | None = None
-    """Way of the hand to `pose` and up with the object."""
+    plan: ShownTrajectory | None = None
+    """Trajectory of the hand to `pose` and up with the object."""
     of_file: Pose | None = None
     """Pose in the file; None: there is no file."""
     saved: Pose | None = None
@@ -88,7 +88,7 @@ class Work:
 
 
 NO_RESULTS: dict[str, Any] = dict.fromkeys(
-    ("outcome", "config", "refined_regions", "refined_at", "trial", "tested_at", "way")
+    ("outcome", "config", "refined_regions", "refined_at", "trial", "tested_at", "plan")
 )
 """Fields without results, which do not hold for another pose."""
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.motion.way import WayStatus
+from grasp_refine.motion.plan import PlanStatus
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.validating import MAX_FRICTION
 from grasp_refine_apps.viewer.model.shown_motion import FRAME_RATE_HZ, ShownMotion
-from grasp_refine_apps.viewer.model.shown_way import ShownWay
+from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 from grasp_refine_apps.viewer.model.state import Job, State
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
@@ -58,7 +58,7 @@ class ValidatePanel:
         self._server, self._controller = server, controller
         self._lock = threading.RLock()
         self._trial: TrialResult | None = None
-        self._motion: ShownMotion | ShownWay | None = None
+        self._motion: ShownMotion | ShownTrajectory | None = None
 
         gui = server.gui
         hint = "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
@@ -75,14 +75,15 @@ class ValidatePanel:
         )
         self.test = gui.add_button("Test in MuJoCo", hint="Simulate whether the grasp that is shown holds the object")
         self.plan = gui.add_button(
-            "Plan the way", hint="Approach, grasp and lift: report obstacles, and play the motion as far as it is known"
+            "Plan the trajectory",
+            hint="Approach, grasp and lift: report obstacles, and play the motion as far as it is known",
         )
         in_a_row(gui, (self.test, self.plan))
         self.bar: Any = gui.add_progress_bar(0.0, visible=False)
         self.doing = gui.add_html("", visible=False)
         self.stop = gui.add_button("Stop", visible=False, hint="End the simulation")
         self.result = gui.add_html(trial_html(None))
-        self.way = gui.add_html("", visible=False)
+        self.trajectory = gui.add_html("", visible=False)
         self.watch = gui.add_button_group(
             "Watch", ("+x",), visible=False, hint="Play the simulation of a push along this axis of the object"
         )
@@ -95,7 +96,7 @@ class ValidatePanel:
         on_change(self.protocol, self._choose)
         on_change(self.friction, lambda friction: self._set_protocol())
         on_click(self.test, controller.simulation.test)
-        on_click(self.plan, controller.simulation.plan_way)
+        on_click(self.plan, controller.simulation.plan_trajectory)
         on_click(self.stop, controller.stop)
         on_choice(self.watch, controller.simulation.record)
         on_click(self.end, self._end)
@@ -109,7 +110,7 @@ class ValidatePanel:
         with self._lock:
             self._draw_job(state.job)
             self._draw_trial(state.trial)
-            self._draw_way(state.work.way)
+            self._draw_trajectory(state.work.plan)
             self._draw_motion(state.motion, state.motion_frame)
 
     def _choose(self, protocol: str) -> None:
@@ -126,7 +127,7 @@ class ValidatePanel:
         own, friction = PROTOCOLS[self.protocol.value].friction, float(self.friction.value)
         return None if abs(friction - own) < 1e-9 else friction
 
-    def _shown(self) -> tuple[ShownMotion | ShownWay | None, int]:
+    def _shown(self) -> tuple[ShownMotion | ShownTrajectory | None, int]:
         """The simulation, and the number of its shown frame."""
         state = self._controller.state
         return state.motion, state.motion_frame
@@ -138,7 +139,7 @@ class ValidatePanel:
 
     def _draw_job(self, job: Job | None) -> None:
         """Show the progress of a simulation."""
-        ours = job is not None and job.kind in ("validate", "way", "replay")
+        ours = job is not None and job.kind in ("validate", "plan", "replay")
         self.test.disabled = self.plan.disabled = job is not None and job.kind != "measure"
         self.bar.visible = self.doing.visible = self.stop.visible = ours
         if ours and job is not None:
@@ -156,20 +157,20 @@ class ValidatePanel:
             self.watch.options = trial.directions
         self.watch.visible = trial is not None and trial.watchable
 
-    def _draw_way(self, way: ShownWay | None) -> None:
-        """Show what is known of the way."""
-        self.way.visible = way is not None
-        if way is not None:
-            self.way.content = motion_html(_sentence(way.summary), lost=way.status != WayStatus.FREE)
+    def _draw_trajectory(self, plan: ShownTrajectory | None) -> None:
+        """Show what is known of the trajectory."""
+        self.trajectory.visible = plan is not None
+        if plan is not None:
+            self.trajectory.content = motion_html(_sentence(plan.summary), lost=plan.status != PlanStatus.FREE)
 
-    def _draw_motion(self, motion: ShownMotion | ShownWay | None, frame: int) -> None:
+    def _draw_motion(self, motion: ShownMotion | ShownTrajectory | None, frame: int) -> None:
         """Show the text of a frame; a new motion is played at once, if a browser is connected."""
         new = motion is not self._motion
         if new:
             self._motion = motion
             self.replay.pause()
             self.end.visible = motion is not None
-            # The heading also describes the frames of a way; obstacles stand above.
+            # The heading also describes the frames of a trajectory; obstacles stand above.
             self.line.visible = isinstance(motion, ShownMotion)
             self.replay.set_visible(motion is not None)
         if motion is None:

@@ -1,4 +1,4 @@
-"""Ways as frames: the object goes with the palm, and what is in the way is met where links are in it first."""
+"""Trajectories as frames: the object goes with the palm, and what is in the way is met where links are in it first."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.hands.hand import load_hand
+from grasp_refine.motion.plan import LEGS, PlanStatus, plan_motions
 from grasp_refine.motion.sweep import SPACING_M
-from grasp_refine.motion.way import LEGS, WayStatus, ways
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.environment import Environment, EnvironmentBody
@@ -22,7 +22,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.jobs.controller import Controller
-from grasp_refine_apps.viewer.model.shown_way import LIFT, SQUEEZE, ShownWay, shown_way
+from grasp_refine_apps.viewer.model.shown_trajectory import LIFT, SQUEEZE, ShownTrajectory, shown_trajectory
 from open_viewer import controller, settled
 
 LIFT_M = 0.1
@@ -39,9 +39,9 @@ def grasp(*bodies: EnvironmentBody) -> tuple[Scene, Motion, HandObject]:
     return scene, Motion(np.tile(T, (1, 3, 1, 1)), fingers[None]), HandObject.of(scene)
 
 
-def shown(*bodies: EnvironmentBody) -> tuple[Scene, HandObject, ShownWay]:
+def shown(*bodies: EnvironmentBody) -> tuple[Scene, HandObject, ShownTrajectory]:
     scene, motion, prepared = grasp(*bodies)
-    return scene, prepared, shown_way(scene, ways(scene, motion, prepared=prepared)[0], prepared)
+    return scene, prepared, shown_trajectory(scene, plan_motions(scene, motion, prepared=prepared)[0], prepared)
 
 
 def post(top: float) -> EnvironmentBody:
@@ -52,21 +52,23 @@ def post(top: float) -> EnvironmentBody:
 
 
 def test_the_object_goes_up_with_the_palm_and_fingers_stay_on_it() -> None:
-    _, _, way = shown()
-    assert way.status == WayStatus.FREE and way.met is None and not way.lost.any()
-    assert sorted(set(way.leg)) == list(range(len(LEGS))) and (np.diff(way.time) > 0).all()
-    np.testing.assert_allclose(way.T_object[-1, :3, 3], [0.0, 0.0, LIFT_M], atol=1e-9)
-    at_grasp = inverse(way.T_root[np.flatnonzero(way.leg == LIFT)[0] - 1])
-    held = inverse(way.T_root[way.leg == LIFT]) @ way.T_object[way.leg == LIFT]
+    _, _, plan = shown()
+    assert plan.status == PlanStatus.FREE and plan.met is None and not plan.lost.any()
+    assert sorted(set(plan.leg)) == list(range(len(LEGS))) and (np.diff(plan.time) > 0).all()
+    np.testing.assert_allclose(plan.T_object[-1, :3, 3], [0.0, 0.0, LIFT_M], atol=1e-9)
+    at_grasp = inverse(plan.T_root[np.flatnonzero(plan.leg == LIFT)[0] - 1])
+    held = inverse(plan.T_root[plan.leg == LIFT]) @ plan.T_object[plan.leg == LIFT]
     np.testing.assert_allclose(held, np.broadcast_to(at_grasp, held.shape), atol=1e-9)
     # Set points press, fingers do not go into the object.
-    np.testing.assert_allclose(way.q[way.leg >= SQUEEZE], 0.025, atol=1e-9)
-    np.testing.assert_array_equal(way.T_object[way.leg < LIFT], np.broadcast_to(np.eye(4), (sum(way.leg < LIFT), 4, 4)))
+    np.testing.assert_allclose(plan.q[plan.leg >= SQUEEZE], 0.025, atol=1e-9)
+    np.testing.assert_array_equal(
+        plan.T_object[plan.leg < LIFT], np.broadcast_to(np.eye(4), (sum(plan.leg < LIFT), 4, 4))
+    )
 
 
-def lowest(scene: Scene, prepared: HandObject, way: ShownWay) -> np.ndarray:
+def lowest(scene: Scene, prepared: HandObject, plan: ShownTrajectory) -> np.ndarray:
     """Height of the lowest point of the hand in each frame (T,), metres."""
-    T = prepared.chain(way.T_root, way.q).T_world_link
+    T = prepared.chain(plan.T_root, plan.q).T_world_link
     heights, _ = Plane().heights(prepared.bodies, T)
     return heights.min(axis=1)
 
@@ -74,33 +76,33 @@ def lowest(scene: Scene, prepared: HandObject, way: ShownWay) -> np.ndarray:
 @pytest.mark.parametrize("height", [0.02, 0.06])
 def test_a_post_below_a_finger_is_met_in_the_frame_in_which_the_finger_reaches_it(height: float) -> None:
     tip = lowest(*shown())[-1] - LIFT_M
-    scene, prepared, way = shown(post(tip + height))
-    assert way.status == WayStatus.BLOCKED and way.obstruction is not None and way.met is not None
-    assert way.obstruction.second == "post" and "post" in way.text(way.met) and "post" in way.summary
-    assert "post" not in way.text(way.met - 1) and way.obstruction_at(way.met - 1) is None
-    z = lowest(scene, prepared, way)
+    scene, prepared, plan = shown(post(tip + height))
+    assert plan.status == PlanStatus.BLOCKED and plan.obstruction is not None and plan.met is not None
+    assert plan.obstruction.second == "post" and "post" in plan.text(plan.met) and "post" in plan.summary
+    assert "post" not in plan.text(plan.met - 1) and plan.obstruction_at(plan.met - 1) is None
+    z = lowest(scene, prepared, plan)
     step = np.abs(np.diff(z)).max()
     # Samples of the sweep and frames are each a little apart.
-    assert z[way.met] == pytest.approx(tip + height, abs=SPACING_M + step)
-    assert way.lost.tolist() == [frame >= way.met for frame in range(len(way))]
+    assert z[plan.met] == pytest.approx(tip + height, abs=SPACING_M + step)
+    assert plan.lost.tolist() == [frame >= plan.met for frame in range(len(plan))]
 
 
 def test_planning_is_kept_until_the_grasp_is_moved(viewer: Controller) -> None:
-    viewer.simulation.plan_way()
+    viewer.simulation.plan_trajectory()
     settled(viewer, 60.0)
-    way = viewer.state.work.way
-    assert isinstance(way, ShownWay) and viewer.state.motion is way and len(way) > 20
+    plan = viewer.state.work.plan
+    assert isinstance(plan, ShownTrajectory) and viewer.state.motion is plan and len(plan) > 20
     # It ends at the grasp: the pose that is planned for is passed on the way.
-    closest = np.abs(way.T_root - viewer.state.pose.T_object_root).max(axis=(1, 2)) + np.abs(
-        way.q - viewer.state.pose.q
+    closest = np.abs(plan.T_root - viewer.state.pose.T_object_root).max(axis=(1, 2)) + np.abs(
+        plan.q - viewer.state.pose.q
     ).max(axis=1)
-    assert way.status != WayStatus.FREE or closest.min() < 0.02
+    assert plan.status != PlanStatus.FREE or closest.min() < 0.02
     viewer.player.show(None)
-    viewer.simulation.plan_way()
-    assert viewer.state.job is None and viewer.state.motion is way
+    viewer.simulation.plan_trajectory()
+    assert viewer.state.job is None and viewer.state.motion is plan
     viewer.player.show(None)
     viewer.editor.set_joint(0, viewer.state.pose.q[0] + 0.05)
-    assert viewer.state.work.way is None
+    assert viewer.state.work.plan is None
 
 
 @pytest.fixture

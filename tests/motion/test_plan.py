@@ -1,4 +1,4 @@
-"""The whole way of grasps: swept for what is in the way, and timed by the speed limits of the joints."""
+"""Plans of grasps: swept for collisions, and timed by the speed limits of the joints."""
 
 import json
 from dataclasses import replace
@@ -23,10 +23,10 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.paths import HandPath, straight
+from grasp_refine.motion.plan import LEGS, WAYPOINTS, MotionPlan, PlanStatus, TrajectoryOptions, plan_motions
 from grasp_refine.motion.sweep import Sweep
 from grasp_refine.motion.trajectory import PALM_SPEED, SPEED_SHARE, speed_limits, trajectory
-from grasp_refine.motion.way import LEGS, WAYPOINTS, Way, WayOptions, WayStatus, ways
-from grasp_refine.motion.way_files import PlannedWays
+from grasp_refine.motion.trajectory_files import PlannedTrajectories
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.problem.arms import arm_clearance
 from grasp_refine.scene.environment import Environment, EnvironmentBody
@@ -93,19 +93,19 @@ def test_palm_of_an_arm_moves_on_a_straight_line(whole: Hand, thing: Object) -> 
 
 
 @pytest.mark.parametrize("on_arm", [False, True])
-def test_free_way_has_all_legs_and_passes_the_stages(hand: Hand, whole: Hand, thing: Object, on_arm: bool) -> None:
+def test_free_plan_has_all_legs_and_passes_the_stages(hand: Hand, whole: Hand, thing: Object, on_arm: bool) -> None:
     """Up and down above the box, 0.1 m each."""
     which = whole if on_arm else hand
     scene, motion = grasp(which, thing)
-    (way,) = ways(scene, motion)
-    assert way.free and way.why == "" and len(way.legs) == len(LEGS)
-    approach, close, squeeze, lift = way.legs
+    (plan,) = plan_motions(scene, motion)
+    assert plan.free and plan.why == "" and len(plan.legs) == len(LEGS)
+    approach, close, squeeze, lift = plan.legs
     for path, stage in ((approach, 0), (close, 1), (squeeze, 2)):
         np.testing.assert_allclose(path.q[-1], motion.q[0, stage], atol=1e-9)
     palms = palm_poses(which, lift.T_world_root, lift.q)
     np.testing.assert_allclose(palms[-1, :3, 3] - palms[0, :3, 3], [0.0, 0.0, 0.1], atol=1e-6)
-    assert way.direction is not None
-    np.testing.assert_allclose(way.direction, [0.0, 0.0, 1.0], atol=1e-6)
+    assert plan.direction is not None
+    np.testing.assert_allclose(plan.direction, [0.0, 0.0, 1.0], atol=1e-6)
 
 
 def test_thin_wall_between_free_poses_is_found(hand: Hand, thing: Object) -> None:
@@ -132,12 +132,14 @@ def test_another_direction_is_taken_where_the_first_is_blocked(hand: Hand, thing
     """A shelf above the palm leaves a tilted approach; one all around leaves none, and is named."""
     shelf = obstacle("shelf", (0.02, 0.3, 0.02), (0.0, 0.0, 0.25))
     scene, motion = grasp(hand, thing, shelf)
-    (way,) = ways(scene, motion, WayOptions(lift=0.0))
-    assert way.free and way.direction is not None and way.direction[2] < 0.99
+    (plan,) = plan_motions(scene, motion, TrajectoryOptions(lift=0.0))
+    assert plan.free and plan.direction is not None and plan.direction[2] < 0.99
     cage = obstacle("cage", (0.6, 0.6, 0.02), (0.0, 0.0, 0.19))
     scene, motion = grasp(hand, thing, cage)
-    (way,) = ways(scene, motion)
-    assert way.status == WayStatus.BLOCKED and "cage" in way.why and "approach" in way.why and "panda_hand" in way.why
+    (plan,) = plan_motions(scene, motion)
+    assert (
+        plan.status == PlanStatus.BLOCKED and "cage" in plan.why and "approach" in plan.why and "panda_hand" in plan.why
+    )
 
 
 def test_object_that_is_lifted_into_a_shelf_is_named(hand: Hand, thing: Object) -> None:
@@ -145,19 +147,19 @@ def test_object_that_is_lifted_into_a_shelf_is_named(hand: Hand, thing: Object) 
     wide = load_object("box:0.3,0.05,0.12")
     beam = obstacle("beam", (0.02, 0.3, 0.02), (0.13, 0.0, 0.12))
     scene, motion = grasp(hand, wide, beam)
-    (way,) = ways(scene, motion)
-    assert way.status == WayStatus.BLOCKED and way.why.startswith("lift: object and beam"), way.why
-    assert ways(*grasp(hand, wide))[0].free
+    (plan,) = plan_motions(scene, motion)
+    assert plan.status == PlanStatus.BLOCKED and plan.why.startswith("lift: object and beam"), plan.why
+    assert plan_motions(*grasp(hand, wide))[0].free
 
 
 def test_links_of_the_arm_are_swept_too(whole: Hand, thing: Object) -> None:
-    """A post in the last wrist, which is where the palm has it, blocks all ways; what the base stands in does not."""
+    """A post in the last wrist, where the palm has it, blocks all plans; the ground of the base does not."""
     stand = obstacle("stand", (0.2, 0.2, 0.2), (-0.5, 0.0, -0.15))
-    assert ways(*grasp(whole, thing, stand))[0].free
+    assert plan_motions(*grasp(whole, thing, stand))[0].free
     scene, motion = grasp(whole, thing)
     post = obstacle("post", (0.02, 0.02, 0.02), in_link(whole, motion, "wrist_3_link", (0.0, 0.0, -0.02)))
-    (way,) = ways(*grasp(whole, thing, post))
-    assert way.status == WayStatus.BLOCKED and "wrist_3_link and post" in way.why and not way.other_arm
+    (plan,) = plan_motions(*grasp(whole, thing, post))
+    assert plan.status == PlanStatus.BLOCKED and "wrist_3_link and post" in plan.why and not plan.other_arm
 
 
 def in_link(whole: Hand, motion: Motion, link: str, point: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -168,24 +170,24 @@ def in_link(whole: Hand, motion: Motion, link: str, point: tuple[float, float, f
 
 
 def test_another_configuration_of_the_arm_has_the_same_palms(whole: Hand, thing: Object) -> None:
-    """A post in the forearm blocks the arm as the grasp has it; another way of the arm passes, to 1e-9 at the palm."""
+    """A post in the forearm blocks the arm at the grasp; another configuration passes, to 1e-9 at the palm."""
     scene, motion = grasp(whole, thing)
     post = obstacle("post", (0.02, 0.02, 0.02), in_link(whole, motion, "forearm_link", (-0.2, 0.0, 0.007)))
     scene, motion = grasp(whole, thing, post)
     met = Sweep(scene, HandObject.of(scene)).obstruction(HandPath(motion.T_world_root[0], motion.q[0]), allowed=None)
     assert met is not None and (met.first, met.second) == ("forearm_link", "post")
-    (way,) = ways(scene, motion)
-    assert way.free and way.other_arm
-    palms = [palm_poses(whole, T, q) for T, q in ((motion.T_world_root[0, :2], motion.q[0, :2]), legs_end(way))]
+    (plan,) = plan_motions(scene, motion)
+    assert plan.free and plan.other_arm
+    palms = [palm_poses(whole, T, q) for T, q in ((motion.T_world_root[0, :2], motion.q[0, :2]), legs_end(plan))]
     np.testing.assert_allclose(palms[1], palms[0], atol=1e-9)
-    np.testing.assert_array_equal(way.legs[1].q[:, ~whole.arm_joints], motion.q[0, :2, ~whole.arm_joints].T)
-    assert np.abs(way.legs[1].q - motion.q[0, :2]).max() > 0.1
-    np.testing.assert_array_equal(way.legs[2].q[:, whole.arm_joints], way.legs[1].q[[1, 1]][:, whole.arm_joints])
+    np.testing.assert_array_equal(plan.legs[1].q[:, ~whole.arm_joints], motion.q[0, :2, ~whole.arm_joints].T)
+    assert np.abs(plan.legs[1].q - motion.q[0, :2]).max() > 0.1
+    np.testing.assert_array_equal(plan.legs[2].q[:, whole.arm_joints], plan.legs[1].q[[1, 1]][:, whole.arm_joints])
 
 
-def legs_end(way: Way) -> tuple[np.ndarray, np.ndarray]:
-    """Return base poses and joint values of pregrasp and grasp on a way."""
-    return way.legs[1].T_world_root, way.legs[1].q
+def legs_end(plan: MotionPlan) -> tuple[np.ndarray, np.ndarray]:
+    """Return base poses and joint values of pregrasp and grasp on a trajectory."""
+    return plan.legs[1].T_world_root, plan.legs[1].q
 
 
 def test_fingers_that_are_behind_a_rim_open_wider_for_the_approach(hand: Hand, thing: Object) -> None:
@@ -195,18 +197,18 @@ def test_fingers_that_are_behind_a_rim_open_wider_for_the_approach(hand: Hand, t
     rimmed = build_body("rimmed", [box([0.05, 0.05, 0.12]), box([0.05, 0.058, 0.01]).transformed(T_rim)])
     scene, motion = grasp(hand, replace(thing, body=rimmed))
     motion.q[0, 0] = 0.027
-    (way,) = ways(scene, motion)
-    approach = way.legs[0]
-    assert way.free and approach.q[0, 0] > 0.029
+    (plan,) = plan_motions(scene, motion)
+    approach = plan.legs[0]
+    assert plan.free and approach.q[0, 0] > 0.029
     np.testing.assert_array_equal(approach.q[-1], motion.q[0, 0])
     np.testing.assert_array_equal(approach.T_world_root[-2:], motion.T_world_root[0, [0, 0]])
     motion.q[0, 0] = 0.0255
-    (way,) = ways(scene, motion)
-    assert way.status == WayStatus.BLOCKED and "approach" in way.why
+    (plan,) = plan_motions(scene, motion)
+    assert plan.status == PlanStatus.BLOCKED and "approach" in plan.why
 
 
 @pytest.mark.parametrize("blocked", [False, True])
-def test_ways_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: bool) -> None:
+def test_plans_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: bool) -> None:
     """Object, bodies and base moved and turned by any motion, up included: all else stays, to 1e-9."""
     D = exp_se3(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.5]))
     scene, motion = grasp(whole, thing)
@@ -221,9 +223,9 @@ def test_ways_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: boo
         environment=Environment(scene.environment.bodies, np.linalg.inv(D)),
     )
     # The world stays, and the frame of the object moves in it.
-    (first,), (second,) = ways(scene, motion), ways(there, Motion(D @ motion.T_world_root, motion.q))
+    (first,), (second,) = plan_motions(scene, motion), plan_motions(there, Motion(D @ motion.T_world_root, motion.q))
     assert (first.status, first.other_arm, len(first.legs)) == (second.status, second.other_arm, len(second.legs))
-    assert blocked == (first.status == WayStatus.BLOCKED) and first.why.split(" at ")[0] == second.why.split(" at ")[0]
+    assert blocked == (first.status == PlanStatus.BLOCKED) and first.why.split(" at ")[0] == second.why.split(" at ")[0]
     np.testing.assert_allclose(D[:3, :3] @ first.direction, second.direction, atol=1e-9)
     for one, other in zip(first.legs, second.legs, strict=True):
         np.testing.assert_allclose(one.q, other.q, atol=1e-9)
@@ -233,8 +235,8 @@ def test_ways_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: boo
 def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Object) -> None:
     """Speeds between set points are below the share of each joint's limit; the file's limits are those of its URDF."""
     scene, motion = grasp(whole, thing)
-    (way,) = ways(scene, motion, WayOptions(approach=0.3))
-    timed = trajectory(whole, way)
+    (plan,) = plan_motions(scene, motion, TrajectoryOptions(approach=0.3))
+    timed = trajectory(whole, plan)
     limits = speed_limits(whole)
     assert limits[0] == pytest.approx(np.pi) and limits[-1] == pytest.approx(0.05)
     assert abs(timed.time[0]) < 1e-12 and (np.diff(timed.time) > 0).all()
@@ -244,7 +246,7 @@ def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Ob
     moved, turned = distances(T_palm[:-1], T_palm[1:])
     fast = np.stack([moved, turned], axis=1) / np.diff(timed.time)[:, None] / PALM_SPEED
     assert SPEED_SHARE - 0.01 < fast.max() < SPEED_SHARE + 5e-3  # of the palm, between knots of its line
-    slow = trajectory(whole, way, share=0.1)
+    slow = trajectory(whole, plan, share=0.1)
     assert (np.abs(np.diff(slow.q, axis=0)) / np.diff(slow.time)[:, None] <= 0.1 * limits + 1e-9).all()
     assert slow.time[-1] > 2 * timed.time[-1]
     fastest = np.concatenate([speed / limits, fast], axis=1).max(axis=1)
@@ -254,7 +256,7 @@ def test_times_keep_the_speed_limits_and_legs_end_at_rest(whole: Hand, thing: Ob
         np.testing.assert_allclose(timed.q[place], motion.q[0, stage], atol=1e-9)
 
 
-def test_grasps_without_a_way_say_why_and_leave_others_alone(whole: Hand, thing: Object) -> None:
+def test_grasps_without_a_plan_say_why_and_leave_others_alone(whole: Hand, thing: Object) -> None:
     """Out of reach, and no grasp; the third is as it is alone."""
     scene, motion = grasp(whole, thing)
     q = np.repeat(scene.q, 3, axis=0)
@@ -262,23 +264,26 @@ def test_grasps_without_a_way_say_why_and_leave_others_alone(whole: Hand, thing:
     stages = np.repeat(motion.q, 3, axis=0)
     stages[0, :, 0], stages[1] = np.nan, np.nan
     many = replace(scene, T_world_root=np.repeat(scene.T_world_root, 3, axis=0), q=q)
-    found = ways(many, Motion(np.repeat(motion.T_world_root, 3, axis=0), stages))
-    assert [way.status.label for way in found] == ["out of reach", "no grasp", "free"]
-    np.testing.assert_array_equal(found[2].legs[0].q, ways(scene, motion)[0].legs[0].q)
+    found = plan_motions(many, Motion(np.repeat(motion.T_world_root, 3, axis=0), stages))
+    assert [plan.status.label for plan in found] == ["out of reach", "no grasp", "free"]
+    np.testing.assert_array_equal(found[2].legs[0].q, plan_motions(scene, motion)[0].legs[0].q)
 
 
 def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Object, tmp_path: Path) -> None:
-    """Both formats have the same numbers; arrays of a way that is not known are NaN."""
+    """Both formats have the same numbers; arrays of a trajectory that is not known are NaN."""
     scene, motion = grasp(whole, thing, obstacle("post", (0.02, 0.02, 0.02), (0.3, 0.3, 0.0)))
-    (way,) = ways(scene, motion)
-    none = ways(replace(scene, q=np.full_like(scene.q, np.nan)), motion)[0]
+    (plan,) = plan_motions(scene, motion)
+    none = plan_motions(replace(scene, q=np.full_like(scene.q, np.nan)), motion)[0]
     labels = np.array(["box", "box"]), np.array([3, 4]), np.array([1, 2])
-    planned = PlannedWays(whole, *labels, (way, none), ((scene, 0.5), (scene, 0.5)))
-    assert planned.lines() == ["the whole way is free in 1 of 2", "way of grasp 2 no grasp: there is no grasp"]
-    planned.save(tmp_path / "ways.npz")
-    planned.save(tmp_path / "ways.json")
-    arrays, document = load_npz(tmp_path / "ways.npz").entries, json.loads((tmp_path / "ways.json").read_text())
-    entry, timed = document["grasps"][0], trajectory(whole, way)
+    planned = PlannedTrajectories(whole, *labels, (plan, none), ((scene, 0.5), (scene, 0.5)))
+    assert planned.lines() == ["the trajectory is free in 1 of 2", "trajectory of grasp 2 no grasp: there is no grasp"]
+    planned.save(tmp_path / "trajectories.npz")
+    planned.save(tmp_path / "trajectories.json")
+    arrays, document = (
+        load_npz(tmp_path / "trajectories.npz").entries,
+        json.loads((tmp_path / "trajectories.json").read_text()),
+    )
+    entry, timed = document["grasps"][0], trajectory(whole, plan)
     assert entry["row"] == 3 and entry["status"] == "free" and document["grasps"][1]["trajectory"]["q"] == []
     assert ["start", *(point["name"] for point in entry["waypoints"])] == arrays["waypoint_names"].tolist()
     assert document["joint_names"] == arrays["joint_names"].tolist() and document["schema"] == arrays["schema"]
@@ -297,7 +302,7 @@ def test_files_hold_waypoints_and_set_points_over_time(whole: Hand, thing: Objec
     assert [body["name"] for body in around["scene"]["bodies"]] == ["post"]
     np.testing.assert_allclose(around["scene"]["bodies"][0]["pose"], [0.3, 0.3, 0.0, 1.0, 0.0, 0.0, 0.0])
     with pytest.raises(gr.GraspRefineError, match=".csv"):
-        planned.save(tmp_path / "ways.csv")
+        planned.save(tmp_path / "trajectories.csv")
 
 
 def timed_values(entry: dict, index: int) -> list[float]:
@@ -306,13 +311,13 @@ def timed_values(entry: dict, index: int) -> list[float]:
     return values
 
 
-def test_file_suffices_to_follow_a_way(whole: Hand, thing: Object, tmp_path: Path) -> None:
+def test_file_suffices_to_follow_a_trajectory(whole: Hand, thing: Object, tmp_path: Path) -> None:
     """From the file and the URDFs that it names alone: kinematics, followers, even times, velocities and torques."""
     scene, motion = grasp(whole, thing)
     motion.q[0, 2, -1] = 0.02
     one = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
-    PlannedWays(whole, *one, ways(scene, motion), ((scene, 1.0),)).save(tmp_path / "ways.json")
-    document = json.loads((tmp_path / "ways.json").read_text())
+    PlannedTrajectories(whole, *one, plan_motions(scene, motion), ((scene, 1.0),)).save(tmp_path / "trajectories.json")
+    document = json.loads((tmp_path / "trajectories.json").read_text())
     names, entry = document["joint_names"], document["grasps"][0]
     numbers = {key: np.array(values) for key, values in entry["trajectory"].items()}
     time, q, period = numbers["time_s"], numbers["q"], document["period_s"]
@@ -352,7 +357,7 @@ def at_names(robot: yourdfpy.URDF, names: list[str], values: np.ndarray) -> np.n
 def test_lengths_that_are_none_are_refused(lengths: dict) -> None:
     """The message names the length."""
     with pytest.raises(gr.GraspRefineError, match=next(iter(lengths))):
-        WayOptions(**lengths)
+        TrajectoryOptions(**lengths)
 
 
 @pytest.mark.parametrize("beyond", [-0.02, 0.06])
@@ -360,9 +365,9 @@ def test_jaws_that_slide_press_beyond_their_limits(whole: Hand, thing: Object, b
     """Clipped to the limits they would not press thin things: a mug's rim was lost; the arm does not move."""
     scene, motion = grasp(whole, thing)
     motion.q[0, 2, -1] = beyond
-    (way,) = ways(scene, motion)
-    assert way.free
-    squeeze, lift = way.legs[2:]
+    (plan,) = plan_motions(scene, motion)
+    assert plan.free
+    squeeze, lift = plan.legs[2:]
     assert whole.slides[-1] and squeeze.q[-1, -1] == beyond and np.allclose(lift.q[:, -1], beyond)
     np.testing.assert_array_equal(squeeze.q[-1, whole.arm_joints], motion.q[0, 1, whole.arm_joints])
 
@@ -375,7 +380,7 @@ def test_all_set_points_of_sampled_grasps_on_an_arm_are_within_limits(name: str)
     arm = mount(load_hand("ur5e", candidates=32), alone)
     grasps = gr.sample_grasps(alone, box, 8)
     refined = gr.refine(arm, box, grasps, base=[-0.55, 0.0, -0.06, 0.0, 0.0, 0.0])
-    timed = [one.q for one in gr.plan_ways(refined).trajectories() if len(one)]
+    timed = [one.q for one in gr.plan_trajectories(refined).trajectories() if len(one)]
     assert len(timed) > 2
     check_limits(arm, np.concatenate(timed))
 
@@ -393,35 +398,35 @@ def test_arm_comes_from_its_start_straight_in_its_joints(whole: Hand, thing: Obj
     scene, motion = grasp(whole, thing)
     arm = whole.arm_joints
     start = tuple(whole.rest[arm].tolist())
-    (plain,), (way,) = ways(scene, motion), ways(scene, motion, WayOptions(start=start))
-    assert way.free and way.reach is not None and plain.reach is None
-    np.testing.assert_array_equal(way.reach.q[0, arm], start)
-    np.testing.assert_array_equal(way.reach.q[1], way.legs[0].q[0])
-    np.testing.assert_array_equal(way.reach.q[0, ~arm], way.legs[0].q[0, ~arm])
-    np.testing.assert_array_equal(way.legs[2].q, plain.legs[2].q)
-    timed = trajectory(whole, way)
+    (plain,), (plan,) = plan_motions(scene, motion), plan_motions(scene, motion, TrajectoryOptions(start=start))
+    assert plan.free and plan.reach is not None and plain.reach is None
+    np.testing.assert_array_equal(plan.reach.q[0, arm], start)
+    np.testing.assert_array_equal(plan.reach.q[1], plan.legs[0].q[0])
+    np.testing.assert_array_equal(plan.reach.q[0, ~arm], plan.legs[0].q[0, ~arm])
+    np.testing.assert_array_equal(plan.legs[2].q, plain.legs[2].q)
+    timed = trajectory(whole, plan)
     assert timed.named["start"] == 0 and list(timed.named)[1:] == list(trajectory(whole, plain).named)
     reach = timed.q[: timed.named["approach"] + 1]
     share = (reach - reach[0]) @ (reach[-1] - reach[0]) / ((reach[-1] - reach[0]) ** 2).sum()
     np.testing.assert_allclose(reach, reach[0] + share[:, None] * (reach[-1] - reach[0]), atol=1e-9)
     assert (timed.sampled(0.05)[3][:3] == -1).all() and timed.sampled(0.05)[3].max() == LEGS.index("lift")
     one = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
-    PlannedWays(whole, *one, (way,)).save(tmp_path / "ways.json")
-    (entry,) = json.loads((tmp_path / "ways.json").read_text())["grasps"]
+    PlannedTrajectories(whole, *one, (plan,)).save(tmp_path / "trajectories.json")
+    (entry,) = json.loads((tmp_path / "trajectories.json").read_text())["grasps"]
     assert [point["name"] for point in entry["waypoints"]] == ["start", *WAYPOINTS]
     assert entry["squeeze"] and all(name in whole.joint_names[-1:] for name in entry["squeeze"])
 
 
 def test_start_behind_a_wall_is_named_as_blocked(whole: Hand, thing: Object) -> None:
-    """The arm turns through a plate beside its way that neither start nor approach touches."""
+    """The arm turns through a plate beside its trajectory that neither start nor approach touches."""
     scene, motion = grasp(whole, thing)
     turned = whole.rest[whole.arm_joints] + [np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]
     plate = obstacle("plate", (0.5, 0.01, 0.5), (-0.1, 0.3, 0.3))
     scene, motion = grasp(whole, thing, plate)
-    assert ways(scene, motion)[0].free
-    (way,) = ways(scene, motion, WayOptions(start=tuple(turned.tolist())))
-    assert way.status == WayStatus.BLOCKED and way.why.startswith("reach: ") and "plate" in way.why
-    assert way.legs == () and len(trajectory(whole, way)) > 1
+    assert plan_motions(scene, motion)[0].free
+    (plan,) = plan_motions(scene, motion, TrajectoryOptions(start=tuple(turned.tolist())))
+    assert plan.status == PlanStatus.BLOCKED and plan.why.startswith("reach: ") and "plate" in plan.why
+    assert plan.legs == () and len(trajectory(whole, plan)) > 1
 
 
 @pytest.mark.parametrize(
@@ -432,6 +437,6 @@ def test_starts_that_are_none_of_the_arm_are_refused(
 ) -> None:
     """The message names the number of joints, or the joint and its limits; a hand without an arm has none."""
     with pytest.raises(gr.GraspRefineError, match=named):
-        ways(*grasp(whole, thing), WayOptions(start=start))
+        plan_motions(*grasp(whole, thing), TrajectoryOptions(start=start))
     with pytest.raises(gr.GraspRefineError, match="no arm"):
-        ways(*grasp(hand, thing), WayOptions(start=start))
+        plan_motions(*grasp(hand, thing), TrajectoryOptions(start=start))

@@ -1,4 +1,4 @@
-"""The whole way of a grasp: approach, pregrasp, grasp, squeeze and lift, each free, or with what is in its way.
+"""Plans of grasps: approach, pregrasp, grasp, squeeze and lift, free of collision or with their obstacle.
 
 The palm comes straight to the pregrasp, from one of several directions of which the first free one is taken; the
 fingers close to the grasp and press; the palm goes straight up with the object.
@@ -28,7 +28,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 LEGS = ("approach", "close", "squeeze", "lift")
-"""Names of the legs of a way: to the pregrasp, to the grasp, to the squeeze, and up."""
+"""Names of the legs of a trajectory: to the pregrasp, to the grasp, to the squeeze, and up."""
 
 REACH = "reach"
 """Name of the leg before `LEGS`, from a start configuration of the arm, where one is given."""
@@ -49,8 +49,8 @@ UP = (0.0, 0.0, 1.0)
 """Direction of the lift in the object's frame, where neither a scene nor a table defines up."""
 
 
-class WayStatus(IntEnum):
-    """Finding on the way of a grasp."""
+class PlanStatus(IntEnum):
+    """Result of planning the motion of a grasp."""
 
     FREE = 0
     BLOCKED = 1
@@ -64,16 +64,16 @@ class WayStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class WayOptions:
-    """Lengths of a way."""
+class TrajectoryOptions:
+    """Lengths of a trajectory."""
 
     approach: float = 0.1
     """Length in metres of the straight approach of the palm to the pregrasp."""
     lift: float = 0.1
     """Height in metres by which the palm lifts the object."""
     start: tuple[float, ...] | None = None
-    """Values in rad or m of the joints of the arm from which it comes to the approach, straight in these; None: the way
-    begins with the approach."""
+    """Values in rad or m of the joints of the arm, from where it moves to the approach on a straight line in joint
+    space; None: the trajectory begins with the approach."""
 
     def __post_init__(self) -> None:
         """Refuse lengths that are not at least 0, and starts that are no joint values.
@@ -90,13 +90,13 @@ class WayOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """The way of one grasp."""
+class MotionPlan:
+    """Motion plan of one grasp."""
 
-    status: WayStatus
-    """Finding on it."""
+    status: PlanStatus
+    """Result of planning."""
     why: str
-    """Obstacle in the way, or leg out of reach, in words; empty where the way is free."""
+    """Obstacle in the way, or leg out of reach, in words; empty where the trajectory is free."""
     legs: tuple[HandPath, ...]
     """Paths of `LEGS`, as set points, up to the first that is not free; none where there is no grasp."""
     direction: tuple[float, float, float] | None = None
@@ -104,24 +104,24 @@ class Way:
     obstruction: Obstruction | None = None
     """Obstacle that the last leg runs into; None: there is none."""
     other_arm: bool = False
-    """Whether the arm reaches the poses of the palm in another configuration than that of the grasp, whose way is not
-    free; the fingers are the same."""
+    """Whether the arm reaches the poses of the palm in another configuration than the grasp's, which
+    is not free; the fingers are the same."""
     reach: HandPath | None = None
-    """Straight joint motion of the arm from `WayOptions.start` to the start of the approach, before the legs, of which
-    there are none where it runs into something; None: no start is given, or the legs are not free."""
+    """Straight joint motion of the arm from `TrajectoryOptions.start` to the start of the approach, before the legs, of
+    which there are none where it runs into something; None: no start is given, or the legs are not free."""
 
     __repr__ = brief
 
     @property
     def free(self) -> bool:
-        """Whether the whole way is free."""
-        return self.status == WayStatus.FREE
+        """Whether the trajectory is free."""
+        return self.status == PlanStatus.FREE
 
 
-def ways(
-    scene: Scene, motion: Motion, options: WayOptions | None = None, prepared: HandObject | None = None
-) -> tuple[Way, ...]:
-    """Return the way of each grasp of a scene.
+def plan_motions(
+    scene: Scene, motion: Motion, options: TrajectoryOptions | None = None, prepared: HandObject | None = None
+) -> tuple[MotionPlan, ...]:
+    """Return the motion plan of each grasp of a scene.
 
     Args:
         scene: Hand, object, what is around it, and the grasps.
@@ -134,17 +134,17 @@ def ways(
     """
     check_kind("scene", scene, Scene)
     check_kind("motion", motion, Motion)
-    check_kind("options", options, WayOptions | None)
+    check_kind("options", options, TrajectoryOptions | None)
     if len(motion) != len(scene.q):
         raise GraspRefineError(f"the motion has {len(motion)} grasps, the scene {len(scene.q)}")
-    _check_start(scene.hand, (options or WayOptions()).start)
+    _check_start(scene.hand, (options or TrajectoryOptions()).start)
     prepared = prepared or HandObject.of(scene)
-    planner = _Planner(scene, prepared, options or WayOptions())
-    beyond = Way(WayStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
-    none = Way(WayStatus.NO_GRASP, "there is no grasp", ())
+    planner = _Planner(scene, prepared, options or TrajectoryOptions())
+    beyond = MotionPlan(PlanStatus.OUT_OF_REACH, "the grasp is out of reach of the arm", ())
+    none = MotionPlan(PlanStatus.NO_GRASP, "there is no grasp", ())
     known = scene.posed & motion.finite
     return tuple(
-        planner.free_way(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
+        planner.free_plan(motion.T_world_root[row], motion.q[row]) if known[row] else beyond if out_of_reach else none
         for row, out_of_reach in enumerate(scene.out_of_reach)
     )
 
@@ -170,39 +170,39 @@ def _check_start(hand: Hand, start: tuple[float, ...] | None) -> None:
 
 
 class _Planner:
-    """Ways of the grasps of one scene."""
+    """Plans of the grasps of one scene."""
 
-    def __init__(self, scene: Scene, prepared: HandObject, options: WayOptions) -> None:
+    def __init__(self, scene: Scene, prepared: HandObject, options: TrajectoryOptions) -> None:
         self.scene, self.prepared, self.options = scene, prepared, options
         self.sweep = Sweep(scene, prepared)
         self.tips = [scene.links.index(contact.link) for contact in scene.hand.contacts]
 
-    def free_way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp, with the first configuration of its arm that is free.
+    def free_plan(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> MotionPlan:
+        """Return the plan through the three stages of a grasp, with the first free configuration of its arm.
 
-        That of the grasp comes first; its way is returned where none is.
+        That of the grasp comes first; its trajectory is returned where none is.
         """
-        own = self._from_start(self.way(T, q))
+        own = self._from_start(self.plan(T, q))
         if own.free or self.scene.hand.arm is None:
             return own
-        others = (self._from_start(self.way(T, values)) for values in self._other_configurations(T, q))
-        free = next((way for way in others if way.free), None)
+        others = (self._from_start(self.plan(T, values)) for values in self._other_configurations(T, q))
+        free = next((plan for plan in others if plan.free), None)
         return own if free is None else replace(free, other_arm=True)
 
-    def _from_start(self, way: Way) -> Way:
-        """Return a way with its motion from the start, or blocked by what this runs into."""
+    def _from_start(self, plan: MotionPlan) -> MotionPlan:
+        """Return a plan with its motion from the start, or blocked by its obstacle."""
         start, arm = self.options.start, self.scene.hand.arm_joints
-        if start is None or not way.free:
-            return way
-        first = way.legs[0]
+        if start is None or not plan.free:
+            return plan
+        first = plan.legs[0]
         q = np.tile(first.q[0], (2, 1))
         q[0, arm] = start
         path = HandPath(first.T_world_root[[0, 0]], q)
         met = self.sweep.obstruction(path)
         if met is None:
-            return replace(way, reach=path)
+            return replace(plan, reach=path)
         why = f"{REACH}: {met}"
-        return Way(WayStatus.BLOCKED, why, (), way.direction, met, way.other_arm, path)
+        return MotionPlan(PlanStatus.BLOCKED, why, (), plan.direction, met, plan.other_arm, path)
 
     def _other_configurations(
         self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]
@@ -222,8 +222,8 @@ class _Planner:
             if self.sweep.obstruction(close, allowed=self.sweep.depth_in_object(close) + CLOSING_DEPTH_M) is None:
                 yield stages
 
-    def way(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> Way:
-        """Return the way through the three stages of a grasp.
+    def plan(self, T: Float[np.ndarray, "3 4 4"], q: Float[np.ndarray, "3 n"]) -> MotionPlan:
+        """Return the plan through the three stages of a grasp.
 
         Set points of its squeeze stay within the limits of joints that turn; sliding jaws press beyond theirs.
         """
@@ -238,7 +238,7 @@ class _Planner:
         met = self.sweep.obstruction(close, allowed=allowed)
         legs += [close]
         if met is not None:
-            return Way(WayStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
+            return MotionPlan(PlanStatus.BLOCKED, f"{LEGS[1]}: {met}", tuple(legs), direction, met)
         legs += [squeeze]
         # Fingers are where the grasp has them, however far their set points are.
         held, reached = straight(hand, T[1], q[1], self.options.lift * self.up)
@@ -246,11 +246,11 @@ class _Planner:
         if not reached:
             first, last = palm_poses(hand, held.T_world_root[[0, -1]], held.q[[0, -1]])[:, :3, 3]
             why = f"{LEGS[3]}: the arm lifts it by {(last - first) @ self.up:.2f} m only"
-            return Way(WayStatus.OUT_OF_REACH, why, tuple(legs), direction)
+            return MotionPlan(PlanStatus.OUT_OF_REACH, why, tuple(legs), direction)
         met = self.sweep.obstruction(held, allowed=None, carries=True)
         if met is not None:
-            return Way(WayStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction, met)
-        return Way(WayStatus.FREE, "", tuple(legs), direction)
+            return MotionPlan(PlanStatus.BLOCKED, f"{LEGS[3]}: {met}", tuple(legs), direction, met)
+        return MotionPlan(PlanStatus.FREE, "", tuple(legs), direction)
 
     @property
     def up(self) -> np.ndarray:
@@ -262,14 +262,14 @@ class _Planner:
 
     def _approach(
         self, T: Float[np.ndarray, "4 4"], q: Float[np.ndarray, " n"], opening: Float[np.ndarray, " n"]
-    ) -> Way:
-        """Return the way as far as the pregrasp: the first that is free, or else the first of all.
+    ) -> MotionPlan:
+        """Return the plan as far as the pregrasp: the first free one, or else the first of all.
 
         Where fingers as at the pregrasp are in the way, they come open wider, by `OPENING_WIDER` of their `opening`
         (n,) from the grasp to the pregrasp, and close to the pregrasp in place.
         """
         hand = self.scene.hand
-        first: Way | None = None
+        first: MotionPlan | None = None
         open_wide = np.clip(q + np.where(hand.arm_joints, 0.0, OPENING_WIDER * opening), hand.lower, hand.upper)
         for fingers in (q, open_wide):
             for direction in self._directions(T, q):
@@ -279,12 +279,12 @@ class _Planner:
                     path = HandPath(np.concatenate([path.T_world_root, T[None]]), np.concatenate([path.q, q[None]]))
                 met = self.sweep.obstruction(path, allowed=TOUCHING_M)
                 if met is None and reached:
-                    return Way(WayStatus.FREE, "", (path,), toward)
+                    return MotionPlan(PlanStatus.FREE, "", (path,), toward)
                 if first is None and met is not None:
-                    first = Way(WayStatus.BLOCKED, f"{LEGS[0]}: {met}", (path,), toward, met)
+                    first = MotionPlan(PlanStatus.BLOCKED, f"{LEGS[0]}: {met}", (path,), toward, met)
                 elif first is None:
                     why = f"{LEGS[0]}: the arm does not reach all of it"
-                    first = Way(WayStatus.OUT_OF_REACH, why, (path,), toward)
+                    first = MotionPlan(PlanStatus.OUT_OF_REACH, why, (path,), toward)
         assert first is not None
         return first
 

@@ -1,4 +1,4 @@
-"""Files of ways, JSON or .npz: waypoints and timed set points with all that a robot needs to follow them."""
+"""Files of trajectories, JSON or .npz: waypoints and timed set points with all that a robot needs to follow them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.executions import Executions
+from grasp_refine.motion.plan import LEGS, REACH, MotionPlan
 from grasp_refine.motion.trajectory import PERIOD_S, POINTS, Trajectory, trajectory
-from grasp_refine.motion.way import LEGS, REACH, Way
-from grasp_refine.motion.way_context import (
+from grasp_refine.motion.trajectory_context import (
     CONVENTIONS,
     all_values,
     as_text,
@@ -36,15 +36,15 @@ SCHEMA = 2
 """Version of the layout."""
 
 SUFFIXES = (".npz", ".json")
-"""Suffixes of files of ways."""
+"""Suffixes of files of trajectories."""
 
 AT_WAYPOINTS = ("q", "palm_pose", "palm_pose_base")
 """Numbers that waypoints have, too."""
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedWays:
-    """The ways of N grasps of one hand."""
+class PlannedTrajectories:
+    """The trajectories of N grasps of one hand."""
 
     hand: Hand
     """The hand, or the hand on its arm."""
@@ -54,8 +54,8 @@ class PlannedWays:
     """Rows of the grasps (N,) in their file."""
     index: np.ndarray
     """Numbers of the grasps (N,) within their object."""
-    ways: tuple[Way, ...]
-    """The ways."""
+    plans: tuple[MotionPlan, ...]
+    """The trajectories."""
     scenes: tuple[tuple[Scene, float], ...] = ()
     """Scene of each grasp, and the scale of its object, N of them; none: what is around the hand is not written."""
     executions: Executions | None = None
@@ -65,35 +65,37 @@ class PlannedWays:
 
     def __len__(self) -> int:
         """Return the number of grasps."""
-        return len(self.ways)
+        return len(self.plans)
 
     @property
     def free(self) -> np.ndarray:
-        """True (N,) where the whole way is free."""
-        return np.array([way.free for way in self.ways], dtype=bool)
+        """True (N,) where the trajectory is free."""
+        return np.array([plan.free for plan in self.plans], dtype=bool)
 
     def trajectories(self) -> tuple[Trajectory, ...]:
-        """Return the ways with times by the speed limits of the joints."""
-        return tuple(trajectory(self.hand, way) for way in self.ways)
+        """Return the trajectories with times by the speed limits of the joints."""
+        return tuple(trajectory(self.hand, plan) for plan in self.plans)
 
     def lines(self, most: int = 5) -> list[str]:
-        """Return lines for people: how many ways are free, and what is in the others, `most` of them."""
-        other = sum(way.other_arm for way in self.ways)
+        """Return lines for people: the number of free trajectories, and the obstacles of others, `most` of them."""
+        other = sum(plan.other_arm for plan in self.plans)
         beside = f", in {other} of them with the arm in another configuration than the grasp's" if other else ""
-        lines = [f"the whole way is free in {int(self.free.sum())} of {len(self)}{beside}"]
+        lines = [f"the trajectory is free in {int(self.free.sum())} of {len(self)}{beside}"]
         several, named = len(set(self.object.tolist())) > 1, zip(self.object, self.index, strict=True)
         labels = [f"{name} {index}" if several else str(index) for name, index in named]
-        others = [(label, way) for label, way in zip(labels, self.ways, strict=True) if not way.free]
-        lines += first_of([f"way of grasp {label} {way.status.label}: {way.why}" for label, way in others], most)
+        others = [(label, plan) for label, plan in zip(labels, self.plans, strict=True) if not plan.free]
+        lines += first_of(
+            [f"trajectory of grasp {label} {plan.status.label}: {plan.why}" for label, plan in others], most
+        )
         return lines if self.executions is None else lines + self.executions.lines(most, labels)
 
     def entry(self, number: int) -> dict[str, Any]:
-        """Return what is known of the way of a grasp for JSON; SI units."""
-        way = self.ways[number]
+        """Return the state of the trajectory of a grasp for JSON; SI units."""
+        plan = self.plans[number]
         return {
-            "status": way.status.label,
-            "why": way.why,
-            "other_arm_configuration": way.other_arm,
+            "status": plan.status.label,
+            "why": plan.why,
+            "other_arm_configuration": plan.other_arm,
             **({} if self.executions is None else {"followed": self.executions.document(number)}),
         }
 
@@ -107,7 +109,7 @@ class PlannedWays:
             GraspRefineError: another suffix, or the file cannot be written.
         """
         path = Path(path)
-        check_way_file(path)
+        check_trajectory_file(path)
         if path.suffix == ".json":
             # On one line: of each number on its own the file would be twice as large.
             save_text(path, dumps(self.document()) + "\n")
@@ -147,7 +149,7 @@ class PlannedWays:
         }
 
     def arrays(self) -> dict[str, Any]:
-        """Return the arrays of an .npz file; NaN after the end of a way, and where a waypoint is not known."""
+        """Return the arrays of an .npz file; NaN after the end of a trajectory, and where a waypoint is not known."""
         hand, count, (scenes, scene_of) = self.hand, len(self), self._scenes()
         timed = self.trajectories()
         longest, joints = max((len(one) for one in timed), default=0), joint_entries(hand)
@@ -181,9 +183,9 @@ class PlannedWays:
             "row": np.asarray(self.row),
             "scenes": as_text(scenes),
             "scene": np.array([-1 if number is None else number for number in scene_of]),
-            "status": np.array([way.status.label for way in self.ways]),
-            "why": np.array([way.why for way in self.ways]),
-            "other_arm_configuration": np.array([way.other_arm for way in self.ways], dtype=bool),
+            "status": np.array([plan.status.label for plan in self.plans]),
+            "why": np.array([plan.why for plan in self.plans]),
+            "other_arm_configuration": np.array([plan.other_arm for plan in self.plans], dtype=bool),
             "period": np.array(PERIOD_S),
             "time": time,
             **numbers,
@@ -204,23 +206,23 @@ class PlannedWays:
         return [scene_entry(*each) for each in different.values()], [number[id(scene)] for scene, _ in self.scenes]
 
 
-def check_way_file(path: Path) -> None:
-    """Refuse a file of ways of another kind.
+def check_trajectory_file(path: Path) -> None:
+    """Refuse a file of trajectories of another kind.
 
     Raises:
         GraspRefineError: its suffix is neither .npz nor .json.
     """
     if path.suffix not in SUFFIXES:
-        raise GraspRefineError(f"{path}: ways are written to .npz or .json, not '{path.suffix}'")
+        raise GraspRefineError(f"{path}: trajectories are written to .npz or .json, not '{path.suffix}'")
 
 
-def join(parts: Sequence[PlannedWays], order: np.ndarray) -> PlannedWays:
-    """Return ways of several groups of grasps as one, in another order."""
-    ways = [way for part in parts for way in part.ways]
+def join(parts: Sequence[PlannedTrajectories], order: np.ndarray) -> PlannedTrajectories:
+    """Return trajectories of several groups of grasps as one, in another order."""
+    plans = [plan for part in parts for plan in part.plans]
     labels = {key: np.concatenate([getattr(part, key) for part in parts])[order] for key in ("object", "row", "index")}
     scenes = [scene for part in parts for scene in part.scenes]
-    ways, scenes = ([given[place] for place in order.tolist()] if given else [] for given in (ways, scenes))
-    return PlannedWays(parts[0].hand, **labels, ways=tuple(ways), scenes=tuple(scenes))
+    plans, scenes = ([entries[place] for place in order.tolist()] if entries else [] for entries in (plans, scenes))
+    return PlannedTrajectories(parts[0].hand, **labels, plans=tuple(plans), scenes=tuple(scenes))
 
 
 def _numbers(hand: Hand, timed: Trajectory) -> dict[str, np.ndarray]:
@@ -241,7 +243,7 @@ def _waypoints(hand: Hand, timed: Trajectory) -> list[dict[str, Any]]:
 
 
 def _squeeze(hand: Hand, timed: Trajectory, joints: Sequence[dict[str, Any]]) -> dict[str, float] | None:
-    """Return the torques of the joints that press, by name; None where the way ends before the squeeze."""
+    """Return the torques of the joints that press, by name; None where the trajectory ends before the squeeze."""
     if "squeeze" not in timed.named:
         return None
     torque = pressing_torques(hand, timed.q[[timed.named["grasp"], timed.named["squeeze"]]])

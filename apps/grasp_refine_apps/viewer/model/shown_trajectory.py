@@ -1,4 +1,4 @@
-"""The whole way of one grasp for display: poses of hand and object over time, and what is in the way."""
+"""The trajectory of one grasp for display: poses of hand and object over time, and what is in the way."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.motion.plan import LEGS, MotionPlan, PlanStatus
 from grasp_refine.motion.sweep import SPACING_M, Obstruction
 from grasp_refine.motion.trajectory import trajectory
-from grasp_refine.motion.way import LEGS, Way, WayStatus
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.model.pose import Pose
@@ -28,17 +28,17 @@ SQUEEZE, LIFT = LEGS.index("squeeze"), LEGS.index("lift")
 
 
 @dataclass(frozen=True, eq=False)
-class ShownWay:
-    """T frames of a way, in the object's frame, up to the end of the first leg that is not free."""
+class ShownTrajectory:
+    """T frames of a trajectory, in the object's frame, up to the end of the first leg that is not free."""
 
     hand: str
     """Name of the hand."""
     object: str
     """Name of the object."""
-    status: WayStatus
+    status: PlanStatus
     """Finding on the way."""
     why: str
-    """Obstacle in the way, or leg out of reach, in words; empty where the way is free."""
+    """Obstacle in the way, or leg out of reach, in words; empty where the trajectory is free."""
     time: Float[np.ndarray, " T"]
     """Seconds since the approach began (T,)."""
     leg: Int[np.ndarray, " T"]
@@ -56,8 +56,8 @@ class ShownWay:
     met: int | None = None
     """Number of the frame at which it does."""
 
-    # What simulations have, and ways do not.
-    direction: ClassVar = "way"
+    # What simulations have, and trajectories do not.
+    direction: ClassVar = "trajectory"
     force: ClassVar = np.zeros(3)
     contacts: ClassVar[tuple[np.ndarray, ...]] = ()
     T_bodies: ClassVar[Mapping[str, np.ndarray]] = MappingProxyType({})
@@ -91,11 +91,11 @@ class ShownWay:
 
     @property
     def summary(self) -> str:
-        """The way in one line."""
-        if self.status == WayStatus.FREE:
+        """The trajectory in one line."""
+        if self.status == PlanStatus.FREE:
             arm = ", with the arm in another configuration" if self.other_arm else ""
-            return f"the way is free{arm}: {', '.join(LEGS)} in {self.time[-1]:.1f} s"
-        return f"the way is {self.status.label}: {self.why}"
+            return f"the trajectory is free{arm}: {', '.join(LEGS)} in {self.time[-1]:.1f} s"
+        return f"the trajectory is {self.status.label}: {self.why}"
 
     def text(self, frame: int) -> str:
         """Description of a frame in one line."""
@@ -104,41 +104,41 @@ class ShownWay:
         return line if met is None else f"{line}; {met}"
 
 
-def shown_way(scene: Scene, way: Way, prepared: HandObject) -> ShownWay:
-    """Return a way as frames, `FRAME_RATE_HZ` per second.
+def shown_trajectory(scene: Scene, plan: MotionPlan, prepared: HandObject) -> ShownTrajectory:
+    """Return a trajectory as frames, `FRAME_RATE_HZ` per second.
 
     Args:
         scene: Hand and object.
-        way: The way of a grasp.
+        plan: The trajectory of a grasp.
         prepared: The same hand and object.
 
     Raises:
-        GraspRefineError: nothing of the way is known.
+        GraspRefineError: nothing of the trajectory is known.
     """
-    if not way.legs:
-        raise GraspRefineError(f"no way to show: {way.why}")
-    hand, timed = scene.hand, trajectory(scene.hand, way)
+    if not plan.legs:
+        raise GraspRefineError(f"no way to show: {plan.why}")
+    hand, timed = scene.hand, trajectory(scene.hand, plan)
     time, _, path, leg = timed.sampled(1.0 / FRAME_RATE_HZ)
     q = path.q
-    if len(way.legs) > SQUEEZE:
+    if len(plan.legs) > SQUEEZE:
         # Set points press into the object, fingers stay where they touch it.
         presses = (leg >= SQUEEZE)[:, None] & ~hand.arm_joints
-        q = np.where(presses, way.legs[SQUEEZE].q[0], q)
+        q = np.where(presses, plan.legs[SQUEEZE].q[0], q)
     T_palm = palm_poses(hand, path.T_world_root, path.q)
     T_object = np.tile(np.eye(4), (len(time), 1, 1))
     carried = np.flatnonzero(leg == LIFT)
     if len(carried):
-        start = palm_poses(hand, way.legs[LIFT].T_world_root[:1], way.legs[LIFT].q[:1])
+        start = palm_poses(hand, plan.legs[LIFT].T_world_root[:1], plan.legs[LIFT].q[:1])
         T_object[carried] = T_palm[carried] @ inverse(start)
-    known = (time, leg, path.T_world_root, q, T_object, way.obstruction, way.other_arm)
-    found = ShownWay(hand.name, scene.object.name, way.status, way.why, *known)
-    return found if way.obstruction is None else replace(found, met=_met(found, way, way.obstruction, prepared))
+    known = (time, leg, path.T_world_root, q, T_object, plan.obstruction, plan.other_arm)
+    found = ShownTrajectory(hand.name, scene.object.name, plan.status, plan.why, *known)
+    return found if plan.obstruction is None else replace(found, met=_met(found, plan, plan.obstruction, prepared))
 
 
-def _met(shown: ShownWay, way: Way, obstruction: Obstruction, prepared: HandObject) -> int:
+def _met(shown: ShownTrajectory, plan: MotionPlan, obstruction: Obstruction, prepared: HandObject) -> int:
     """Return the frame whose links are nearest to where they are when the last leg runs into something."""
-    last = len(way.legs) - 1
-    path = way.legs[last].sampled(prepared.chain, prepared.bounding_spheres, SPACING_M)
+    last = len(plan.legs) - 1
+    path = plan.legs[last].sampled(prepared.chain, prepared.bounding_spheres, SPACING_M)
     at = round(obstruction.share * (len(path) - 1))
     frames = np.flatnonzero(shown.leg == last)
     there = prepared.chain(path.T_world_root[at : at + 1], path.q[at : at + 1]).T_world_link[..., :3, 3]
