@@ -39,7 +39,7 @@ def test_the_examples_of_the_docstring_run() -> None:
     assert runner.summarize(verbose=False).failed == 0
 
 
-def test_quaternions_are_hamiltons_w_first_active_and_those_we_write_have_w_above_zero() -> None:
+def test_quaternions_are_hamiltons_w_first_active_and_written_with_w_above_zero() -> None:
     rng = np.random.default_rng(1)
     q = rng.normal(size=(20, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -133,7 +133,7 @@ def test_frames_chain_from_the_world_over_the_root_to_the_link() -> None:
     np.testing.assert_allclose(back, np.broadcast_to(point_link, back.shape), atol=1e-12)
 
 
-def test_poses_of_grasp_files_are_those_of_the_base_link_in_the_frame_of_the_object() -> None:
+def test_poses_of_grasp_files_are_as_in_the_base_link_in_the_frame_of_the_object() -> None:
     hand = load_hand("allegro", candidates=16)
     grasps = load_grasps(hand.urdf.parent / "example_rounded_box.npz")
     assert grasps.hand_pose.shape[1] == 7 and set(grasps.joint_names) == set(hand.joint_names)

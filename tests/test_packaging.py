@@ -248,7 +248,7 @@ def test_an_editable_install_sees_the_checkout(checkout: Path, editable: Path, v
     }
 
 
-def test_an_editable_install_tells_checkers_of_types_two_folders(checkout: Path, editable: Path):
+def test_an_editable_install_gives_type_checkers_two_folders(checkout: Path, editable: Path):
     """They read paths from the .pth file, and run no import hook. The parent of the checkout was among them."""
     with zipfile.ZipFile(editable) as archive:
         (listed,) = (archive.read(name).decode() for name in archive.namelist() if name.endswith(".pth"))

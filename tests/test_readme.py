@@ -190,7 +190,7 @@ def test_links_outside_the_site_lead_somewhere(page: str):
         assert not anchor or anchor in anchors(path.read_text(encoding="utf-8")), link
 
 
-def test_the_options_are_those_of_the_commands(capsys: pytest.CaptureFixture[str]):
+def test_the_options_are_as_in_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
     methods = "run --solver levenberg-marquardt --solver descent --solver adam --derivative distance"
     others = ("batch", "validate", "view", "hands", "scenes", "convert", "assets fetch", *BENCHES)

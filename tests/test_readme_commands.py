@@ -122,7 +122,7 @@ def recipe(guide: str) -> list[list[str]]:
     return [ours(command) for block in blocks("sh", beginning) for command in commands_of(block)]
 
 
-def test_the_recipes_of_the_readme_are_those_of_the_guides():
+def test_the_recipes_of_the_readme_are_as_in_the_guides():
     text = PAGES["README.md"].partition("\n## Recipes\n")[2].partition("\n## ")[0]
     shown = [ours(command) for block in blocks("sh", text) for command in commands_of(block)]
     told = [command for guide in RECIPES for command in recipe(guide)]

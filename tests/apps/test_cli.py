@@ -291,7 +291,7 @@ def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: 
     assert [status == "no target" for status in statuses] == [False, True, False, False]
 
 
-def test_the_methods_are_those_that_were_asked_for():
+def test_the_methods_are_the_requested_ones():
     solver = "--solver descent --targets nearest"
     options = f"{solver} --derivative distance --neighborhood fixed --distance.coupling one-sided --fixed.fraction 0.2"
     others = "--transport --seed 3 --weights.penetration 2 --descent.shares 0.6 --descent.factors 0.1"

@@ -106,7 +106,7 @@ def test_a_read_only_folder_is_a_mirror_too(claw: Asset, tmp_path: Path):
             path.chmod(0o755)
 
 
-def test_upstream_addresses_are_those_of_the_pinned_commit():
+def test_upstream_addresses_are_as_in_the_pinned_commit():
     leap, banana = read_manifest("hands")["leap"], read_manifest("objects")["ycb_011_banana"]
     base = "https://raw.githubusercontent.com/dexsuite/dex-urdf/93505db3c0b29b4a80bd359048de7d39c9ea3218/"
     assert Upstream().source(leap, leap.main) == f"{base}robots/hands/leap_hand/leap_hand_right.urdf"

@@ -272,7 +272,7 @@ def test_no_way_out_of_round_bodies_is_shorter_than_the_depth(name: str) -> None
         )
 
 
-def test_depths_of_balls_of_hundreds_of_vertices_are_those_of_the_hull_of_their_differences() -> None:
+def test_depths_of_balls_of_hundreds_of_vertices_are_as_in_the_hull_of_their_differences() -> None:
     """After 64 iterations EPA had said up to 1 mm too much of half of them."""
     a, b = (ellipsoid_hull(seed, 200, (0.05, 0.05, 0.05)) for seed in (2, 52))
     T = poses(12, 22, 0.002)

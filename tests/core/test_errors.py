@@ -30,7 +30,7 @@ def test_a_message_is_of_bounded_length():
     assert str(GraspRefineError("x" * MAX_MESSAGE_CHARACTERS)) == "x" * MAX_MESSAGE_CHARACTERS
 
 
-def test_values_are_told_like_repr_but_bounded():
+def test_values_are_shown_like_repr_but_bounded():
     for value in ("box", "it's", 1.5, -3, None, [1, 2], {"a": 1}, 10**30):
         assert quote_value(value) == repr(value)
     assert len(quote_value("x" * 10**5)) <= 200

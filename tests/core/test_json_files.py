@@ -14,7 +14,7 @@ from grasp_refine.core.json_files import check_writable, dumps, save_json
 from refusals import refused
 
 
-def test_a_full_disk_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_full_disk_is_reported_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a" / "report.json"
     save_json(path, {"x": 1})
 

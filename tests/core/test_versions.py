@@ -8,7 +8,7 @@ import pytest
 from grasp_refine.core.versions import Requirement, requirements, versions
 
 
-def test_requirements_are_those_of_the_project():
+def test_requirements_are_as_in_the_project():
     needs = {need.name: need for need in requirements()}
     assert needs["torch"].range == ">=2.6,<2.14" and needs["torch"].extra is None
     assert needs["viser"].extra is None and needs["drake"].extra == "drake"

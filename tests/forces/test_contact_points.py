@@ -117,7 +117,7 @@ def test_forces_of_a_squeeze_do_the_work_of_its_torques(tmp_path, block: Object)
     np.testing.assert_allclose((q - found) * kp, [[0.5, 0.5]], atol=1e-6)
 
 
-def test_grasps_without_patches_do_not_depend_on_those_with(tmp_path, block: Object):
+def test_grasps_without_patches_do_not_depend_on_grasps_with_patches(tmp_path, block: Object):
     hand = jaws(tmp_path)
     T, q = gripping([0.0] * 6, [0, 0, 0, 0, 0, 0.5], [0.001, 0, 0, 0.02, 0.3, 0.03])
     together, frames, witness, prepared = points_of(hand, block, T, q)

@@ -258,7 +258,9 @@ def active_rows(local: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("body", ["sphere", "box"])
-def test_the_rows_tell_the_best_forces_of_the_linear_problem(hand: Hand, bodies: dict[str, Object], body: str) -> None:
+def test_the_rows_report_the_best_forces_of_the_linear_problem(
+    hand: Hand, bodies: dict[str, Object], body: str
+) -> None:
     """|r + J dx|^2 is the minimum over forces within the active constraints, by a dense KKT system, for any dx."""
     scene, rng = around(hand, bodies[body], 10, 8), np.random.default_rng(1)
     problem, h = problem_of(scene), 1e-6

@@ -130,7 +130,7 @@ def test_squeezes_press_through_what_gives_way(hand: Hand) -> None:
     assert pressure(hand) > max(0.5 * TOTAL_PRESSURE_N, 1.5 * pressure(replace(hand, compliance=None)))
 
 
-def test_fingers_that_springs_hardly_hold_are_told(tmp_path: Path, hand: Hand) -> None:
+def test_fingers_that_springs_hardly_hold_are_reported(tmp_path: Path, hand: Hand) -> None:
     """Springs resist forces beyond the centre about which a pad turns; nearer to the palm, stops of the joints do."""
     weak = load_hand(write_adaptive_gripper(tmp_path, spring=1e-4), candidates=512)
     T, q = (np.stack(parts) for parts in zip(*(pinch(hand, above) for above in (-0.01, 0.005, 0.01)), strict=True))

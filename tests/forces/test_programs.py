@@ -151,7 +151,7 @@ def test_both_solvers_find_the_same_forces(
 
 
 @compiled
-def test_the_forces_are_those_of_the_grasp_and_load_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forces_depend_on_the_grasp_and_load_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of any number of threads, to the last bit; a load after another one starts elsewhere, and ends there too."""
     monkeypatch.setenv(VARIABLE, "native")
     from grasp_refine.collision.native_search import solve_forces

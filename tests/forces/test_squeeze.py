@@ -91,7 +91,7 @@ def test_a_clamp_presses_inward_with_half_the_total_each(clamp: Hand, ball: Obje
     assert found[0, 0] < clamp.lower[0], "set points may lie beyond the limits"
 
 
-def test_planned_forces_are_those_of_the_contacts(clamp: Hand, ball: Object) -> None:
+def test_planned_forces_are_as_in_the_contacts(clamp: Hand, ball: Object) -> None:
     """Two balls press a ball with half of the total each, where they touch it, towards each other."""
     T, q = np.tile(np.eye(4), (3, 1, 1)), np.array([[0.002, 0.0], [0.0, 0.0], [0.1, 0.0]])
     T[1, 0, 3] = np.nan
@@ -132,7 +132,7 @@ def test_forces_on_objects_with_and_without_flat_faces_are_joined() -> None:
         np.testing.assert_allclose(found.vector[found.grasp == i].sum(axis=0), 0.0, atol=1e-3)
 
 
-def test_set_points_are_those_of_the_actuators_that_pull(clamp: Hand, ball: Object) -> None:
+def test_set_points_are_as_in_the_actuators_that_pull(clamp: Hand, ball: Object) -> None:
     """Another simulated hand is said by its actuators; what was prepared of the hand may stay."""
     other = replace(clamp.actuator, kp=np.array([500.0, 1.0]), force_limit=np.array([np.inf, 0.5]))
     scene = Scene(clamp, ball, np.eye(4)[None], np.array([[0.002, 0.0]]))

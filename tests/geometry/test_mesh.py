@@ -200,7 +200,7 @@ def test_all_shared_objects_load_and_are_closed(shared_assets):
         assert is_convex(closed) == (float(row["convexity"]) > 0.999)
 
 
-def test_a_broken_file_is_told_once_and_without_warnings(tmp_path, capfd):
+def test_a_broken_file_is_reported_once_and_without_warnings(tmp_path, capfd):
     """The reader's own words about it would stand beside ours on the screen."""
     (tmp_path / "a.stl").write_bytes(b"x" * 80 + (10**6).to_bytes(4, "little") + bytes(50))
     with refused(MeshError, tmp_path / "a.stl", "faces"):

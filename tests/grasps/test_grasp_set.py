@@ -477,7 +477,7 @@ def test_one_grasp_needs_no_batch_dimension_and_tensors_may_be_on_a_graph():
         GraspSet.of(CLAW, "here", q)
 
 
-def test_joints_of_a_stage_are_matched_like_those_of_the_grasp():
+def test_joints_of_a_stage_are_matched_like_the_grasp():
     grasps = grasp_set(("a", "b", "c"), np.array([[1.0, 2, 3]]))
     stage = Stage(np.tile([1.0, 2, 3, 1, 0, 0, 0], (1, 1)), np.array([[7.0, 8, 9]]))
     grasps = replace(grasps, squeeze=stage)
@@ -499,7 +499,7 @@ def test_mimic_joints_in_the_file_are_ignored_which_is_said():
     assert_names(note, "mimic", ": follower")
 
 
-def test_mimic_joints_that_are_elsewhere_in_the_file_are_told():
+def test_mimic_joints_that_are_elsewhere_in_the_file_are_reported():
     values = np.array([[1.0, -1.5, -4.5, 2, 3], [0.0, 0.5, 1.7, 2, 3]])
     q, (ignored, elsewhere) = match_joints(grasp_set(("a", "follower", "last", "b", "c"), values), CLAW)
     assert q.tolist() == [[2, 3, 1], [2, 3, 0]]

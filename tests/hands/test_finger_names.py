@@ -16,7 +16,7 @@ from grasp_refine.hands.files.finger_names import finger_names
         (["spring_tip", "throttle", "offset"], [None, None, None]),
     ],
 )
-def test_names_tell_fingers_or_nothing(tips: list[str], fingers: list[str | None]) -> None:
+def test_names_identify_fingers_or_nothing(tips: list[str], fingers: list[str | None]) -> None:
     assert finger_names([[tip] for tip in tips]) == fingers
 
 

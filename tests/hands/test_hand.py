@@ -251,7 +251,7 @@ def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path
     assert any("'2'" in note and "limits" in note for note in hand.notes)
 
 
-def test_contact_links_are_those_of_the_last_rigid_parts_that_move(tmp_path: Path) -> None:
+def test_contact_links_are_on_the_last_rigid_parts_that_move(tmp_path: Path) -> None:
     links = {"palm": TIP, "a1": TIP, "sensor": "", "pad": TIP, "frame": "", "b1": TIP, "mount": TIP, "c1": ""}
     path = write(
         tmp_path,
@@ -381,7 +381,7 @@ def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None
     assert load_hand(named, base_link="near").base_link == "near", "the argument wins"
 
 
-def test_unknown_hands_are_answered_with_those_there_are(tmp_path: Path) -> None:
+def test_unknown_hands_are_refused_with_the_known_ones(tmp_path: Path) -> None:
     with refused(AssetError, "'alegro'", "allegro"):
         load_hand("alegro")
     with refused(HandError, "none.urdf", "allegro"):

@@ -51,9 +51,7 @@ def test_poses_of_the_arm_are_found_again_to_a_micrometre(whole: Hand, kinematic
     np.testing.assert_array_equal(found.best[:, ~whole.arm_joints], q[:, ~whole.arm_joints])
 
 
-def test_solutions_differ_and_the_best_is_the_nearest_of_those_far_from_singular(
-    whole: Hand, kinematics: ArmKinematics
-) -> None:
+def test_solutions_differ_and_the_best_is_nearest_and_far_from_singular(whole: Hand, kinematics: ArmKinematics) -> None:
     """A wrist of this kind has up to eight ways to a pose; each is there once."""
     q = np.tile(whole.rest, (1, 1))
     T = kinematics.palm(T_BASE[None], q)

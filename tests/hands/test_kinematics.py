@@ -101,7 +101,7 @@ SHARED = ("allegro/allegro_right", "leap/leap_right", "shadow/shadow_right", "ba
 
 
 @pytest.mark.parametrize("name", [*SHARED, "ours"])
-def test_link_poses_are_those_of_yourdfpy_in_the_order_of_the_links(name: str, request: pytest.FixtureRequest) -> None:
+def test_link_poses_are_as_in_yourdfpy_in_the_order_of_the_links(name: str, request: pytest.FixtureRequest) -> None:
     source = "allegro" if name == "ours" else request.getfixturevalue("shared_assets") / f"hands/{name}.urdf"
     hand = load_hand(source, candidates=16)
     T, q = configurations(hand, 4, seed=0)

@@ -53,7 +53,7 @@ def test_passive_joints_follow_as_the_law_of_cosines_says() -> None:
             np.testing.assert_allclose(values, expected, atol=5e-5)
 
 
-def test_a_chain_without_a_drive_stays_open_and_is_told() -> None:
+def test_a_chain_without_a_drive_stays_open_and_is_reported() -> None:
     found = linkages(model_of_text(XML), set())
     assert not found.linkages and "right_inner_joint" in found.open[0] and "driven" in found.open[0]
     none = linkages(

@@ -92,7 +92,7 @@ def test_hand_toml_and_mjcf_that_agree_say_nothing(tmp_path: Path, scale: float)
     assert not any("r.xml" in note for note in hand.notes)
 
 
-def test_hand_toml_counts_and_a_contradiction_is_told(tmp_path: Path) -> None:
+def test_hand_toml_counts_and_a_contradiction_is_reported(tmp_path: Path) -> None:
     other_ratio = loaded(tmp_path, TENDON.format(1.0, 1.0, ""), toml=GROUP.format(1.0, 2.0))
     assert other_ratio.coupled == (Coupled(("A2", "A3"), (1.0, 2.0)),)
     assert_names(" ".join(other_ratio.notes), "hand.toml", "A2 + A3 (1 : 2)", "r.xml")
@@ -167,7 +167,7 @@ def test_a_tendon_pulls_what_its_mimic_joint_follows(tmp_path: Path) -> None:
     assert hand.coupled == (Coupled(("A1", "A3"), (1.0, 2.0)),)
 
 
-def test_an_mjcf_that_cannot_be_used_is_told_and_nothing_more(tmp_path: Path) -> None:
+def test_an_mjcf_that_cannot_be_used_is_reported_and_nothing_more(tmp_path: Path) -> None:
     loaded(tmp_path, "")
     (tmp_path / "r.xml").write_text(
         "<mujoco><worldbody><body><joint name='x'/><geom size='1'/></body></worldbody></mujoco>"

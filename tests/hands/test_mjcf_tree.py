@@ -376,7 +376,7 @@ def test_an_object_with_joints_beside_the_hand_is_left_out(tmp_path: Path) -> No
     ("compiler", "span", "told"),
     [("", "-1 1.5", True), ("", "-1 90", False), ('<compiler angle="radian"/>', "-1 1.5", False)],
 )
-def test_limits_in_degrees_that_look_like_radians_are_told(
+def test_limits_in_degrees_that_look_like_radians_are_reported(
     tmp_path: Path, compiler: str, span: str, told: bool
 ) -> None:
     path = tmp_path / "hand.xml"

@@ -210,7 +210,7 @@ def test_root_twist_and_arm_joint_agree_where_they_are_the_same_motion(arm: Hand
     np.testing.assert_allclose(a, b, atol=1e-12)
 
 
-def test_set_points_end_where_those_of_both_parts_do(arm: Hand, hand: Hand) -> None:
+def test_set_points_end_where_both_parts_end(arm: Hand, hand: Hand) -> None:
     ends = np.stack([hand.lower, hand.upper], axis=1)
     limited = replace(hand, actuator=replace(hand.actuator, set_points=ends))
     both = mount(arm, limited, "tool0").actuator

@@ -95,7 +95,7 @@ def test_limits_with_hardly_any_play_tie_the_middle(tmp_path: Path) -> None:
     assert "A2" in wide.joint_names
 
 
-def test_ties_that_limits_forbid_are_left_out_and_told(tmp_path: Path) -> None:
+def test_ties_that_limits_forbid_are_left_out_and_reported(tmp_path: Path) -> None:
     hand = loaded(tmp_path, '<tendon tendon1="t12" polycoef="-1 0 0 0 0"/>', span="-0.2 0.2")
     assert "A2" in hand.joint_names
     assert_names(" ".join(hand.notes), "t12", "A2", "A1")

@@ -73,7 +73,7 @@ def test_colours_come_from_the_visual_or_by_name(tmp_path: Path):
         (BOX.format('<material name="m"><color rgba="red"/></material>'), ('rgba="red"',)),
     ],
 )
-def test_what_is_broken_is_left_out_and_told(tmp_path: Path, broken: str, named: tuple[str, ...]):
+def test_what_is_broken_is_left_out_and_reported(tmp_path: Path, broken: str, named: tuple[str, ...]):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "mesh.3ds").write_text("")
     visuals, said = load(tmp_path, broken + BOX.format(""), BOX.format(""))

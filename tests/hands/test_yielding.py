@@ -72,7 +72,7 @@ def test_springs_hold_what_limits_do_not(hand: Hand) -> None:
     assert off_limit[0.5] < 0.0 and off_limit[2.0] > 0.1
 
 
-def test_slopes_are_those_of_the_twists(hand: Hand) -> None:
+def test_slopes_are_as_in_the_twists(hand: Hand) -> None:
     mode, q, h = hand.modes[0], np.array([0.112, 0.333]), 1e-5
     for link in mode.twists:
         differences = (mode.twist(link, q + h) - mode.twist(link, q - h)) / (2 * h)

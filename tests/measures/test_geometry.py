@@ -54,7 +54,7 @@ def measured(hand: Hand, ball: Object, q: np.ndarray, T: np.ndarray | None = Non
     return measure(hand, ball, LINKS, poses(count) if T is None else T, q, nothing(count), nothing(count))
 
 
-def test_distances_are_those_of_balls(hand: Hand, ball: Object) -> None:
+def test_distances_are_as_in_balls(hand: Hand, ball: Object) -> None:
     q = np.array([[0.0, 0.0, 0.0], [-0.04, 0.045, 0.0], [-0.06, 0.03, 0.0]])
     found = measured(hand, ball, q)
     left, right = 0.1 + q[:, 0], 0.1 - q[:, 1]

@@ -96,7 +96,7 @@ def test_an_obstacle_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> Non
     assert hits and hits[0] == f"lift: {THING.name} and ledge"
 
 
-def test_neighbours_that_are_pushed_are_told_by_how_far(hand: Hand, timed: Trajectory) -> None:
+def test_neighbours_that_are_pushed_are_reported_by_how_far(hand: Hand, timed: Trajectory) -> None:
     """A plate between a finger and the box is taken along; a block out of the way stays."""
     near = body("near", [0.04, 0.006, 0.12], (0.0, 0.0285, 0.0), movable=True)
     far = body("far", [0.04, 0.04, 0.04], (0.2, 0.2, -0.04), movable=True)
@@ -119,7 +119,7 @@ def test_protocols_that_push_are_refused(hand: Hand, timed: Trajectory) -> None:
         followed(hand, [timed], protocol=DEXGRASPBENCH)
 
 
-def test_many_hits_are_told_in_short_and_kept_whole() -> None:
+def test_many_hits_are_reported_in_short_and_kept_whole() -> None:
     """A line names the first ones, after what is worse; the file has all. Numbers are those that are given."""
     hits, one = np.empty(1, dtype=object), np.array([0.2])
     hits[0] = tuple(f"lift: link_{link} and table" for link in range(12))

@@ -177,7 +177,7 @@ def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path,
 
 
 @pytest.mark.parametrize("source", ["box:90,60,40", "file"])
-def test_a_file_in_millimetres_is_asked_about_and_read_when_told(source: str, tmp_path: Path, cache: Path):
+def test_a_file_in_millimetres_is_asked_about_and_read_with_its_unit(source: str, tmp_path: Path, cache: Path):
     trimesh.creation.box(extents=(90, 60, 40)).export(tmp_path / "brick.stl")
     source = tmp_path / "brick.stl" if source == "file" else source
     with refused(MeshError, "90 x 60 x 40 m ", "`unit='mm'`", "90 x 60 x 40 mm"):

@@ -173,7 +173,7 @@ def test_arrays_that_are_no_numbers_of_faces_are_refused(cube: Object, tmp_path:
 
 
 @pytest.mark.parametrize("kind", ["face.ply", "vertex.ply", "vertex.obj", "vertex.glb"])
-def test_faces_of_a_colour_are_those_whose_corners_all_have_it(tmp_path: Path, kind: str) -> None:
+def test_faces_of_a_colour_have_it_at_all_corners(tmp_path: Path, kind: str) -> None:
     mesh = trimesh.creation.box(extents=[0.06, 0.06, 0.06])
     if kind.startswith("face"):
         mesh.visual.face_colors[:] = [200, 200, 200, 255]

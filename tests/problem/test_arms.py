@@ -54,7 +54,7 @@ def refined(problem: Problem) -> gr.RefinedGrasps:
     return gr.refine(problem, config=CONFIG)
 
 
-def test_grasps_are_those_of_the_hand_alone_at_their_palms(problem: Problem) -> None:
+def test_grasps_on_an_arm_are_at_the_palms_of_the_hand_alone(problem: Problem) -> None:
     """On the arm, sampled palms are where they are without it."""
     alone = gr.load_problem(spec(arm=None, base=None)).groups[0].scene
     scene = problem.groups[0].scene
@@ -112,7 +112,7 @@ def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("height", "told"), [(0.70, False), (0.66, True)])
-def test_base_inside_a_table_is_told(height: float, told: bool) -> None:
+def test_base_inside_a_table_is_reported(height: float, told: bool) -> None:
     """The top of the table of this scene is at 0.7 m."""
     scene = spec(object=None, table=None, scene="mug-on-table", base=f"-0.5,0,{height}", grasps=Path("sample:1"))
     notes = [note for note in gr.load_problem(scene).notes if "inside" in note]

@@ -82,7 +82,7 @@ def test_every_link_that_touches_counts(refined: gr.RefinedGrasps) -> None:
     assert (evaluated.quality[found.region_miss_m > 2.5e-3] == 0.0).all()
 
 
-def test_measured_grasps_tell_where_they_should_not_be(
+def test_measured_grasps_report_where_they_should_not_be(
     hand: gr.Hand, block: gr.Object, refined: gr.RefinedGrasps
 ) -> None:
     around = gr.Environment((), np.eye(4), avoid=(AVOID,))
@@ -153,7 +153,7 @@ def test_files_of_regions_are_found_from_other_folders_and_missed_where_they_are
     assert not any("faces.txt" in note for note in again.notes)
 
 
-def test_results_of_different_regions_tell_that_none_counts(
+def test_results_of_different_regions_report_that_none_counts(
     refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path
 ) -> None:
     scene = refined.problem.groups[0].scene

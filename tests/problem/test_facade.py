@@ -38,7 +38,7 @@ def refined(gripper: gr.Hand) -> gr.RefinedGrasps:
     return gr.refine(gripper, box, grasps)
 
 
-def test_what_is_saved_is_what_is_told(refined: gr.RefinedGrasps, workplace: Path):
+def test_what_is_saved_is_what_is_reported(refined: gr.RefinedGrasps, workplace: Path):
     refined.save("refined.npz")
     assert "gripper on box" in str(refined) and "3 of 3 grasps converged" in str(refined)
     saved = gr.load_grasps("refined.npz")
@@ -230,7 +230,7 @@ def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
         gr.nonsense  # noqa: B018
 
 
-def test_margins_are_those_of_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
+def test_margins_are_as_in_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
     box = gr.load_object("box:0.05,0.06,0.07")
     protocol, factors = gr.Protocol(checks=1), gr.Factors(friction=(0.5, 0.9))
     found = gr.margins(gripper, box, refined.after, protocol, factors=factors, draws=4, seed=2, with_limits=False)

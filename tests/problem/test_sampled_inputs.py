@@ -52,7 +52,7 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
     assert "4 grasps" in note and re.search(r"\d s$", note)
 
 
-def test_what_takes_a_while_is_told_after_what_was_asked_is_known_to_be_sound(gripper: str):
+def test_what_takes_a_while_is_reported_after_what_was_asked_is_known_to_be_sound(gripper: str):
     heard: list[str] = []
     with refusals.refused(GraspRefineError, "`scale`", "0"):
         load_problem(

@@ -70,7 +70,7 @@ def test_a_hand_in_a_body_is_measured_whatever_its_margin_and_loses_its_quality(
     assert np.isnan(free.scene_penetration_m).all()
 
 
-def test_results_tell_their_scene_and_are_loaded_in_it(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
+def test_results_report_their_scene_and_are_loaded_in_it(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
     path = tmp_path / "ball.npz"
     refined.save(path)
     scene = load_problem(gr.ProblemSpec(grasps=path)).groups[0].scene

@@ -193,7 +193,7 @@ def test_the_jacobian_is_the_derivative_of_the_product(made: Made, T: np.ndarray
 
 @FEWER
 @given(made_hands(), roots(), seeds)
-def test_gradients_of_poses_are_those_of_the_jacobian(made: Made, T: np.ndarray, seed: int) -> None:
+def test_gradients_of_poses_are_as_in_the_jacobian(made: Made, T: np.ndarray, seed: int) -> None:
     """Autograd through `Kinematics` against the geometric Jacobian of `Chain`, for a covector on every link."""
     q, rng = drawn_values(made, seed), np.random.default_rng(seed + 2)
     links = [f"l{k}" for k in range(len(made.joints) + 1)]

@@ -152,7 +152,7 @@ def test_levenberg_marquardt_only_lowers_the_true_loss(
     kind=st.sampled_from([Descent, Adam]),
     at_limit=st.booleans(),
 )
-def test_descent_tells_true_losses_and_keeps_to_the_limits(
+def test_descent_reports_true_losses_and_keeps_to_the_limits(
     prepared: HandObject, seed: int, dtype: str, kind: Any, at_limit: bool
 ) -> None:
     scene = around(prepared.hand, prepared.object, 3, seed)

@@ -88,7 +88,7 @@ def test_refined_grasps_on_an_arm_touch_as_without_it_and_the_base_stands_still(
     assert (np.abs(found.q - scene.q)[:, whole.arm_joints].max(axis=1) > 1e-4).all()
 
 
-def test_arm_of_a_grasp_that_is_out_of_reach_is_told(scene: Scene) -> None:
+def test_arm_of_a_grasp_that_is_out_of_reach_is_reported(scene: Scene) -> None:
     """Its status says so, it is returned as it was, and others do not notice."""
     q = scene.q.copy()
     q[1, scene.hand.arm_joints] = np.nan
@@ -189,7 +189,7 @@ def test_grasp_turns_with_the_whole_scene(scene: Scene, whole: Hand, box: Object
     )  # fmt: skip
 
 
-def test_noise_moves_palms_on_an_arm_as_it_moves_those_of_a_free_hand(scene: Scene) -> None:
+def test_noise_moves_palms_on_an_arm_as_on_a_free_hand(scene: Scene) -> None:
     """Restarts displace the palm by the same twist, as far as the arm reaches."""
     unknowns = variables(scene, MaxMove())
     dx = np.zeros((3, 6 + scene.q.shape[1]))

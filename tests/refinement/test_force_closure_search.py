@@ -122,7 +122,7 @@ def test_the_loss_is_that_of_all_terms(hard: Scene, held: Refinement) -> None:
     assert (held.loss[:, 1] <= held.loss[:, 0]).sum() >= 3
 
 
-def test_links_below_the_table_count_like_those_in_the_object(scene: Scene, prepared: HandObject) -> None:
+def test_links_below_the_table_count_like_links_in_the_object(scene: Scene, prepared: HandObject) -> None:
     """The same grasp, not moved at all, with its lowest link on the table, and 4 mm below it."""
     one, first = rows(scene, [0]), np.array([0])
     T = prepared.chain(one.T_world_root, one.q).T_world_link
@@ -218,7 +218,7 @@ def test_a_budget_of_time_ends_the_search(hard: Scene, held: Refinement, prepare
     assert np.isfinite(short.q).all() and np.isfinite(short.loss).all()
 
 
-def test_progress_is_told_and_counts_up(told: tuple[Refinement, list[tuple[int, int, float]]]) -> None:
+def test_progress_is_reported_and_counts_up(told: tuple[Refinement, list[tuple[int, int, float]]]) -> None:
     found, said = told
     done, ticks, loss = (np.array(column) for column in zip(*said, strict=True))
     np.testing.assert_array_equal(ticks, np.arange(1, len(ticks) + 1))

@@ -342,7 +342,7 @@ def test_bounds_are_what_the_limits_leave_of_the_largest_step(gripper: Hand, mon
     np.testing.assert_allclose(lower[:, 6:], [[0.0, -0.5], [-0.02, 0.0], [-0.02, -0.5], [-0.02, -0.5]], atol=1e-15)
 
 
-def test_new_starts_are_those_of_the_member_and_the_number(examples: Scene) -> None:
+def test_new_starts_depend_on_the_member_and_the_number(examples: Scene) -> None:
     scene = aimed_at(examples, 3, 18)
     problem = GraspProblem(scene, goal_of(scene, ContactSelection()), Config(seed=3))
     now = point_of(scene)

@@ -104,7 +104,7 @@ def test_grippers_leave_edges_and_use_their_jaws_alone(gripper: Hand, box: Objec
     assert set(palm) == {"left_jaw", "right_jaw"}
 
 
-def test_two_fingers_touch_in_patches_unless_told_otherwise(gripper: Hand, tmp_path: Path) -> None:
+def test_two_fingers_touch_in_patches_unless_set_otherwise(gripper: Hand, tmp_path: Path) -> None:
     assert gripper.patches and gripper.has_two_fingers and set(gripper.fingers) == {"left_jaw", "right_jaw"}
     assert not load_hand("allegro", candidates=16).patches
     urdf = Path(__file__).parent.parent / "two_jaws.urdf"

@@ -390,7 +390,7 @@ def test_a_grasp_alone_is_the_same_grasp(scene: Scene, name: str) -> None:
             same(refine(rows(scene, [i]), config), together, [0], [i])
 
 
-def test_new_starts_are_those_of_the_grasp_whatever_its_company(
+def test_new_starts_depend_on_the_grasp_alone(
     scene: Scene, touched: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone, in another order, among more or fewer at once; they were once those of the place in the scene."""

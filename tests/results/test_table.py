@@ -60,7 +60,7 @@ def text(
 # The table
 
 
-def test_the_table_tells_slides_in_millimetres():
+def test_the_table_reports_slides_in_millimetres():
     """A gripper that slides has no column in degrees for its joints."""
     outcome = with_measures(
         error_in_millimetres(3), moved_slides_m=np.full(3, 7e-3), moved_joints_rad=np.full(3, np.nan)
@@ -169,7 +169,7 @@ def counts(line: str) -> list[int]:
     return [int(number) for number in re.findall(r"\d+", line.rpartition(": ")[2])]
 
 
-def test_quality_is_told_against_simulation():
+def test_quality_is_reported_against_simulation():
     good, held = np.array([True, True, False, False, False]), np.array([True, False, True, True, False])
     agreement = Agreement.of(good, held)
     assert agreement == Agreement(good=2, good_held=1, others=3, others_held=2)
@@ -195,7 +195,7 @@ def simulated(*pairs: tuple[bool, bool]) -> SimulatedGrasps:
     return SimulatedGrasps(Protocol(), before, {"pregrasp": "own", "squeeze": "own"}, after)
 
 
-def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_after():
+def test_where_grasps_were_simulated_this_is_reported_first_and_before_as_well_as_after():
     outcome = with_quality(error_in_millimetres(4), g3=0.5)
     proof = simulated((True, True), (False, True), (True, False), (False, False))
     lines = text(outcome, simulated=proof, width=120)
@@ -211,7 +211,7 @@ def test_where_grasps_were_simulated_this_is_told_first_and_before_as_well_as_af
     assert max(map(len, text(outcome, simulated=proof))) <= 80
 
 
-def test_the_worst_of_many_are_those_that_did_not_hold():
+def test_the_worst_of_many_did_not_hold():
     outcome = with_quality(error_in_millimetres(41), g5=0.5)
     lines = text(outcome, simulated=simulated(*((True, i != 30) for i in range(41))))
     shown = [line.split()[0] for line in lines if "→" in line and line.split()[0].isdigit()]

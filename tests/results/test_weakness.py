@@ -37,7 +37,7 @@ def plain(**given: float) -> Quality:
         ({"pushed": 0.2, "deep": 1e-4}, ("-y",)),
     ],
 )
-def test_the_costliest_shortcoming_is_told(given: dict[str, float], named: tuple[str, ...]) -> None:
+def test_the_costliest_shortcoming_is_reported(given: dict[str, float], named: tuple[str, ...]) -> None:
     (text,) = weaknesses(plain(**given), LINKS, JOINTS)
     assert all(name in text for name in named)
 

@@ -112,7 +112,7 @@ def test_jaws_hold_from_both_sides(gripper: Hand, source: str):
     assert facing[0] < -0.9, "the best push against each other"
 
 
-def test_of_forces_that_balance_alike_those_of_more_groups_are_better(
+def test_of_forces_that_balance_alike_more_groups_are_better(
     allegro: Hand, box: Object, monkeypatch: pytest.MonkeyPatch
 ):
     def balanced(points: ContactPoints, obj: Object, axes: np.ndarray) -> SimpleNamespace:
@@ -171,7 +171,7 @@ def test_a_count_is_in_range(gripper: Hand, box: Object, count: int):
         sample_grasps(gripper, box, count)
 
 
-def test_what_cannot_be_held_is_an_error_that_tells_the_sizes(gripper: Hand):
+def test_memory_that_is_not_there_is_an_error_with_the_sizes(gripper: Hand):
     pebble = load_object("sphere:0.005", candidates=64)
     named = ("'gripper'", "'sphere:0.005'", "1024 tries", "0.01 x 0.01 x 0.01 m", "0.18 m")
     with refused(GraspRefineError, *named):

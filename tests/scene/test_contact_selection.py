@@ -132,7 +132,7 @@ def test_distances_below_zero_are_refused(name: str, value: float) -> None:
         ContactSelection(**{name: value})
 
 
-def test_links_that_do_not_exist_are_refused_with_those_that_do(hand: Hand) -> None:
+def test_unknown_links_are_refused_with_the_known_ones(hand: Hand) -> None:
     links = links_of(hand)
     with refused(HandError, "allegro", "knee", "thumb", f"{INDEX}, ", "base_"):
         ContactSelection(links=(INDEX, "knee")).cutoff(hand, links)

@@ -72,7 +72,7 @@ def scene(pose: np.ndarray, q: np.ndarray) -> Scene:
     ],
     ids="+".join,
 )
-def test_what_is_meant_is_told_and_nothing_else(faults: tuple[str, ...]):
+def test_what_is_meant_is_printed_and_nothing_else(faults: tuple[str, ...]):
     text = "; ".join(convention_notes([scene(*written(*faults))]))
     assert {fault for fault in FAULTS if fault in text} == set(faults)
 
@@ -88,7 +88,7 @@ def test_grasps_that_lack_precision_are_left_alone():
     assert convention_notes([scene(pose_from_transform(T), q)]) == ()
 
 
-def test_hands_that_are_nowhere_near_are_told_with_the_frame_that_is_needed():
+def test_hands_that_are_nowhere_near_are_reported_with_the_frame_that_is_needed():
     pose, q = written()
     (note,) = convention_notes([scene(pose + [0, 0.8, 0.3, 0, 0, 0, 0], q)])
     assert_names(note, "'base_link'")

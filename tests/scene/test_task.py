@@ -129,7 +129,7 @@ def test_a_base_stands_in_the_world_of_the_scene() -> None:
     np.testing.assert_allclose(around.T_world_object @ within, alone, atol=1e-15)
 
 
-def test_regions_are_those_of_the_scene_unless_the_task_names_some() -> None:
+def test_regions_are_as_in_the_scene_unless_the_task_names_some() -> None:
     mug = load_object("mug", candidates=16)
     around = replace(gr.load_scene(SCENE), touch=("above:z=0",))
 

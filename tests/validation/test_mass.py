@@ -67,7 +67,7 @@ def test_the_force_that_holds_grows_with_density(density: float):
     assert (simulate(world, around(0.85 * limit)).reason[:, across] == Reason.MOVED).all()
 
 
-def test_a_replay_tells_the_force_that_acted():
+def test_a_replay_reports_the_force_that_acted():
     world = build_world(gripper(), ball(), replace(DEXGRASPBENCH, density=1000.0, checks=1))
     replay = record(world, around(8.0), "+y", name="ball", hand="gripper")
     assert replay is not None

@@ -214,7 +214,7 @@ def test_joints_that_the_hand_lacks_are_fixed_with_what_moves_them(tmp_path: Pat
     assert_names(note, " extra ", "fixed")
 
 
-def test_without_actuators_those_of_the_hand_are_added(tmp_path: Path) -> None:
+def test_without_actuators_the_hand_s_are_added(tmp_path: Path) -> None:
     hand = ours(
         tmp_path,
         toml="coupled = [{ joints = ['a1_j', 'a2_j'], ratio = [1, 0.5] }]\n"
@@ -386,7 +386,7 @@ def test_bounds_of_torques_are_what_actuators_make_of_the_farthest_set_points(
         '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 2 0"/>',
     ],
 )
-def test_what_is_no_position_servo_is_replaced_by_those_of_the_hand(tmp_path: Path, servo: str) -> None:
+def test_other_actuators_are_replaced_by_the_servos_of_the_hand(tmp_path: Path, servo: str) -> None:
     path, hand = (
         written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo)),
         ours(tmp_path),
@@ -453,7 +453,7 @@ def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:
         mjcf_model(ours(tmp_path, toml="mjcf_joints = { a1_j = 'rh_b1_j', a2_j = 'index' }"), path)
 
 
-def test_a_small_difference_is_told_and_a_large_one_refused(tmp_path: Path) -> None:
+def test_a_small_difference_is_reported_and_a_large_one_refused(tmp_path: Path) -> None:
     hand = ours(tmp_path)
     made = mjcf_model(hand, written(tmp_path, reach=0.0406))
     assert_names(made.notes[0], "hand.xml", " mm", "URDF")

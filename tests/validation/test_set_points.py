@@ -31,7 +31,7 @@ def test_the_excess_is_the_force_that_is_missing(world: World) -> None:
     assert not set_point_excess(world, around(ALLOWED_N / 2)).any()
 
 
-def test_what_is_clipped_is_told_with_its_actuator_and_presses_less(world: World) -> None:
+def test_clipped_set_points_are_reported_with_their_actuator_and_press_less(world: World) -> None:
     strong, weak = around(FORCE_N), around(ALLOWED_N / 2)
     note = clipping_note([world, world], [strong, weak])
     assert "1 of 2 squeezes" in note and "pull" in note and "right" not in note
@@ -43,7 +43,7 @@ def test_what_is_clipped_is_told_with_its_actuator_and_presses_less(world: World
     np.testing.assert_allclose(found, [0.0, aside], atol=0.2 * aside)
 
 
-def test_grasps_that_are_not_finite_are_not_told(world: World) -> None:
+def test_grasps_that_are_not_finite_are_not_reported(world: World) -> None:
     motion = around(FORCE_N, count=2)
     motion.q[0] = np.nan
     assert "1 of 2 squeezes" in clipping_note([world], [motion])

@@ -57,7 +57,7 @@ def test_a_push_along_the_plates_normal_is_carried_by_both_actuators(world: Worl
     assert trials.success.all()
 
 
-def test_links_that_touch_are_told_by_stage(world: World) -> None:
+def test_links_that_touch_are_reported_by_stage(world: World) -> None:
     trials = holds(world, 4.0, 0.6)
     assert set(trials.links) == {"left plate", "right plate"}
     assert trials.contacts_squeeze.all() and trials.contacts.all()
@@ -80,7 +80,7 @@ def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
     assert (replace(trials, peak_m=peak_m, peak_rad=peak_rad).worst == 1).all()
 
 
-def test_the_limits_are_those_of_the_protocol() -> None:
+def test_the_limits_are_as_in_the_protocol() -> None:
     """Where an object may turn a tenth as far, what turned is nearer to being lost than what moved."""
     protocol = replace(DEXGRASPBENCH, steepest=DEXGRASPBENCH.steepest / 10)
     trials = holds(build_world(gripper(), ball(), protocol), 4.0, 0.6)

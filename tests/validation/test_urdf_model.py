@@ -228,7 +228,7 @@ def inertia_of(model: mujoco.MjModel, name: str) -> tuple[float, np.ndarray, np.
     return body.mass[0], body.ipos, turn @ np.diag(body.inertia) @ turn.T
 
 
-def test_masses_are_those_of_the_urdf(tmp_path: Path) -> None:
+def test_masses_are_as_in_the_urdf(tmp_path: Path) -> None:
     hand = build(tmp_path, {"a": weight(1, 1, 1, 1), "b": weight(0.2, 2e-5, 3e-5, 4e-5)}, joint("j", "a", "b"))
     made = urdf_model(hand)
     assert made.notes == ()

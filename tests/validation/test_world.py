@@ -141,7 +141,7 @@ def test_what_was_done_with_warnings_is_done_again_afterwards() -> None:
         mujoco.set_mju_user_warning(before)
 
 
-def test_moments_are_those_of_a_whole_step() -> None:
+def test_moments_are_as_in_a_whole_step() -> None:
     model = build_world(gripper(), ball(), DEXGRASPBENCH).model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -236,7 +236,7 @@ def test_the_last_answer_is_taken_up_and_changes_no_gradient() -> None:
         torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
 
 
-def test_values_are_those_of_the_query() -> None:
+def test_values_are_as_in_the_query() -> None:
     pairs = two_pairs()
     T_a, T_b = near_poses(pairs, 4, -0.002, 130)
     w, found = WitnessLayer(pairs, Distance())(T_a, T_b), query(pairs, T_a.numpy(), T_b.numpy())

@@ -202,7 +202,7 @@ def test_fitted_curvature_of_finely_sampled_balls(
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-def test_fitted_curvatures_tell_the_axis_of_a_cylinder(sampled: bool) -> None:
+def test_fitted_curvatures_give_the_axis_of_a_cylinder(sampled: bool) -> None:
     rod = build_body("rod", [capsule(0.02, (0, 0, -0.1), (0, 0, 0.1))], candidates=8192)
     ball = build_body("ball", [sphere(0.03)], candidates=8192)
     pairs = Pairs((rod,), (ball,))

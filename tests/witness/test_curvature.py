@@ -256,7 +256,7 @@ def symmetric(count: int, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("function", [np.abs, lambda v: np.clip(v, -1.0, 4.0), lambda v: 2.0 + 0.0 * v])
-def test_functions_of_eigenvalues_are_those_of_eigh(function: Callable[[np.ndarray], np.ndarray]) -> None:
+def test_functions_of_eigenvalues_are_as_in_eigh(function: Callable[[np.ndarray], np.ndarray]) -> None:
     K = symmetric(9, 5)
     values, vectors = np.linalg.eigh(K)
     expected = vectors @ (function(values)[..., None] * vectors.mT)

@@ -207,7 +207,7 @@ def test_the_fit_agrees_with_that_of_contact_kinematics_within_its_noise() -> No
 
 
 @pytest.mark.parametrize("gap", [0.003, -0.001])
-def test_a_ball_in_a_real_ring_is_told_to_move_the_right_way(gap: float) -> None:
+def test_a_ball_in_a_real_ring_moves_in_the_right_direction(gap: float) -> None:
     """Ten wedges whose inner wall is flat piece by piece: the fit sees the ring, the exact feature does not.
 
     The slope is compared with that of a finite motion of the ball, over two of its ten flats.

@@ -206,7 +206,7 @@ def test_an_index_of_nothing_has_heads_only(ending: str, tmp_path: Path):
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_full_disk_is_told_in_one_line(ending: str, tmp_path: Path):
+def test_a_full_disk_is_reported_in_one_line(ending: str, tmp_path: Path):
     path = tmp_path / f"index.{ending}"
     path.symlink_to("/dev/full")
     with refused(GraspRefineError, f"index.{ending}", "No space left on device"):

@@ -46,7 +46,7 @@ def test_a_pattern_has_a_job_for_each_match(folder: Path):
     assert [job.name for job in jobs(f"{folder}/d*p")] == ["deep/b9", "deep/er/c"]
 
 
-def test_sources_are_joined_and_equal_names_are_told_apart(folder: Path):
+def test_sources_are_joined_and_equal_names_are_distinguished(folder: Path):
     assert [job.name for job in jobs(folder / "b9.npz", folder / "deep", "sample:5")] == [
         "b9",
         "b9_2",
@@ -155,7 +155,7 @@ def test_relative_paths_no_longer_depend_on_the_working_folder(folder: Path, mon
     assert found.inputs.hand == "deep/hand.urdf"
 
 
-def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
+def test_a_file_that_is_not_there_is_a_job_that_will_be_reported(tmp_path: Path):
     assert [job.name for job in jobs(tmp_path / "none.npz")] == ["none"]
 
 
@@ -185,7 +185,7 @@ def test_a_file_that_is_not_there_is_a_job_that_will_be_told(tmp_path: Path):
         ('[[job]]\ngrasps = "b9.npz"\nname = "a\\nb"', ("'a\\nb'",)),
     ],
 )
-def test_what_is_wrong_in_a_toml_list_is_told_with_its_place(folder: Path, text: str, named: tuple[str, ...]):
+def test_what_is_wrong_in_a_toml_list_is_reported_with_its_place(folder: Path, text: str, named: tuple[str, ...]):
     assert_problem(listed(folder, text), *named)
 
 
@@ -201,11 +201,11 @@ def test_what_is_wrong_in_a_toml_list_is_told_with_its_place(folder: Path, text:
         ('grasps\n"b9.npz\n', ("jobs.csv", "CSV")),
     ],
 )
-def test_what_is_wrong_in_a_csv_list_is_told_with_its_place(folder: Path, text: str, named: tuple[str, ...]):
+def test_what_is_wrong_in_a_csv_list_is_reported_with_its_place(folder: Path, text: str, named: tuple[str, ...]):
     assert_problem(listed(folder, text, "jobs.csv"), *named)
 
 
-def test_lists_that_are_not_there_and_empty_folders_are_told(tmp_path: Path):
+def test_lists_that_are_not_there_and_empty_folders_are_reported(tmp_path: Path):
     assert_problem(tmp_path / "none.toml", "none.toml", "TOML", "No such file")
     assert_problem(tmp_path / "none.csv", "none.csv", "CSV", "No such file")
     assert_problem(tmp_path, tmp_path, ".npz")
@@ -217,13 +217,13 @@ def test_a_job_can_say_every_input_but_which_grasps():
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "~nobody-is-called-so/x", "a\\u0000b"])
-def test_what_cannot_be_a_path_is_a_job_that_will_be_told(folder: Path, name: str):
+def test_what_cannot_be_a_path_is_a_job_that_will_be_reported(folder: Path, name: str):
     """Python raises at the length of the first two, the home of the third, and the letter in the last."""
     (job,) = jobs(listed(folder, f'[[job]]\nname = "x"\ngrasps = "{name}"\nobject = "{name}.obj"'))
     assert str(job.inputs.grasps) == str(Path(name.replace("\\u0000", "\0")))
 
 
-def test_a_file_with_a_name_that_is_no_text_is_a_job_that_will_be_told(tmp_path: Path):
+def test_a_file_with_a_name_that_is_no_text_is_a_job_that_will_be_reported(tmp_path: Path):
     try:
         (tmp_path / "a\udcffb.npz").touch()
     except OSError:

@@ -95,7 +95,7 @@ def test_the_same_input_gives_the_same_bytes():
     )
 
 
-def test_counts_are_those_of_the_statistics():
+def test_counts_are_as_in_the_statistics():
     found = some(
         made_up_rows(
             8,
@@ -132,7 +132,7 @@ def test_a_case_says_where_it_is_and_how_to_see_it():
     assert "view" in COMMANDS
 
 
-def test_failures_are_told_by_reason():
+def test_failures_are_reported_by_reason():
     failed = [
         failure(None, "x.npz: not an .npz grasp file", "refused"),
         *(failure(k, "ended with SIGKILL", "crashed") for k in range(MAX_SHARDS_PER_KIND + 5)),

@@ -87,7 +87,7 @@ def test_nothing_is_left_when_all_is_done_or_failed(clock: Clock):
     ]
 
 
-def test_where_grasps_are_simulated_those_that_hold_are_counted(clock: Clock):
+def test_held_grasps_are_counted_where_they_are_simulated(clock: Clock):
     console = plain()
     with Progress(console, shards(1), 1, simulated=True, clock=clock) as progress:
         clock.now += PRINT_INTERVAL_S

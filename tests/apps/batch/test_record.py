@@ -86,7 +86,7 @@ def test_a_damaged_note_is_none(tmp_path: Path, text: str):
     assert noted_failure(one) is None
 
 
-def test_a_note_that_cannot_be_written_is_told(tmp_path: Path):
+def test_a_note_that_cannot_be_written_is_reported(tmp_path: Path):
     (tmp_path / "job").write_text("in the way")
     with refused(GraspRefineError, tmp_path / "job"):
         note_failure(shard(tmp_path), Failed("error", "x", "", 1))
@@ -140,7 +140,7 @@ def test_what_is_too_deep_or_no_array_is_no_result_of_a_batch(tmp_path: Path):
     assert noted_failure(one) is None
 
 
-def test_a_record_too_deep_is_told_by_the_index(tmp_path: Path):
+def test_a_record_too_deep_is_reported_by_the_index(tmp_path: Path):
     one = shard(tmp_path)
     one.path.parent.mkdir()
     texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array("[" * 10**5)}

@@ -75,7 +75,7 @@ def test_the_mean_of_many_values_is_exact():
 # Counts
 
 
-def test_counts_are_those_of_the_rows():
+def test_counts_are_as_in_the_rows():
     found = statistics(
         made_up_rows(
             6,
@@ -117,12 +117,12 @@ def test_no_grasps_have_no_statistics():
     assert found.all.count == 0 and found.by_pair()[0] == [] and found.worst() == () and found.totals()["n"] == 0
 
 
-def test_a_file_with_several_objects_is_told_apart():
+def test_a_file_with_several_objects_is_split():
     found = statistics(made_up_rows(4, object=np.array(["mug", "cup", "mug", "mug"])))
     assert {pair: tally.count for pair, tally in found.by_pair()[0]} == {("allegro", "mug"): 3, ("allegro", "cup"): 1}
 
 
-def test_of_too_many_objects_those_that_fail_most_are_kept(monkeypatch: pytest.MonkeyPatch):
+def test_of_too_many_objects_the_worst_are_kept(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "MAX_PAIRS", 10)
     found = Statistics.empty()
     for number in range(40):
@@ -147,7 +147,7 @@ def test_the_same_rows_give_the_same_statistics_to_the_last_bit():
 # Worst cases
 
 
-def test_the_worst_cases_are_those_of_lowest_quality_then_deepest():
+def test_the_worst_cases_have_the_lowest_quality_then_the_largest_depth():
     quality = np.array([0.5, 0.1, 0.1, 0.9, np.nan])
     rows = made_up_rows(
         5, 3, quality_after=quality, penetration_m_after=[0, 1e-3, 2e-3, 0, 0], held_after=np.nan, row=[4, 5, 6, 7, 8]

@@ -48,12 +48,12 @@ def test_a_line_for_each_object_and_one_for_all():
     assert lines[-1] == "12.0 grasps/s, at most 512 MiB a process"
 
 
-def test_a_rule_other_than_all_directions_is_told():
+def test_a_rule_other_than_all_directions_is_reported():
     lines = printed(document(config={"protocol": settings(GRASPQP)}), some(1))
     assert any(line.startswith("held in simulation (graspqp, in at least 3 of 6 directions): ") for line in lines)
 
 
-def test_without_simulation_it_is_told_what_converged():
+def test_without_simulation_it_is_reported_what_converged():
     found = Statistics.empty()
     found.add(
         made_up_rows(4, held_before=np.nan, held_after=np.nan, status=["converged", "stalled", "no target", "budget"])

@@ -17,7 +17,7 @@ CLAW = f"""<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom 
   {FINGER.format("left", -0.045, 1)}{FINGER.format("right", 0.045, -1)}</body></worldbody></mujoco>"""
 
 
-def test_several_hands_are_tried_and_one_that_cannot_be_read_is_told(
+def test_several_hands_are_tried_and_one_that_cannot_be_read_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -43,5 +43,5 @@ def test_a_hand_that_cannot_be_loaded_has_a_row() -> None:
     assert "no such hand" in table_of([row], 1, ("mug",), "dexgraspbench").markdown()
 
 
-def test_names_tell_files_of_one_name_apart() -> None:
+def test_names_distinguish_files_of_one_name() -> None:
     assert name_of("allegro") == "allegro" and name_of("a/leap_mjcf/right_hand.xml") == "leap_mjcf/right_hand"

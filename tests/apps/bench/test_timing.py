@@ -24,7 +24,7 @@ def test_times_are_taken_in_turn_after_a_warm_up():
     assert np.isfinite(list(times.values())).all()
 
 
-def test_times_are_those_of_one_call(monkeypatch: pytest.MonkeyPatch):
+def test_times_are_as_in_one_call(monkeypatch: pytest.MonkeyPatch):
     clock = [0.0]
 
     def run() -> None:
@@ -46,7 +46,7 @@ def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pyte
     assert native_search.threads_for(10**6) == 8
 
 
-def test_what_is_not_told_apart_is_one_part():
+def test_what_is_not_distinguished_is_one_part():
     parts = split_stages("broad phase", "derivative")
     assert list(parts) == ["broadphase", "derivative", "solver"]
     assert parts["broadphase"] == ("broad phase",)

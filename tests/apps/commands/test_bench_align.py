@@ -140,7 +140,7 @@ def test_what_is_asked_for_twice_is_run_once():
     assert (row["pairs"], row["targets"]) == (1, 3)
 
 
-def test_a_budget_in_seconds_is_told_as_such():
+def test_a_budget_in_seconds_is_reported_as_such():
     (row,) = pooled(document(*TINY[:-3], "--seconds", "0.1"))
     assert (row["budget"], row["budget_s"]) == (None, 0.1)
     assert row["iterations_mean"] > 1 and row["cpu_s_per_pair"] >= 0.1 * 0.5

@@ -65,7 +65,7 @@ def copy(whole: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_numbers_of_the_tables_are_those_of_the_files(whole: Path):
+def test_the_numbers_of_the_tables_are_as_in_the_files(whole: Path):
     tables = document(whole)["tables"]
     (row,) = tables["All grasps"]
     assert row["grasps"] == NUMBER

@@ -36,7 +36,7 @@ def numbers(row: dict[str, Any]) -> dict[str, float]:
     return {key: value for key, value in row.items() if isinstance(value, int | float) and "_ms" not in key}
 
 
-def test_smoke_tells_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
+def test_smoke_reports_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
     for module in ("matplotlib", "jinja2"):
         pytest.importorskip(module, reason="the report needs it")
     options = ["bench", "hold", "--preset", "smoke", "--protocols", "dexgraspbench", "--object", "rounded_box"]

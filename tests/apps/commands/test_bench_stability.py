@@ -84,7 +84,7 @@ def test_wrong_answers_are_counted_and_end_with_code_1(
     assert 'td class="wrong"' in Path("found.html").read_text(encoding="utf-8")
 
 
-def test_a_crash_is_told_and_ends_with_code_1(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
+def test_a_crash_is_reported_and_ends_with_code_1(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
     def crashes(pairs: Pairs, T_a: np.ndarray, T_b: np.ndarray) -> Witness:
         if pairs.a[0].diagonal > 0.5:
             raise ZeroDivisionError("on purpose")

@@ -57,7 +57,7 @@ class Labels:
         (("a", "bad", "stop"), 130, 1, ("bad: ", "interrupted: 1 of 3")),
     ],
 )
-def test_what_failed_and_what_was_interrupted_is_told_by_the_exit_code(
+def test_what_failed_and_what_was_interrupted_is_reported_by_the_exit_code(
     labels: tuple[str, ...], code: int, done: int, problems: tuple[str, ...]
 ):
     assert run_benchmark("bench labels", Options(), Labels(labels)) == code

@@ -61,7 +61,7 @@ def test_each_grasp_has_its_files(world: World, group: Group, tmp_path: Path) ->
         assert_names(line, f"ball {number}: +x held", f"{tmp_path / stem}.npz, .xml")
 
 
-def test_a_model_stays_at_the_pregrasp_until_it_is_told_to_close(world: World, group: Group, tmp_path: Path) -> None:
+def test_a_model_stays_at_the_pregrasp_until_commanded_to_close(world: World, group: Group, tmp_path: Path) -> None:
     recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "gripper_ball_2_+x.xml"))
     data = mujoco.MjData(model)

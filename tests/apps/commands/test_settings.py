@@ -13,7 +13,7 @@ from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation, ValidationOptions
 
 
-def test_without_options_the_settings_are_those_of_the_library():
+def test_without_options_the_settings_are_as_in_the_library():
     assert Settings().config() == Config()
     assert Simulation().chosen_protocol() == DEXGRASPBENCH
     assert ValidationOptions().chosen_protocol() is None

@@ -138,7 +138,7 @@ count = 2
 """
 
 
-def test_a_protocol_of_a_file_is_told_with_its_rule_mass_and_labels(
+def test_a_protocol_of_a_file_is_reported_with_its_rule_mass_and_labels(
     workplace: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Offsets depend on the row of the grasp only, so that labels are those of any other selection."""
@@ -194,7 +194,7 @@ def test_the_same_as_parquet(workplace: Path) -> None:
     assert document["grasps"][0]["simulation"] == {"before": None, "after": None}
 
 
-def test_further_trials_are_told(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_further_trials_are_reported(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = validate(
         EXAMPLE, "--index", "1", "--noise", "2", "--frictions", "0.02", "0.9", "--without-squeeze"
     )  # fmt: skip
@@ -209,7 +209,7 @@ def test_further_trials_are_told(workplace: Path, capfd: pytest.CaptureFixture[s
     assert "held by friction: 0.02: 0.0 %, 0.9: 100.0 %" in out
 
 
-def test_both_engines_tell_how_far_they_agree(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_both_engines_report_how_far_they_agree(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = validate(EXAMPLE, "--index", "1", "3", "--engine", "both", "--seconds", "0.2", "--rows", "rows.csv")
     said = " ".join(capfd.readouterr().out.split())
     entries = [grasp["simulation"]["after"] for grasp in document["grasps"]]

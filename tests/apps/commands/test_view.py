@@ -59,7 +59,7 @@ def test_without_files_the_embedded_example_is_opened() -> None:
     assert len(state.collection) == 4 and state.collection.label(0) == "mug 0"
 
 
-def test_results_are_opened_with_the_grasps_as_they_came_and_what_simulation_said(results: Path) -> None:
+def test_results_are_opened_with_their_input_grasps_and_verdicts(results: Path) -> None:
     state = opened(results / "allegro_mug.npz", results / "report.json").state
     assert len(state.collection) == 2
     assert np.abs(state.initial.q - state.pose.q).max() > 1e-2
@@ -266,7 +266,7 @@ def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
     assert (told in capsys.readouterr().err) if told else capsys.readouterr().err == ""
 
 
-def test_settings_of_the_command_line_are_those_of_the_page() -> None:
+def test_settings_of_the_command_line_are_as_in_the_page() -> None:
     controller = View(settings=Settings(geometry_only=True))._controller()
     try:
         controller.refinement.start()

@@ -107,7 +107,7 @@ def test_there_are_no_more_workers_than_tasks(tmp_path: Path):
     assert multiprocessing.active_children() == []
 
 
-def test_what_work_raises_is_told_and_the_worker_goes_on(tmp_path: Path):
+def test_what_work_raises_is_reported_and_the_worker_goes_on(tmp_path: Path):
     kinds = ("mesh", "value", "stubborn", "memory", "full", "long")
     found = outcomes(tmp_path, *(f"raise {kind}" for kind in kinds), "write")
     failures = [found[number] for number in range(len(kinds))]

@@ -123,7 +123,7 @@ def test_every_key_is_explained(tmp_path: Path) -> None:
 # where it is written
 
 
-def test_the_width_of_jaws_is_told_in_millimetres(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_width_of_jaws_is_reported_in_millimetres(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hands", "--check", "franka_hand"]) == 0
     assert_names(capsys.readouterr().out.replace("\n", " "), "two jaws", "0.0 to 80.0 mm wide", "40.0 mm")
     assert check_hand(load_hand("franka_hand", candidates=512)).jaws == pytest.approx((0.0, 0.08), abs=1e-9)
@@ -171,7 +171,7 @@ def test_a_hand_toml_of_another_urdf_is_left_alone(workplace: Path, capfd: pytes
         same(load_hand(path, candidates=16), load_hand(workplace / folder, candidates=16))
 
 
-def test_a_folder_that_cannot_be_written_to_is_told(workplace: Path, monkeypatch, capfd) -> None:
+def test_a_folder_that_cannot_be_written_to_is_reported(workplace: Path, monkeypatch, capfd) -> None:
     path = pincers(workplace)
 
     def full(*_: object) -> None:
@@ -199,7 +199,7 @@ def test_places_that_cannot_be_are_refused(workplace: Path, capfd: pytest.Captur
 # what is said
 
 
-def test_an_arm_a_chain_of_mimic_joints_and_their_limits_are_told(
+def test_an_arm_a_chain_of_mimic_joints_and_their_limits_are_reported(
     workplace: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     hand = underactuated(workplace / "five", toml=False)
@@ -270,12 +270,12 @@ def test_nothing_is_suspicious_about_a_hand_that_is_well(tmp_path: Path) -> None
         ),
     ],
 )
-def test_what_looks_wrong_is_told(tmp_path: Path, options: dict, named: tuple[str, ...]) -> None:
+def test_what_looks_wrong_is_reported(tmp_path: Path, options: dict, named: tuple[str, ...]) -> None:
     found = suspicious(pincers(tmp_path, **options))
     assert any(all(one in line for one in named) for line in found), found
 
 
-def test_masses_that_are_made_up_for_the_simulation_are_told(tmp_path: Path) -> None:
+def test_masses_that_are_made_up_for_the_simulation_are_reported(tmp_path: Path) -> None:
     path = pincers(tmp_path)
     zero = '<inertial><mass value="0.1"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
     path.write_text(path.read_text().replace('<link name="left">', f'<link name="left">{zero}'))
@@ -285,7 +285,7 @@ def test_masses_that_are_made_up_for_the_simulation_are_told(tmp_path: Path) -> 
     assert any("mass" in line and "palm, right" in line for line in found.simulation)
 
 
-def test_tiny_idle_and_rigid_hands_are_told(tmp_path: Path) -> None:
+def test_tiny_idle_and_rigid_hands_are_reported(tmp_path: Path) -> None:
     ball = BALL.replace("0.01", "0.001")
     (tmp_path / "a.urdf").write_text(f'<robot name="r"><link name="a">{ball}</link></robot>')
     found = suspicious(tmp_path / "a.urdf")
@@ -307,7 +307,7 @@ def test_links_that_always_overlap_are_named(tmp_path: Path) -> None:
     assert (found.at_rest, found.nearly_always, found.checked, found.never) == ((), (), (), 1)
 
 
-def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_mujoco_refuses_is_reported(workplace: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
     from grasp_refine_apps.report import hand_check
 
     made = hand_check.model_of
@@ -324,7 +324,7 @@ def test_what_mujoco_refuses_is_told(workplace: Path, monkeypatch, capsys: pytes
 
 
 @pytest.mark.parametrize(("effort", "implausible"), [(900.0, False), (60000.0, True)])
-def test_an_effort_that_no_joint_of_a_hand_has_is_told(tmp_path: Path, effort: float, implausible: bool) -> None:
+def test_an_effort_that_no_joint_of_a_hand_has_is_reported(tmp_path: Path, effort: float, implausible: bool) -> None:
     limit = LIMIT.replace('effort="1"', f'effort="{effort}"')
     lines = [line for line in suspicious(pincers(tmp_path, limit=limit)) if "left_j (60000), right_j (60000)" in line]
     assert bool(lines) == implausible

@@ -119,7 +119,7 @@ def test_of_triangles_in_the_same_place_the_first_is_seen():
     np.testing.assert_array_equal(again, depth)
 
 
-def test_triangles_without_area_and_those_beside_the_picture_are_not_seen():
+def test_triangles_without_area_or_beside_the_picture_are_not_seen():
     camera = Camera(EYE, TARGET, 40, 30, 0.2)
     triangles = soup(20, 2)
     thin = np.stack([triangles[:, 0], triangles[:, 1], triangles[:, 1]], axis=1)

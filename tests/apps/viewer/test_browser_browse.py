@@ -172,7 +172,7 @@ def test_clicks_that_nobody_made_do_nothing(show: Callable[[Collection], Shown],
         assert shown.panel.table.content == before
 
 
-def test_one_click_that_is_told_twice_sorts_once(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
+def test_one_click_sent_twice_sorts_once(show: Callable[[Collection], Shown], tmp_path: Path) -> None:
     shown = show(opened(save_example_results(tmp_path / "results.npz", 5)))
     for _ in range(2):
         shown.panel._click("sort quality_after 7.5")

@@ -73,7 +73,7 @@ def test_a_file_of_the_dataset(tmp_path: Path):
         np.testing.assert_allclose(transform_points(T_object_hand, ours), transform_points(T[row], tips), atol=1e-12)
 
 
-def test_json_with_its_keys_and_those_of_graspgen(tmp_path: Path):
+def test_json_with_its_keys_and_with_graspgen_keys(tmp_path: Path):
     whole = reading(save(tmp_path / "a.h5", tree())).grasps
     flat = {
         "transforms": T.tolist(),
@@ -211,7 +211,7 @@ def test_changed_bytes_are_read_or_refused(monkeypatch: pytest.MonkeyPatch):
             assert "\n" not in str(error)
 
 
-def test_without_h5py_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_h5py_its_name_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = save(tmp_path / "a.h5", tree())
     monkeypatch.setitem(sys.modules, "h5py", None)
     with refused(GraspFileError, path, "h5py", "grasp-refine[hdf5]"):

@@ -73,7 +73,7 @@ def test_the_pose_is_that_of_the_palm(names: list[str], hand: str, link: str, tm
     np.testing.assert_array_equal(again.q[:, order], grasps.q)
 
 
-def test_what_its_evaluation_adds_is_told(tmp_path: Path):
+def test_what_its_evaluation_adds_is_reported(tmp_path: Path):
     read = reading(save(tmp_path / "a.npy", record(succ_flag=True, ho_pene=0.0)))
     assert_names(read.notes[0], "succ_flag")
 

@@ -120,7 +120,7 @@ def test_contacts_of_a_dexonomy_file_are_on_the_links_that_it_names(published: P
         assert abs(depth) < 5e-4
 
 
-def test_a_file_of_no_format_is_told_what_speaks_against_each(tmp_path: Path):
+def test_a_file_of_no_format_is_refused_with_a_reason_for_each(tmp_path: Path):
     np.save(tmp_path / "g.npy", np.array({"grasp_qpos": np.zeros(29)}, dtype=object))
     with refused(GraspFileError, tmp_path / "g.npy", *(f"{known.name}: " for known in FORMATS), "`format`") as caught:
         reading(tmp_path / "g.npy")

@@ -44,7 +44,7 @@ FREE = 1e9
 
 
 @pytest.mark.parametrize("m", [3, 8, 20])
-def test_without_active_bounds_steps_are_those_of_the_normal_equations(m: int) -> None:
+def test_without_active_bounds_steps_are_as_in_the_normal_equations(m: int) -> None:
     J, r, damping, metric = problems(20, m, 6, 0)
     dx, fall = bounded_step(J, r, damping, metric, np.full((20, 6), -FREE), np.full((20, 6), FREE))
     for i in range(20):
@@ -250,7 +250,7 @@ def test_settings_that_cannot_work_are_refused(settings: dict[str, object], name
 
 @pytest.mark.skipif("native" not in engines(), reason="the compiled module is not available")
 @pytest.mark.parametrize("one_sided", [False, True])
-def test_compiled_steps_are_those_of_the_plain_form(one_sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_steps_are_as_in_the_plain_form(one_sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within bounds that hold most unknowns, some without any room, and with one-sided rows."""
     J, r, damping, metric = problems(400, 14, 7, 11)
     rng = np.random.default_rng(12)

@@ -34,9 +34,7 @@ def test_weights_multiply_squares_and_links_pull_on_their_own_joints(hand: Hand)
 
 
 @pytest.mark.parametrize("partners", [False, True], ids=["one link", "two links"])
-def test_one_sided_rows_are_those_of_what_is_near_and_no_more_than_in_the_fullest_grasp(
-    hand: Hand, partners: bool
-) -> None:
+def test_one_sided_rows_are_near_and_no_more_than_in_the_fullest_grasp(hand: Hand, partners: bool) -> None:
     rng = np.random.default_rng(1)
     depth = rng.normal(size=(4, 9)) * 0.01 - 0.008
     depth[2], depth[3, :4] = -np.inf, [0.01, -0.001, -0.9 * NEAR_DISTANCE_M, -1.1 * NEAR_DISTANCE_M]

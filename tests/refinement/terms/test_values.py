@@ -166,7 +166,7 @@ def test_pairs_without_target_or_witness_count_nothing() -> None:
     assert torch.isfinite(T_a.grad).all() and not T_a.grad[1:].any()
 
 
-def test_penetration_and_gaps_are_those_of_the_query() -> None:
+def test_penetration_and_gaps_are_as_in_the_query() -> None:
     witness_layer = layer()
     T_a, T_b = poses_at_gap(witness_layer.pairs, 2, -0.003, seed=3)
     T_b[1, ..., 0, 3] += 1.0

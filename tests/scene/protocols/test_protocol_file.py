@@ -52,7 +52,7 @@ def written(folder: Path, text: str, name: str = "mine.toml") -> str:
     return str(path)
 
 
-def test_names_are_those_of_the_registry() -> None:
+def test_names_are_as_in_the_registry() -> None:
     assert all(load_protocol(name) is protocol for name, protocol in PROTOCOLS.items())
     with refused(GraspRefineError, "'soft'", *PROTOCOLS, ".toml"):
         load_protocol("soft")
@@ -153,7 +153,7 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
         load_protocol(str(tmp_path / "none.toml"))
 
 
-def test_summaries_tell_the_numbers() -> None:
+def test_summaries_report_the_numbers() -> None:
     assert_names(DEXGRASPBENCH.summary, "friction 0.6", "100 g", "1 N", "6 directions", "2 s")
     shaken = replace(DEXGRASPBENCH, noise=Noise(7, 0.004, radians(3)), required_label=0.6)
     assert_names(shaken.rule, "60 %", "7 trials", "4 mm", "3 degrees")

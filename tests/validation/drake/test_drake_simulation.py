@@ -186,7 +186,7 @@ def test_a_servo_presses_with_its_gain_times_its_error_on_a_stop_and_with_no_mor
         np.testing.assert_allclose(q, expected, rtol=0.02)
 
 
-def test_a_joint_stops_at_its_limit_and_a_spring_and_a_reference_are_those_of_the_file() -> None:
+def test_a_joint_stops_at_its_limit_and_a_spring_and_a_reference_are_as_in_the_file() -> None:
     servos = '<actuator><position joint="first" kp="5"/><position joint="second" kp="5"/></actuator>'
     rows = one(finger(servos))
     drive(rows, 2.0, 0.0)
@@ -248,7 +248,7 @@ def test_a_servo_on_a_tendon_pulls_the_weighted_sum_of_its_joints() -> None:
     assert joints(rows) == pytest.approx([0.2, 0.0], abs=5e-3)
 
 
-def test_masses_and_inertias_are_those_of_mujoco(world: World) -> None:
+def test_masses_and_inertias_are_as_in_mujoco(world: World) -> None:
     plant = build_plant(world, Parameters(0.6, world.mass))
     context = plant.plant.CreateDefaultContext()
     total = plant.plant.CalcTotalMass(context)
@@ -262,7 +262,7 @@ def test_masses_and_inertias_are_those_of_mujoco(world: World) -> None:
     np.testing.assert_allclose(plant.plant.CalcMassMatrix(context)[-2:, -2:], moving[-2:, -2:], rtol=1e-9)
 
 
-def test_the_pairs_that_may_touch_are_those_of_mujoco() -> None:
+def test_the_pairs_that_may_touch_are_as_in_mujoco() -> None:
     servos = '<actuator><position joint="first" kp="1"/></actuator>'
     excluded = '<contact><exclude body1="palm" body2="second"/></contact>'
     palm = '<geom name="palm" type="sphere" size="0.01" contype="{bits}" conaffinity="{bits}"/>'

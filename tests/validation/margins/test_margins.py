@@ -141,7 +141,7 @@ def test_the_other_model_is_used_in_its_draws_alone(worlds: Worlds) -> None:
     assert "model" not in worlds.trials
 
 
-def test_limits_are_those_of_coulomb(worlds: Worlds) -> None:
+def test_limits_are_as_in_coulomb(worlds: Worlds) -> None:
     motion = pressing(1.0, 4.0)
     found = limits(worlds.usual, motion)
     normal = normal_force(worlds, motion)

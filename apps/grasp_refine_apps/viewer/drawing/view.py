@@ -76,7 +76,7 @@ class View:
             nodes.draw(state)
 
     def _choose_camera(self, state: State, nodes: GraspNodes) -> None:
-        """Place all cameras for one grasp, for two side by side or overlaid, or for a whole trajectory or lift."""
+        """Place all cameras so that hand and object are fully in view."""
         shown = state.shown
         if not shown.finite:
             return

@@ -36,7 +36,7 @@ class ShownTrajectory:
     object: str
     """Name of the object."""
     status: PlanStatus
-    """Finding on the way."""
+    """Result of planning."""
     why: str
     """Obstacle in the way, or leg out of reach, in words; empty where the trajectory is free."""
     time: Float[np.ndarray, " T"]
@@ -72,7 +72,7 @@ class ShownTrajectory:
 
     @property
     def reason(self) -> str:
-        """Finding on the way."""
+        """Result of planning."""
         return self.status.label
 
     @property

@@ -293,7 +293,7 @@ def test_a_budget_in_seconds_is_cpu_time_of_each_pair(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(steps.rotation, np.repeat([10.0, 1.0, 0.1], [2 * pairs, 16 * pairs, 2 * pairs]))
 
 
-def test_progress_tells_the_share_of_the_budget():
+def test_progress_reports_the_share_of_the_budget():
     shares: list[float] = []
     result = ran(Variant("rigid", budget=120), accepted(PAIR, 3), progress=shares.append)
     assert (result.iterations == 120).all()

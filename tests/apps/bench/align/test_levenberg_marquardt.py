@@ -36,7 +36,7 @@ def accepted(pair: BodyPair, count: int, classes: tuple[str, ...] = CLASSES[:3])
 
 @pytest.mark.parametrize("margin", [0.0, 1e-3])
 @pytest.mark.parametrize("pair", [PAIR, CONCAVE], ids=["convex", "concave"])
-def test_it_solves_tasks_and_tells_how_many_queries_each_took(pair: BodyPair, margin: float):
+def test_it_solves_tasks_and_reports_how_many_queries_each_took(pair: BodyPair, margin: float):
     tasks = accepted(pair, 12)
     before = errors_at(pair, tasks, tasks.T_world_a, tasks.T_world_b, margin)
     result = run_levenberg_marquardt([pair], [tasks], Variant.least_squares(margin=margin, budget=200))

@@ -49,7 +49,7 @@ def test_at_a_vertex_the_normal_is_inside_its_cone(seed: int):
     assert (height.max(axis=1) < own - 1e-7).all()
 
 
-def test_along_an_edge_the_normal_is_midway_between_those_of_its_faces():
+def test_along_an_edge_the_normal_is_midway_between_its_faces():
     piece = hull(np.random.default_rng(5).normal(size=(20, 3)) * 0.03)
     edges = {tuple(sorted((face[k], face[k - 1]))) for face in piece.faces.tolist() for k in range(3)}
     for first, second in edges:

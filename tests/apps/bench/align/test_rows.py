@@ -174,7 +174,7 @@ def test_the_patch_judges_the_same_tasks_beside_the_plain_witness():
     assert row["witness"] == "plain" and row["patch"] == pooled["patch"]
 
 
-def test_iterations_are_those_of_each_task_and_padding_has_none():
+def test_iterations_are_as_in_each_task_and_padding_has_none():
     one = done([plain(3), plain(1)], np.ones((3, 2)), cpu_s=1.0, forward_s=0.4, asked=40)
     one.aligned.iterations[:] = [[10, 20], [2, 0], [8, 0]]
     row = rows([one], 8, "float64")[0]
@@ -217,7 +217,7 @@ def test_tasks_that_pad_a_shorter_pair_do_not_count():
     assert (found[0]["targets"], found[0]["acc_1e8"]) == (4, 1.0)
 
 
-def test_times_are_those_of_all_jobs_together():
+def test_times_are_as_in_all_jobs_together():
     group = [
         done([plain(2), plain(2)], np.ones((2, 2)), iterations=100, cpu_s=1.0, asked=800),
         done([plain(4)], np.ones((4, 1)), iterations=200, cpu_s=2.0, forward_s=0.4, backward_s=0.9, asked=1600),
@@ -235,7 +235,7 @@ def test_times_are_those_of_all_jobs_together():
 @pytest.mark.parametrize(
     ("method", "factor"), [("finite-difference", 13), ("zeroth-order", 17), ("distance", 1), ("analytical", 1)]
 )
-def test_queries_are_those_of_the_method_too(method: str, factor: int):
+def test_queries_include_the_method_s(method: str, factor: int):
     found = rows([done([plain(2)], np.ones((2, 1)), variant=Variant(method), iterations=70)], 2, "float64")[0]
     assert found["queries_mean"] == factor * found["iterations_mean"] == factor * 70
 

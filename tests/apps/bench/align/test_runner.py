@@ -105,7 +105,7 @@ def test_another_process_finds_the_same(tasks: list[Tasks]):
 
 
 @pytest.mark.parametrize("method", ["distance", "analytical", "rigid", "finite-difference", "zeroth-order"])
-def test_the_queries_that_are_told_are_those_that_were_made(method: str, tasks: list[Tasks]):
+def test_reported_queries_were_made(method: str, tasks: list[Tasks]):
     variant = Variant(method, budget=7)
     (job,) = made(tasks[1:2], PAIRS[1:2], (variant,))
     done = alone(job)

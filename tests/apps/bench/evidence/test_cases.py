@@ -102,7 +102,7 @@ def test_classes_of_objects(convexity: float, diagonal: float, shape: str, size:
     assert (thing.shape, thing.size) == (shape, size)
 
 
-def test_diagonals_are_those_of_the_scaled_mesh(assets: Path):
+def test_diagonals_are_as_in_the_scaled_mesh(assets: Path):
     ball = next(thing for thing in read_objects(assets) if thing.name == "ball")
     assert ball.diagonal == pytest.approx(2.0 * OBJECTS["ball"])
 

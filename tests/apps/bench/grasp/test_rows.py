@@ -93,7 +93,7 @@ def test_a_grasp_counts_when_all_its_contacts_do():
     assert set(contact_errors(error, aimed=False).values()) == {None}
 
 
-def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: SetResult):
+def test_deep_starts_are_counted_and_named_if_they_stay(nothing: SetResult):
     pooled, cup, can = rows([nothing])
     assert [row["object"] for row in (pooled, cup, can)] == ["all", "cup", "can"]
     assert [(row["deep_starts"], row["deep_stuck"]) for row in (pooled, cup, can)] == [(3, 2), (2, 1), (1, 1)]
@@ -101,7 +101,7 @@ def test_deep_starts_are_counted_and_those_that_stay_are_named(nothing: SetResul
     assert can["deep_stuck_grasps"][0]["penetration_after_m"] == 6e-4
 
 
-def test_depths_are_those_of_all_grasps(nothing: SetResult):
+def test_depths_are_as_in_all_grasps(nothing: SetResult):
     row = rows([nothing])[0]
     assert row["grasps"] == 5
     assert row["penetration_before_mean_m"] == pytest.approx((0.02 + 0.012 + 0.001 + 0.01) / 5)
@@ -121,7 +121,7 @@ def test_what_cannot_be_measured_counts_as_the_worst():
     assert row["deep_stuck"] == 1
 
 
-def test_times_are_means_and_their_median_is_told_where_there_are_several_calls(nothing: SetResult):
+def test_times_are_means_and_their_median_is_reported_where_there_are_several_calls(nothing: SetResult):
     pooled, cup, _ = rows([nothing])
     assert pooled["cpu_ms_per_grasp"] == pytest.approx(3.0)
     # One call for each object.
@@ -195,7 +195,7 @@ def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
     assert list(map(chart.line, chart.rows)) == ["LM, batch 1", "LM, batch 64", "adam"]
 
 
-def test_sizes_rates_and_shares_are_those_of_all_grasps(nothing: SetResult):
+def test_sizes_rates_and_shares_are_as_in_all_grasps(nothing: SetResult):
     for one, seconds in zip(nothing.parts, (1.0, 3.0), strict=True):
         one.watch.spent["kinematics"].cpu_s, one.watch.spent["forces"].cpu_s = seconds, 1.0
     all_objects, cup, _ = rows([replace(nothing, span=(10.0, 12.5))])

@@ -77,7 +77,7 @@ def results(hand: Hand) -> list[GroupResult]:
     return found
 
 
-def test_stages_of_the_file_are_those_that_are_simulated(results: list[GroupResult]):
+def test_stages_of_the_file_are_simulated(results: list[GroupResult]):
     came, own = results[:2]
     assert (came.reason["dexgraspbench"] != Reason.HELD).all()
     assert own.reason["dexgraspbench"][0] == Reason.HELD

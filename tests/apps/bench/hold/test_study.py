@@ -68,7 +68,7 @@ def test_what_holds_is_counted_pooled_and_by_object(parts: list[GroupResult]):
     assert (can["grasps"], can["success_dexgraspbench"], can["lost_dexgraspbench"]) == (1, 0.0, None)
 
 
-def test_costs_are_those_of_all_grasps(parts: list[GroupResult]):
+def test_costs_are_as_in_all_grasps(parts: list[GroupResult]):
     came, own, geometry, forces = (row for row in rows(parts, PROTOCOLS) if row["object"] == "all")
     assert (came["method"], came["starts"], forces["method"], forces["starts"]) == ("as-came", None, "forces", 6)
     for name in ("cpu_ms_mean", "wall_ms_median", "moved_palm_median_m", "starts_mean"):

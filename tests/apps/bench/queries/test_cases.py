@@ -42,7 +42,7 @@ def test_a_coil_is_hollow():
 @pytest.mark.parametrize(
     ("case", "piece_pairs"), [(Case("convex"), 1), (Case("mixed", 5), 5), (Case("concave", 5), 25)]
 )
-def test_piece_pairs_are_those_of_the_bodies(case: Case, piece_pairs: int):
+def test_piece_pairs_are_as_in_the_bodies(case: Case, piece_pairs: int):
     pairs = make_pairs(case, 0)
     assert case.piece_pairs == piece_pairs == len(pairs.piece_pairs[0])
 

@@ -34,7 +34,7 @@ def test_grasps_come_again_disturbed_within_the_limits(scene: Scene):
     np.testing.assert_array_equal(several(scene, 1, 5).q, scene.q[:1])
 
 
-def test_counts_are_those_of_the_refinement(scene: Scene):
+def test_counts_are_as_in_the_refinement(scene: Scene):
     queries, done, pairs, frames = skips("here", scene, 0, lambda share: None)
     found, hand, judged = refine(scene, Config()), scene.hand, classify_pairs(scene.hand)
     assert queries["with"] == found.queries.sum() and done["with"] == found.iterations.sum()

@@ -202,7 +202,7 @@ def test_the_motion_without_slip_is_that_of_rigid_points() -> None:
     np.testing.assert_allclose(rigid_motion(found), found.covectors, atol=1e-12)
 
 
-def test_the_derivatives_of_spheres_are_those_of_their_points() -> None:
+def test_the_derivatives_of_spheres_are_as_in_their_points() -> None:
     one = scene("ball")
     D, step = one.diagonal, 1e-6
     expected = np.empty((4, 2, 9, 6))

@@ -192,7 +192,7 @@ def test_points_may_slide_by_what_the_error_of_the_distance_allows_and_no_more()
     assert counts(slack) == {} and slack.points_error[one(found)] < 1.0
 
 
-def test_gaps_that_are_told_as_contact_are_counted_and_are_no_fault():
+def test_gaps_that_are_reported_as_contact_are_counted_and_are_no_fault():
     made, found = posed("box", 0.1, "gap-1e-9", 16)
     pairs = Pairs(*((body,) for body in made.pairs[0]), engine="python")
     right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs

@@ -81,7 +81,7 @@ def test_lengths_are_said_as_people_do(metres: float, said: str):
     assert length(metres) == said
 
 
-def test_places_and_batches_are_told_apart():
+def test_places_and_batches_are_distinguished():
     assert words("translation", 0.0) == "at the origin" and words("translation", 1e3) == "1 km away"
     assert words("batch", 7) == "batch 7" and words("method", None) == "–"
 
@@ -126,11 +126,11 @@ def test_all_is_the_sum_over_states_and_nothing_is_counted_twice():
     assert counts(found[-1]) == [2, 20, 3, 5], "cells, queries, faults, refused"
 
 
-def test_crashes_are_told_though_they_have_no_rows():
+def test_crashes_are_reported_though_they_have_no_rows():
     assert counts(printed([forward().row()], crashes=2)[-1]) == [1, 10, 0, 2], "cells, queries, faults, crashes"
 
 
-def test_what_is_wrong_is_told_with_its_command():
+def test_what_is_wrong_is_reported_with_its_command():
     text = "\n".join(printed([forward().row(), forward(state="deep", wrong_sign=2).row()], seed=3))
     assert re.search(r"\b2 wrong sign, float64\b.* 1e-5\b.*\n  refine-grasp bench stability --kinds box", text)
     assert "--states deep" in text and "--seed 3" in text and "--states near" not in text

@@ -75,7 +75,7 @@ def test_colours_show_on_white_and_on_black(background: tuple[int, int, int]):
 
 
 @pytest.mark.parametrize("missing", SEEN)
-def test_people_who_see_fewer_colours_tell_the_sides_apart(missing: str):
+def test_people_who_see_fewer_colours_distinguish_the_sides(missing: str):
     """Inside by 1 mm, touching, and off by 1 mm differ by ten times what can just be seen."""
     seen = lab(linear(distance_colors(np.array([-1e-3, 0.0, 1e-3]))) @ SEEN[missing].T)
     assert all(np.linalg.norm(one - other) > 23 for one, other in combinations(seen, 2))

@@ -60,7 +60,7 @@ def test_cones_open_into_the_object_by_the_angle_of_friction(friction: float):
         np.testing.assert_allclose(across[~tip] / along[~tip], friction, rtol=1e-4)
 
 
-def test_an_arrow_of_a_centimetre_has_the_force_that_is_told():
+def test_an_arrow_of_a_centimetre_has_the_force_that_is_reported():
     force = np.array([[newtons_per_centimetre(BODY, 30.0) / 30.0, 0.0, 0.0]])
     ((start, end),) = force_arrows(np.zeros((1, 3)), force, BODY)
     assert np.linalg.norm(end - start) == pytest.approx(0.01, rel=1e-5)

@@ -84,7 +84,7 @@ def test_lines_go_from_the_links_that_touch_to_the_object(scene: Scene, film: Fi
     )
 
 
-def test_a_simulation_moves_the_object_and_tells_how_far(scene: Scene):
+def test_a_simulation_moves_the_object_and_reports_how_far(scene: Scene):
     count = 3
     T_object = np.tile(np.eye(4), (count, 1, 1))
     T_object[:, 0, 3] = [0.0, 0.005, 0.02]

@@ -102,7 +102,7 @@ def test_our_format_holds_all_of_it(unpacked: Callable[[Saved], Path]):
     assert again.targets is not None and again.targets.links == tuple(c.link for c in hand("allegro").contacts[:2])
 
 
-def test_the_stages_are_those_that_simulation_closes_with():
+def test_simulation_closes_with_these_stages():
     own, grasps = hand("allegro"), shown("allegro")
     pose = Pose(exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7])), np.clip(own.rest + 0.1, own.lower, own.upper))
     scene = Scene(own, load_object("sphere:0.03", candidates=64), pose.T_object_root[None], pose.q[None])
@@ -119,7 +119,7 @@ def test_a_format_for_another_hand_says_which_hands_it_knows():
         grasp_file(hand("allegro"), shown("allegro"), "leap_cache")
 
 
-def test_an_unknown_format_lists_those_there_are():
+def test_an_unknown_format_lists_the_known_ones():
     with refused(GraspFileError, "'stl'", "ours, dexgraspbench"):
         grasp_file(hand("allegro"), shown("allegro"), "stl")
 

@@ -58,7 +58,7 @@ def test_zips_are_what_is_in_them(tmp_path: Path):
     }
 
 
-def test_grasps_beside_a_hand_are_told_of(tmp_path: Path):
+def test_grasps_beside_a_hand_are_reported(tmp_path: Path):
     upload = store_upload("hand.zip", gripper_zip(**{"gripper/a.npz": "x"}), tmp_path)
     assert upload.kind == "hand"
     (note,) = upload.notes

@@ -198,7 +198,7 @@ def test_what_is_not_known_is_not_made_up(folder: Path, tmp_path: Path) -> None:
     assert_names(found[1].verdict, "89 mm", "30°")
 
 
-def test_margins_are_those_of_the_document(folder: Path, tmp_path: Path) -> None:
+def test_margins_are_as_in_the_document(folder: Path, tmp_path: Path) -> None:
     document, margins = json.loads((folder / "validate.json").read_text()), made_margins()
     for i in (0, 1):
         document["grasps"][i]["margins"] = margins_entry(margins, i)

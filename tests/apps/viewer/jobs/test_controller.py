@@ -183,7 +183,7 @@ def test_scrubbing_shows_an_iteration_and_starting_begins_there(viewer: Controll
     assert same(viewer.state.pose, trace.pose(3))
 
 
-def test_options_that_cannot_be_are_told_and_nothing_begins(viewer: Controller) -> None:
+def test_options_that_cannot_be_are_reported_and_nothing_begins(viewer: Controller) -> None:
     viewer.set(settings=Settings(margin=-1.0))
     viewer.refinement.start()
     notice = viewer.state.notice
@@ -512,7 +512,7 @@ def test_what_is_chosen_is_what_is_listed_or_marked(viewer: Controller, monkeypa
     assert chosen(viewer.state, "listed") == (2, 0)
 
 
-def test_a_mark_that_cannot_be_written_is_told_and_kept(tmp_path: Path, problem: Problem) -> None:
+def test_a_mark_that_cannot_be_written_is_reported_and_kept(tmp_path: Path, problem: Problem) -> None:
     path = tmp_path / "mug.npz"
     path.write_bytes(problem.files[0].read_bytes())
     viewer = controller(example(grasps=path))
@@ -553,7 +553,7 @@ def test_measuring_that_is_stopped_stays_so(viewer: Controller) -> None:
     assert viewer.state.job is None
 
 
-def test_a_job_that_breaks_is_told_and_the_viewer_lives_on(
+def test_a_job_that_breaks_is_reported_and_the_viewer_lives_on(
     viewer: Controller, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def work(control: object) -> None:

@@ -31,9 +31,7 @@ def collection() -> Collection:
     return Collection.of(load_problem(ProblemSpec(index=(3, 0, 2, 1), grasps=EXAMPLE)))
 
 
-def test_measures_are_those_of_validate_each_in_its_place(
-    collection: Collection, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_measures_are_as_in_validate_each_in_its_place(collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measuring, "BATCH_SIZE", 3)
     shares = []
     found = with_measures(collection, lambda share, what: shares.append(share), ignore)

@@ -115,7 +115,7 @@ def test_a_trial_says_what_validate_says(make_world: MakeWorld, group: Group, sc
     assert_names(parts[3], "6")
 
 
-def test_offsets_of_the_object_are_those_of_validate(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
+def test_offsets_of_the_object_are_as_in_validate(make_world: MakeWorld, scene: Scene, grasp: PosedGrasp) -> None:
     """Those of the row of the grasp; the verdict is that of the label."""
     protocol = replace(protocol_of("dexgraspbench", 0.2), checks=2, noise=Noise(4, 0.01), required_label=1.0)
     told: list[str] = []
@@ -256,7 +256,7 @@ def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, grasp: PosedGrasp)
         grasp.motion(stopped_at(2).check)
 
 
-def test_a_grasp_that_cannot_start_is_told_and_cannot_be_watched(
+def test_a_grasp_that_cannot_start_is_reported_and_cannot_be_watched(
     make_world: MakeWorld, scene: Scene, grasp: PosedGrasp
 ) -> None:
     pose = file_pose(scene)

@@ -63,7 +63,7 @@ def test_the_ghost_is_the_grasp_of_the_same_number(viewer: Controller, other: Co
         close_server(server)
 
 
-def test_its_numbers_are_those_that_the_other_file_would_show(viewer: Controller, other: Collection) -> None:
+def test_its_numbers_are_as_the_other_file_would_show(viewer: Controller, other: Collection) -> None:
     alone = Controller(other, Settings())
     error = 1e3 * alone.contacts(alone.state).contact_error
     alone.close()

@@ -189,7 +189,7 @@ def test_a_rectangle_beside_the_object_and_a_brush_that_is_off_paint_nothing(vie
     assert viewer.state.scene.regions is None
 
 
-def test_refinements_heed_the_regions_and_saved_results_tell_them(viewer: Controller) -> None:
+def test_refinements_respect_the_regions_and_saved_results_record_them(viewer: Controller) -> None:
     viewer.regions.set("", "above:z=0.06")
     assert viewer.elsewhere(viewer.state)
     viewer.refinement.start()

@@ -118,7 +118,7 @@ def test_links_are_where_mujoco_has_them() -> None:
 
 
 @pytest.mark.parametrize("name", ["barrett/barrett.urdf", "robotiq3f/robotiq3f.urdf"])
-def test_so_are_those_of_hands_of_others(shared_assets: Path, name: str) -> None:
+def test_so_are_hands_of_others(shared_assets: Path, name: str) -> None:
     assert off_by(load_hand(shared_assets / "hands" / name, candidates=16)) < 1e-9
 
 
@@ -186,7 +186,7 @@ def test_where_in_the_world_it_was_simulated_does_not_matter(
         np.testing.assert_allclose(getattr(moved, name), getattr(motion, name), atol=1e-7, err_msg=name)
 
 
-def test_a_frame_is_told_in_words(motion: ShownMotion) -> None:
+def test_a_frame_is_reported_in_words(motion: ShownMotion) -> None:
     assert_names(motion.text(0), "0.00 s", "0.0 mm", "0.0°")
     # 10 m/s^2 for 0.2 s, in steps of 4 ms: 204 mm.
     middle, at = np.searchsorted(motion.time, [0.6, 0.8 + 0.2 - 1e-9])
@@ -218,7 +218,7 @@ def test_a_replay_with_more_frames_is_thinned(hand: Hand, known: tuple[HandModel
     assert dense.contacts == ()
 
 
-def test_contacts_are_those_of_mujoco(hand: Hand) -> None:
+def test_contacts_are_as_in_mujoco(hand: Hand) -> None:
     """The ball is pushed against the hand, which stands in its way."""
     model = model_of(hand)
     world = build_world(model, load_object("sphere:0.03", candidates=16), DEXGRASPBENCH)

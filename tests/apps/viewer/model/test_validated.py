@@ -76,7 +76,7 @@ def test_the_verdict_is_one_line() -> None:
     assert_names(broken.verdict, FAILS, "unstable", "1.0 s")
 
 
-def test_what_ends_before_the_push_is_told_once() -> None:
+def test_what_ends_before_the_push_is_reported_once() -> None:
     ejected = everywhere(Reason.EJECTED_WHILE_CLOSING, closing_m=0.089, closing_rad=radians(31))
     assert ejected.before_push == Reason.EJECTED_WHILE_CLOSING and ejected.watchable
     assert_names(ejected.verdict, FAILS, "89 mm", "31°")
@@ -91,7 +91,7 @@ def test_what_ends_before_the_push_is_told_once() -> None:
     assert trial(*(result(name, Reason.UNSTABLE, at=0.2) for name in AXES)).before_push is None
 
 
-def test_how_it_was_tested_is_told() -> None:
+def test_how_it_was_tested_is_reported() -> None:
     assert_names(trial().conditions, "dexgraspbench", "friction 0.6", "100 g", "1 N", "2 s")
     assert_names(trial(protocol=TABLETOP).conditions, "tabletop", "friction 0.6", "100 g", "10 cm", "2 s")
     for closing in ({"pregrasp": "own", "squeeze": "file"}, {"pregrasp": "file", "squeeze": "own"}):

@@ -146,7 +146,7 @@ def test_another_hand_has_other_sliders(shown: Shown, tmp_path: Path):
     until(lambda: abs(shown.q[1] + 0.0125) < 1e-9)
 
 
-def test_the_list_of_targets_tells_the_error_of_the_heading(problem: Problem):
+def test_the_list_of_targets_reports_the_error_of_the_heading(problem: Problem):
     """The list measured between the points of a target, the heading from the points where link and object are near."""
     made = controller(problem)
     made.targets.set_nearest()

@@ -127,7 +127,7 @@ def test_what_was_open_before_comes_back_as_it_was_left(shown: Shown):
     assert len(shown.controller.state.shelf) == 1
 
 
-def test_a_stand_in_is_told_over_the_scene_until_its_mesh_comes(shown: Shown):
+def test_a_stand_in_is_reported_over_the_scene_until_its_mesh_comes(shown: Shown):
     hand = shown.controller.state.collection.hand
     T = shown.controller.state.pose.T_object_root[None]
     grasps = GraspSet.of(hand, np.repeat(T, 5, axis=0), np.repeat(hand.rest[None], 5, axis=0), object="core/my box")
@@ -184,7 +184,7 @@ def test_many_are_saved_together_as_they_stand(shown: Shown):
     until(lambda: shown.controller.state.unsaved == ())
 
 
-def test_a_bad_mesh_is_told_of_and_the_next_one_opened(shown: Shown):
+def test_a_bad_mesh_is_reported_and_the_next_one_opened(shown: Shown):
     shown.one.upload(shown.panel.upload, "bad.stl", b"solid nothing", key="1")
     assert shown.told("bad.stl", bad=True)
     assert shown.controller.state.scene.object.name == "sphere:0.03"

@@ -236,7 +236,7 @@ def test_widgets_show_the_dataclass(shown: Shown):
     assert orders == sorted(orders) and max(orders) < shown["starts"].order
 
 
-def test_every_change_is_told_as_a_new_dataclass(shown: Shown):
+def test_every_change_is_sent_as_a_new_dataclass(shown: Shown):
     shown.change("tolerance", "1e-10")
     assert shown.changed(1) == Settings(tolerance=1e-10)
     shown.change("geometry_only", True)
@@ -330,7 +330,7 @@ def test_unused_fields_are_hidden_and_their_methods_with_them(server: Any):
     shown.page.close()
 
 
-def test_showing_another_dataclass_tells_nothing(shown: Shown):
+def test_showing_another_dataclass_sends_nothing(shown: Shown):
     other = Settings(solver="descent", tolerance=1e-9, max_move=(0.01, 0.1, 0.2), contacts=("thumb",))
     shown.form.show(other)
     assert shown["solver"].value == "descent" and shown["tolerance"].value == "1e-09"

@@ -207,7 +207,7 @@ def test_lengths_are_typed_in_millimetres_and_angles_in_degrees(shown: Shown):
     assert "(default: 3)" in form.handles["other_link_distance"].hint
 
 
-def test_the_outcome_is_told_with_advice(shown: Shown):
+def test_the_outcome_is_reported_with_advice(shown: Shown):
     shown.controller.set(settings=Settings(solver="descent", iterations=3))
     shown.controller.refinement.start()
     outcome = until(lambda: shown.controller.state.outcome)

@@ -89,7 +89,7 @@ def test_the_page_of_a_grasp(collection: Collection) -> None:
     assert pages(numbers[:ROWS_PER_PAGE]) == pages(numbers[:0]) == 1
 
 
-def test_the_grasp_that_is_shown_is_told_apart(collection: Collection) -> None:
+def test_the_shown_grasp_is_marked(collection: Collection) -> None:
     opened = [at for tag, at in table(collection, Listing(), number=3).tags if at.get("class") == "gr-open"]
     assert [attributes["data-do"] for attributes in opened] == ["open 3"]
     assert opened[0]["title"] == "mug 3"
@@ -138,7 +138,7 @@ def test_names_in_files_are_texts_and_nothing_else(collection: Collection, key: 
     assert titles == [f"{EVIL} 0", "mug 1"]
 
 
-def test_a_refined_grasp_is_told_before_and_after(collection: Collection) -> None:
+def test_a_refined_grasp_is_reported_before_and_after(collection: Collection) -> None:
     marked = collection.with_mark(13, "bad").with_trials({13: made_trial(Reason.ROTATED)})
     html = metrics_html(marked, 13)
     heading = html.partition("<table>")[0]
