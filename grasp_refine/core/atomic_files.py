@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import platform
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.machine import host
 
 _PARTIAL_MARK = ".partial."
 """Separator between the process with its thread and the machine in the names of partial files."""
@@ -33,7 +33,7 @@ def half_written(name: str) -> tuple[int | None, str]:
 
 def _machine_id() -> str:
     """Identifier of this machine: several may write into one folder, with equal process ids."""
-    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+    return hashlib.sha256(host().encode()).hexdigest()[:8]
 
 
 @contextmanager

@@ -8,6 +8,11 @@ from pathlib import Path
 from typing import Any
 
 
+def host() -> str:
+    """Return the name of this machine."""
+    return platform.node() or "localhost"
+
+
 def machine() -> dict[str, Any]:
     """Return number and name of the processors, and the system."""
     return {"cpus": os.cpu_count(), "cpu": _processor(), "system": platform.platform()}

@@ -186,23 +186,24 @@ class ArmKinematics:
         Raises:
             GraspRefineError: arrays of other shapes.
         """
-        hand, count, a = self.hand, len(q_hand), len(self.joints)
+        hand, count = self.hand, len(q_hand)
         check_kind("starts", starts, int)
         q_hand, T_world_palm = as_numbers("q_hand", q_hand), as_numbers("T_world_palm", T_world_palm)
-        check_shape("q_hand", q_hand, "N", len(hand.joint_names) - a, why="joints of the hand without its arm")
+        check_shape(
+            "q_hand", q_hand, "N", len(hand.joint_names) - len(self.joints), why="joints of the hand without its arm"
+        )
         check_shape("T_world_palm", T_world_palm, count, 4, 4)
         T_world_base = np.broadcast_to(T_world_base, (count, 4, 4))
         q = np.full((count, starts, len(hand.joint_names)), np.nan)
         q[:, :, ~self.arm.joints] = q_hand[:, None]
-        q[:, :, self.joints] = self._starts(starts, seed)
         known = np.isfinite(T_world_palm).all(axis=(1, 2)) & np.isfinite(q_hand).all(axis=1)
         known &= np.isfinite(T_world_base).all(axis=(1, 2))
         found = np.zeros((count, starts), dtype=bool)
         if known.any():
-            rows = np.repeat(np.flatnonzero(known), starts)
-            values, reached = self.follow(T_world_base[rows], q[known].reshape(len(rows), -1), T_world_palm[rows])
-            values[:, self.joints] = self._near_rest(values[:, self.joints])
-            q[known], found[known] = values.reshape(-1, starts, q.shape[2]), reached.reshape(-1, starts)
+            some = T_world_base[known], q_hand[known], T_world_palm[known]
+            values, found[known] = self._attempts(*some, starts, seed)
+            values[..., self.joints] = self._near_rest(values[..., self.joints])
+            q[known] = values
         found &= ~self._repeated(q[:, :, self.joints], found)
         return self._ranked(T_world_base, q, found)
 
@@ -219,14 +220,23 @@ class ArmKinematics:
 
         The arguments are as in `solve`; poses and values are finite.
         """
-        count, rows = len(q_hand), np.repeat(np.arange(len(q_hand)), starts)
-        q = np.empty((len(rows), len(self.hand.joint_names)))
-        q[:, ~self.arm.joints], q[:, self.joints] = q_hand[rows], np.tile(self._starts(starts, seed), (count, 1))
-        q, _ = self.follow(T_world_base[rows], q, T_world_palm[rows])
-        error = _error(self.palm(T_world_base[rows], q), T_world_palm[rows]).reshape(count, starts, 2, 3)
+        q, _ = self._attempts(T_world_base, q_hand, T_world_palm, starts, seed)
+        count, rows = len(q), np.repeat(np.arange(len(q)), starts)
+        palm = self.palm(T_world_base[rows], q.reshape(len(rows), -1))
+        error = _error(palm, T_world_palm[rows]).reshape(count, starts, 2, 3)
         away = np.linalg.norm(error, axis=-1)
         best = (away @ [1.0, ROTATION_M_PER_RAD]).argmin(axis=1)
         return away[np.arange(count), best]
+
+    def _attempts(
+        self, T_world_base: np.ndarray, q_hand: np.ndarray, T_world_palm: np.ndarray, starts: int, seed: int
+    ) -> tuple[Float[np.ndarray, "N K n"], Bool[np.ndarray, "N K"]]:
+        """Return joint values (N, K, n) from each start, and a mask (N, K) of those that reach the pose."""
+        count, rows = len(q_hand), np.repeat(np.arange(len(q_hand)), starts)
+        q = np.empty((len(rows), len(self.hand.joint_names)))
+        q[:, ~self.arm.joints], q[:, self.joints] = q_hand[rows], np.tile(self._starts(starts, seed), (count, 1))
+        q, reached = self.follow(T_world_base[rows], q, T_world_palm[rows])
+        return q.reshape(count, starts, -1), reached.reshape(count, starts)
 
     def _ranked(self, T_world_base: np.ndarray, q: np.ndarray, found: np.ndarray) -> ArmSolutions:
         """Return solutions (N, K, n), some of them `found`, ordered and measured."""

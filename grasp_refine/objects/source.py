@@ -38,7 +38,7 @@ def chosen_object(name: str, on_message: Callable[[str], None]) -> ObjectSource:
     return ObjectSource(name) if asset is None else ObjectSource(fetched(asset, on_message), asset)
 
 
-def check_object(name: str) -> None:
+def check_object_name(name: str) -> None:
     """Refuse a `name` of no object, before anything is loaded or fetched.
 
     Raises:

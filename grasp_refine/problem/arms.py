@@ -40,20 +40,6 @@ MAX_SUNK_M = 0.02
 them."""
 
 
-def check_arm(spec: SourceSpec) -> None:
-    """Refuse options of an arm that have no meaning alone.
-
-    Raises:
-        GraspRefineError: names them.
-    """
-    for name, value in (("mount", spec.mount), ("mount_pose", spec.mount_pose)):
-        if value is not None and spec.arm is None:
-            raise GraspRefineError(f"`{name}='{value}'`: needs the arm that carries the hand, `arm`")
-    for name, value in (("base", spec.base), ("mount_pose", spec.mount_pose)):
-        if value is not None:
-            read_pose(value, f"`{name}`")
-
-
 def whole_hand(
     spec: SourceSpec,
     source: str,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from grasp_refine.problem.frame_check import frame_notes
 from grasp_refine.problem.problem import Problem
-from grasp_refine.problem.recorded_objects import check_objects
+from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.scene.convention_check import convention_notes, refuse_conventions
 from grasp_refine.scene.scene_check import surroundings_notes
 
@@ -28,7 +28,7 @@ def examined(problem: Problem, *, as_is: bool) -> Problem:
         refuse_conventions(doubts, *map(str, problem.files[:1]))
     found = (
         *(f"{group.object}: {note}" for group in problem.groups for note in group.scene.object.notes),
-        *check_objects(problem.files, problem.groups, other=True),
+        *Recorded.of(problem.files).check_objects(problem.groups, other=True),
         *surroundings_notes(scenes),
         *doubts,
         *(() if doubts else frame_notes(scenes)),

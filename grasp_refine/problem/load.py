@@ -25,13 +25,13 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
-from grasp_refine.problem.arms import check_arm, check_base, problem_on_arm, reach_of, whole_hand
+from grasp_refine.problem.arms import check_base, problem_on_arm, reach_of, whole_hand
 from grasp_refine.problem.examine import examined
 from grasp_refine.problem.example import example_grasps
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.named_inputs import in_scene, on_disk, other_urdf, with_actuators
 from grasp_refine.problem.problem import Group, Problem, scene_of
-from grasp_refine.problem.recorded_objects import check_objects, check_scene, recorded_regions, recorded_scene
+from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
 from grasp_refine.problem.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
 from grasp_refine.scene.contact_regions import regions_of
@@ -104,7 +104,7 @@ class Loader:
         spec = self.spec
         if str(spec.grasps).startswith(SAMPLE):
             return self.to_sample(check_sampled(spec))
-        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec)
+        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec, self.load_hand)
         return self.of_grasps(self._read_file(path), path)
 
     @stage("loading")
@@ -142,18 +142,18 @@ class Loader:
 
     def of_grasps(self, read: Reading, path: Path) -> Problem:
         """Return the problem of grasps that were read from `path` already."""
-        spec, of_files = self.spec, recorded_scene(read.files)
+        spec, recorded = self.spec, Recorded.of(read.files)
+        of_files = recorded.scene()
         spec.check()
-        check_arm(spec)
         if spec.scene is None and of_files is not None:
             return replace(self, spec=replace(spec, scene=of_files.source)).of_grasps(read, path)
         regions_notes: tuple[str, ...] = ()
         if not (spec.touch or spec.avoid):
-            touch, avoid, regions_notes = recorded_regions(read.files)
+            touch, avoid, regions_notes = recorded.regions()
             spec = replace(spec, touch=touch, avoid=avoid)
         environment = self.environment()
         if of_files is not None and spec.scene != NO_SCENE:
-            check_scene(of_files, environment, other=spec.other_object)
+            of_files.check(environment, other=spec.other_object)
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
@@ -162,7 +162,6 @@ class Loader:
         hand, grasps, resting = self._hand(grasps, path)
         whole = self._whole(spec.hand or grasps.hand, hand)
         q, notes = match_joints(grasps, hand)
-        check_collides(hand)
         notes = (
             *read.notes,
             *regions_notes,
@@ -186,7 +185,7 @@ class Loader:
                     hand, obj, some, q[rows[at]], table=spec.plane, environment=environment, regions=regions
                 )
                 groups.append(Group(name, spec.metres(scale), scene, some, rows[at], index[at], place[at]))
-        notes += check_objects(read.files, groups, other=spec.other_object)
+        notes += recorded.check_objects(groups, other=spec.other_object)
         problem = Problem(whole, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
         check_base(problem, spec)
         return problem
@@ -199,7 +198,6 @@ class Loader:
         """
         spec = self.spec
         spec.check()
-        check_arm(spec)
         assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
         hand = self._simulated(self.load_hand(spec.hand, None if spec.stands else spec.base_link))
         check_collides(hand)

@@ -1,9 +1,9 @@
-"""Objects of refined grasps in their provenance, and a check that the present ones are the same."""
+"""Objects, scenes and regions of refined grasps in their provenance, and checks that the present ones are the same."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,143 @@ MESH_TOLERANCE_SHARE = 1e-5
 """Share of the diagonal by which bounds, centroid, area and volume may differ after a mesh was exported anew."""
 
 
+@dataclass(frozen=True)
+class RecordedScene:
+    """Scene in which grasps of a file were refined."""
+
+    file: Path
+    """File of the grasps."""
+    name: str
+    """Name of the scene."""
+    source: str
+    """File of the scene, or name of one that comes with the program; empty: it was made in memory."""
+    digest: str
+    """Its `Environment.digest`."""
+
+    def check(self, present: Environment | None, *, other: bool) -> None:
+        """Refuse grasps that were refined in another scene than the present one, unless another one is accepted.
+
+        Raises:
+            GraspFileError: names both scenes.
+        """
+        if other or (present is not None and present.digest == self.digest):
+            return
+        now = "no scene" if present is None else f"scene '{present.name}'"
+        same = present is not None and present.name == self.name
+        raise GraspFileError(
+            f"{self.file}: its grasps were refined in scene '{self.name}', this is {now}"
+            f"{', with other bodies or poses' if same else ''}: give that one with `scene"
+            f"{f'={self.source}' if self.source and not same else ''}`, `scene=none` for the object alone, or "
+            "`other_object` if this one is meant"
+        )
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Records of the refinement of grasps in files."""
+
+    files: Mapping[Path, Mapping[str, Any]]
+    """File -> its provenance, empty unless it is a result file."""
+
+    @staticmethod
+    def of(files: Iterable[Path]) -> Recorded:
+        """Return the records of files.
+
+        Raises:
+            GraspFileError: a result file is damaged.
+        """
+        return Recorded({file: read_provenance(file) for file in files})
+
+    def scene(self) -> RecordedScene | None:
+        """Return the scene of the refinement; None: there was none.
+
+        Raises:
+            GraspFileError: they were refined in different scenes.
+        """
+        found: RecordedScene | None = None
+        for file, recorded in self.files.items():
+            entry = recorded.get("scene")
+            if not isinstance(entry, dict):
+                continue
+            one = RecordedScene(file, *(entry.get(key) for key in ("name", "source", "sha256")))
+            if not all(isinstance(text, str) for text in (one.name, one.source, one.digest)):
+                continue
+            if found is not None and found.digest != one.digest:
+                raise GraspFileError(
+                    f"{found.file} was refined in scene '{found.name}', {file} in '{one.name}': give them one by one"
+                )
+            found = found or one
+        return found
+
+    def regions(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+        """Return the regions, wanted and to avoid, of the refinement, and notes on others.
+
+        Regions that cannot be read any more, or were made in Python, are left out, and all where files differ.
+        """
+        found: dict[str, list[str]] | None = None
+        for recorded in self.files.values():
+            entry = recorded.get("regions")
+            lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in VERBS]
+            specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
+            if found not in (None, specs):
+                return (
+                    (),
+                    (),
+                    ("the files were refined with different regions, which do not count: give `touch` or `avoid`",),
+                )
+            found = specs
+        touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in VERBS)
+        lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
+        notes = tuple(
+            f"refined with {one}, which cannot be read and does not count: give `touch` or `avoid`" for one in lost
+        )
+        return touch, avoid, notes
+
+    def check_objects(self, groups: Iterable[Group], *, other: bool) -> tuple[str, ...]:
+        """Return notes on grasps that were refined on another object, or other convex pieces, than the present ones.
+
+        Args:
+            groups: The grasps on the present objects; pieces of objects that are not decomposed yet are not compared.
+            other: Whether another object is accepted.
+
+        Raises:
+            GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
+                that is not accepted.
+        """
+        notes, present = [], {group.key: group.scene.object for group in groups}
+        for file, provenance in self.files.items():
+            entries = provenance.get("objects")
+            for entry in entries if isinstance(entries, list) else ():
+                try:
+                    key, recorded = (entry["name"], entry["scale"]), {name: entry[name] for name in ("mesh", "pieces")}
+                    measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
+                except (LookupError, TypeError, ValueError, ArithmeticError):
+                    continue
+                if not known or recorded | (digests := _digests(present[key])) == recorded:
+                    continue
+                made = f"{file}: its grasps of '{entry['name']}' were refined on"
+                now = present[key]
+                if recorded["mesh"] == digests["mesh"]:
+                    notes.append(f"{made} other convex pieces of the same mesh")
+                    continue
+                if np.allclose(
+                    measures,
+                    _measures(now.mesh),
+                    rtol=0.0,
+                    atol=MESH_TOLERANCE_SHARE * float(np.linalg.norm(now.mesh.extents)),
+                ):
+                    notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
+                    continue
+                made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
+                if not other:
+                    raise GraspFileError(
+                        f"{made}: give that one with `object` or `objects`, in its size, or `other_object` if this one "
+                        "is meant"
+                    )
+                notes.append(made)
+        return tuple(dict.fromkeys(notes))
+
+
 def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
     """Return entries for provenance, by name and scale: sha256 of mesh and convex pieces in metres, and measures.
 
@@ -43,20 +180,6 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
         }
         for group in groups
     ]
-
-
-@dataclass(frozen=True)
-class RecordedScene:
-    """Scene in which grasps of a file were refined."""
-
-    file: Path
-    """File of the grasps."""
-    name: str
-    """Name of the scene."""
-    source: str
-    """File of the scene, or name of one that comes with the program; empty: it was made in memory."""
-    digest: str
-    """Its `Environment.digest`."""
 
 
 def scene_entry(environment: Environment) -> dict[str, str]:
@@ -76,69 +199,6 @@ def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
     }
 
 
-def recorded_regions(files: Iterable[Path]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return the regions, wanted and to avoid, of the refinement of grasps in result files, and notes on others.
-
-    Objects that cannot be read any more, or were made in Python, are left out, and all where files differ.
-    """
-    found: dict[str, list[str]] | None = None
-    for file in files:
-        entry = read_provenance(file).get("regions")
-        lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in VERBS]
-        specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
-        if found not in (None, specs):
-            return (
-                (),
-                (),
-                ("the files were refined with different regions, which do not count: give `touch` or `avoid`",),
-            )
-        found = specs
-    touch, avoid = (tuple(filter(is_spec, found[verb])) if found else () for verb in VERBS)
-    lost = [f"{verb} {spec}" for verb, specs in (found or {}).items() for spec in specs if not is_spec(spec)]
-    notes = tuple(
-        f"refined with {one}, which cannot be read and does not count: give `touch` or `avoid`" for one in lost
-    )
-    return touch, avoid, notes
-
-
-def recorded_scene(files: Iterable[Path]) -> RecordedScene | None:
-    """Return the scene in which the grasps of result files were refined; None: in none.
-
-    Raises:
-        GraspFileError: they were refined in different scenes.
-    """
-    found: RecordedScene | None = None
-    for file in files:
-        entry = read_provenance(file).get("scene")
-        if not (isinstance(entry, dict) and all(isinstance(entry.get(k), str) for k in ("name", "source", "sha256"))):
-            continue
-        one = RecordedScene(file, entry["name"], entry["source"], entry["sha256"])
-        if found is not None and found.digest != one.digest:
-            raise GraspFileError(
-                f"{found.file} was refined in scene '{found.name}', {file} in '{one.name}': give them one by one"
-            )
-        found = found or one
-    return found
-
-
-def check_scene(recorded: RecordedScene, present: Environment | None, *, other: bool) -> None:
-    """Refuse grasps that were refined in another scene than the present one, unless another one is accepted.
-
-    Raises:
-        GraspFileError: names both scenes.
-    """
-    if other or (present is not None and present.digest == recorded.digest):
-        return
-    now = "no scene" if present is None else f"scene '{present.name}'"
-    same = present is not None and present.name == recorded.name
-    raise GraspFileError(
-        f"{recorded.file}: its grasps were refined in scene '{recorded.name}', this is {now}"
-        f"{', with other bodies or poses' if same else ''}: give that one with `scene"
-        f"{f'={recorded.source}' if recorded.source and not same else ''}`, `scene=none` for the object alone, or "
-        "`other_object` if this one is meant"
-    )
-
-
 def surface_digest(mesh: trimesh.Trimesh) -> str:
     """Return the sha256 of the oriented triangles of a mesh on the grid, independent of the order of its elements."""
     corners = _on_grid(mesh.triangles)
@@ -152,52 +212,6 @@ def pieces_digest(pieces: Sequence[Piece]) -> str:
     """Return the sha256 of the vertices and radii of convex pieces on the grid, independent of their order."""
     digests = sorted(_digest(_on_grid(piece.vertices), _on_grid(np.array([piece.radius]))) for piece in pieces)
     return hashlib.sha256("".join(digests).encode()).hexdigest()
-
-
-def check_objects(files: Iterable[Path], groups: Iterable[Group], *, other: bool) -> tuple[str, ...]:
-    """Return notes on grasps that were refined on another object, or other convex pieces of it, than the present one.
-
-    Args:
-        files: The grasp files; other files than results, and results without recorded objects, are skipped.
-        groups: The grasps on the present objects; pieces of objects that are not decomposed yet are not compared.
-        other: Whether another object is accepted.
-
-    Raises:
-        GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
-            that is not accepted.
-    """
-    notes, present = [], {group.key: group.scene.object for group in groups}
-    for file in files:
-        entries = read_provenance(file).get("objects")
-        for entry in entries if isinstance(entries, list) else ():
-            try:
-                key, recorded = (entry["name"], entry["scale"]), {name: entry[name] for name in ("mesh", "pieces")}
-                measures, known = np.array(entry["measures_m"], dtype=np.float64).reshape(11), key in present
-            except (LookupError, TypeError, ValueError, ArithmeticError):
-                continue
-            if not known or recorded | (digests := _digests(present[key])) == recorded:
-                continue
-            made = f"{file}: its grasps of '{entry['name']}' were refined on"
-            now = present[key]
-            if recorded["mesh"] == digests["mesh"]:
-                notes.append(f"{made} other convex pieces of the same mesh")
-                continue
-            if np.allclose(
-                measures,
-                _measures(now.mesh),
-                rtol=0.0,
-                atol=MESH_TOLERANCE_SHARE * float(np.linalg.norm(now.mesh.extents)),
-            ):
-                notes.append(f"{made} a mesh that differs from that of {now.name} no more than by rounding")
-                continue
-            made += f" another mesh, of {_size(measures)}, than that of {now.name}, of {_size(_measures(now.mesh))}"
-            if not other:
-                raise GraspFileError(
-                    f"{made}: give that one with `object` or `objects`, in its size, or `other_object` if this one is "
-                    "meant"
-                )
-            notes.append(made)
-    return tuple(dict.fromkeys(notes))
 
 
 def _digests(obj: Object) -> dict[str, str]:

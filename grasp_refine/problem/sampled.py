@@ -15,7 +15,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.rows import choose_rows
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.source import check_object
+from grasp_refine.objects.source import check_object_name
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.scene.scene import Scene
@@ -38,7 +38,7 @@ def check_sampled(spec: ProblemSpec) -> int:
     if spec.objects is not None or spec.object_name is not None:
         raise GraspRefineError(f"`objects` and `object_name` are for grasp files; `grasps='{request}'` needs `object`")
     if spec.object is not None:
-        check_object(spec.object)
+        check_object_name(spec.object)
     missing = [f"`{name}`" for name in ("hand", "object") if getattr(spec, name) is None]
     if missing:
         raise GraspRefineError(f"`grasps='{request}'` needs a hand and an object: give {' and '.join(missing)}")

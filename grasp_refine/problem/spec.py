@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.rpy_poses import read_pose
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
@@ -121,10 +122,10 @@ class SourceSpec:
         check_fields(self)
 
     def check(self) -> None:
-        """Refuse an invalid scale, table or hull limit.
+        """Refuse an invalid scale, table, hull limit or pose, and fields of an arm that have no meaning alone.
 
         Raises:
-            GraspRefineError: names the option.
+            GraspRefineError: names the field.
         """
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise GraspRefineError(f"`scale` must be positive and finite, got {self.scale:g}")
@@ -134,6 +135,12 @@ class SourceSpec:
             raise GraspRefineError("`table` and `scene` exclude each other: a scene has its own tables")
         check_hull_limit(self.hull_limit)
         check_specs(self.touch, self.avoid)
+        for name, value in (("mount", self.mount), ("mount_pose", self.mount_pose)):
+            if value is not None and self.arm is None:
+                raise GraspRefineError(f"`{name}='{value}'`: needs the arm that carries the hand, `arm`")
+        for name, value in (("base", self.base), ("mount_pose", self.mount_pose)):
+            if value is not None:
+                read_pose(value, f"`{name}`")
 
     @property
     def plane(self) -> Plane | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from grasp_refine.core.errors import AssetError, MeshError
-from grasp_refine.objects.source import check_object, chosen_object, is_known, named_object
+from grasp_refine.objects.source import check_object_name, chosen_object, is_known, named_object
 from refusals import assert_names, refused
 
 FILE = Path("grasps.npz")
@@ -31,16 +31,16 @@ def test_what_is_no_asset_is_left_to_load_object(name: str, workplace: Path) -> 
 
 @pytest.mark.parametrize(("name", "meant"), [("ycb/011_bananna", "ycb_011_banana"), ("mugg", "mug"), ("Mug", "mug")])
 def test_an_unknown_object_is_refused_with_the_one_that_may_be_meant(workplace: Path, name: str, meant: str) -> None:
-    for function in (lambda: chosen_object(name, silent), lambda: check_object(name)):
+    for function in (lambda: chosen_object(name, silent), lambda: check_object_name(name)):
         with refused(AssetError, f"'{name}'", f" {meant}?", " mug, bottle"):
             function()
 
 
 def test_a_mesh_file_that_is_not_there_is_refused_before_anything_is_loaded(workplace: Path) -> None:
     with refused(MeshError, "cup.obj"):
-        check_object("cup.obj")
+        check_object_name("cup.obj")
     Path("cup.obj").touch()
-    check_object("cup.obj")
+    check_object_name("cup.obj")
 
 
 def test_a_file_or_folder_wins_over_an_asset(workplace: Path) -> None:

@@ -20,7 +20,7 @@ from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.load import load_problem
-from grasp_refine.problem.recorded_objects import check_objects, object_entries, pieces_digest, surface_digest
+from grasp_refine.problem.recorded_objects import Recorded, object_entries, pieces_digest, surface_digest
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine_apps.cli import main
 
@@ -116,8 +116,8 @@ def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
     (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
     coarse = load_problem(ProblemSpec(hand="allegro", index=(0,), threshold=0.5)).groups
     save_npz(tmp_path / "r.npz", {"provenance": np.array(json.dumps({"objects": _plain(object_entries([group]))}))})
-    assert not check_objects([tmp_path / "r.npz"], [group], other=False)
-    (note,) = check_objects([tmp_path / "r.npz"], coarse, other=False)
+    assert not Recorded.of([tmp_path / "r.npz"]).check_objects([group], other=False)
+    (note,) = Recorded.of([tmp_path / "r.npz"]).check_objects(coarse, other=False)
     assert "pieces" in note and "mug" in note
 
 
@@ -159,4 +159,5 @@ def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.C
 def test_results_without_hashes_are_read_as_before(tmp_path: Path, objects: object):
     (group,) = load_problem(ProblemSpec(hand="allegro", index=(0,))).groups
     save_npz(tmp_path / "old.npz", {"provenance": np.array(json.dumps({"objects": objects}))})
-    assert check_objects([tmp_path / "old.npz", tmp_path / "foreign.npy"], [group], other=False) == ()
+    recorded = Recorded.of([tmp_path / "old.npz", tmp_path / "foreign.npy"])
+    assert recorded.check_objects([group], other=False) == ()

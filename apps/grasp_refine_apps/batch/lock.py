@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -15,11 +14,9 @@ from pathlib import Path
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import save_json
+from grasp_refine.core.machine import host
 from grasp_refine_apps.batch.record import is_alive
 from grasp_refine_apps.batch.shard import Shard
-
-HOST = platform.node() or "localhost"
-"""Name of this machine."""
 
 PREFIX = ".working."
 """Beginning of the names of lock files; host and process follow."""
@@ -70,7 +67,7 @@ def locked(out: Path, shards: Sequence[Shard], part: tuple[int, int]) -> Iterato
         GraspRefineError: another batch works there, with its host and process; or the lock cannot be written.
     """
     plan = hashlib.sha256("\n".join(f"{shard.path} {shard.stamp}" for shard in shards).encode()).hexdigest()
-    us = Worker(HOST, os.getpid(), time.time(), plan, part)
+    us = Worker(host(), os.getpid(), time.time(), plan, part)
     path, done = out / us.name, threading.Event()
     save_json(path, asdict(us))
     try:
@@ -113,7 +110,7 @@ def _others(out: Path, own: Path) -> Iterator[Worker]:
             age_s = now - path.stat().st_mtime
         except (OSError, ValueError, LookupError, TypeError):
             continue
-        ended = other.host == HOST and not is_alive(other.pid)
+        ended = other.host == host() and not is_alive(other.pid)
         if age_s < STALE_S and not ended:
             yield other
         else:

@@ -13,7 +13,8 @@ import pytest
 
 from batch_rows import shard
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.batch.lock import HOST, PREFIX, STALE_S, locked
+from grasp_refine.core.machine import host
+from grasp_refine_apps.batch.lock import PREFIX, STALE_S, locked
 from refusals import refused
 
 SHARDS = (shard(0, Path("a.npz")), shard(1, Path("b.npz")))
@@ -46,7 +47,7 @@ def test_a_folder_is_locked_while_a_batch_works_there(tmp_path: Path):
     assert locks(tmp_path) == []
 
 
-@pytest.mark.parametrize(("host", "pid"), [(HOST, 1), ("elsewhere", 2**22)])
+@pytest.mark.parametrize(("host", "pid"), [(host(), 1), ("elsewhere", 2**22)])
 def test_another_batch_is_refused_and_named(tmp_path: Path, host: str, pid: int):
     there = left_by(tmp_path, host, pid)
     with refused(GraspRefineError, tmp_path, host, pid, there, "--out"), locked(tmp_path, SHARDS, (1, 1)):
@@ -54,7 +55,7 @@ def test_another_batch_is_refused_and_named(tmp_path: Path, host: str, pid: int)
     assert locks(tmp_path) == [there], "the lock of the other one stays, ours goes"
 
 
-@pytest.mark.parametrize(("host", "age_s"), [(HOST, 0.0), ("elsewhere", 2 * STALE_S), (HOST, 2 * STALE_S)])
+@pytest.mark.parametrize(("host", "age_s"), [(host(), 0.0), ("elsewhere", 2 * STALE_S), (host(), 2 * STALE_S)])
 def test_locks_of_killed_processes_do_not_count(tmp_path: Path, host: str, age_s: float):
     left_by(tmp_path, host, ended_process() if not age_s else 1, age_s=age_s)
     with locked(tmp_path, SHARDS, (1, 1)):
@@ -68,7 +69,7 @@ def test_other_parts_of_the_same_batch_may_run_at_once(tmp_path: Path, part: tup
     with locked(tmp_path, SHARDS, (1, 2)):
         (ours,) = locks(tmp_path)
         theirs = json.loads(ours.read_text()) | {"pid": 1, "since": time.time() - 60.0, "part": part}
-        ours.rename(tmp_path / f"{PREFIX}{HOST}.1.json").write_text(json.dumps(theirs))
+        ours.rename(tmp_path / f"{PREFIX}{host()}.1.json").write_text(json.dumps(theirs))
         if apart:
             with locked(tmp_path, SHARDS, (1, 2)):
                 pass
@@ -78,7 +79,7 @@ def test_other_parts_of_the_same_batch_may_run_at_once(tmp_path: Path, part: tup
 
 
 def test_of_two_that_start_at_once_the_first_one_stays(tmp_path: Path):
-    later = left_by(tmp_path, HOST, 1)
+    later = left_by(tmp_path, host(), 1)
     later.write_text(later.read_text().replace(str(json.loads(later.read_text())["since"]), str(time.time() + 60.0)))
     with locked(tmp_path, SHARDS, (1, 1)):
         assert len(locks(tmp_path)) == 2

@@ -20,7 +20,7 @@ from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
 from grasp_refine.problem.problem import Group, Problem, scene_of
-from grasp_refine.problem.recorded_objects import check_objects
+from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.scene import Scene
@@ -224,7 +224,7 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
     prepare(objects.values(), progress=control.describe)
     problem = _problem(upload, scene, hand, grasps, objects, notes)
     doubts = convention_notes([group.scene for group in problem.groups])
-    others = (_for_uploader(note, upload) for note in check_objects(read.files, problem.groups, other=True))
+    others = (_for_uploader(note, upload) for note in Recorded.of(read.files).check_objects(problem.groups, other=True))
     files = tuple(dict.fromkeys((upload.source, *read.files)))
     found = replace(problem, files=files, notes=tuple(dict.fromkeys((*problem.notes, *doubts, *others))))
     return Opened(found, frozenset(stand_ins))
