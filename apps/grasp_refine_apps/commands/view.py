@@ -38,10 +38,11 @@ from grasp_refine_apps.report.screen import screen
 
 if TYPE_CHECKING:
     from grasp_refine.problem.problem import Problem
+    from grasp_refine.validation.replay.replay import Replay
     from grasp_refine_apps.viewer.files.validation_file import ValidationFile
     from grasp_refine_apps.viewer.jobs.controller import Controller
     from grasp_refine_apps.viewer.model.collection import Collection
-    from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
+    from grasp_refine_apps.viewer.model.recording import Recording
     from grasp_refine_apps.viewer.panels.app import Viewer
 
 
@@ -132,7 +133,7 @@ class View:
         tell("reading the grasps")
         from grasp_refine_apps.viewer.files.validation_file import read_validation
         from grasp_refine_apps.viewer.jobs.controller import Controller
-        from grasp_refine_apps.viewer.model.shown_motion import is_replay
+        from grasp_refine_apps.viewer.jobs.replaying import is_replay
 
         documents = [read_validation(path) for path in self.files if path.suffix.lower() == ".json"]
         grasps = [path for path in self.files if path.suffix.lower() != ".json"]
@@ -188,21 +189,21 @@ class View:
         from grasp_refine.validation.replay.replay import load_replay
         from grasp_refine.validation.validate import model_of
         from grasp_refine_apps.viewer.jobs.controller import Controller
+        from grasp_refine_apps.viewer.jobs.replaying import replay_recording
         from grasp_refine_apps.viewer.model.collection import Collection
-        from grasp_refine_apps.viewer.model.shown_motion import shown_motion
 
         replay = load_replay(path)
         loader = Loader(self.inputs, self.settings.seed, reporter.say)
         hand = loader.load_hand(self.inputs.hand or replay.hand, None)
-        motion = shown_motion(hand, model_of(hand), replay)
-        problem = loader.prepare(loader.of_grasps(_grasp_of(motion, hand), path))
+        recording = replay_recording(hand, model_of(hand), replay)
+        problem = loader.prepare(loader.of_grasps(_grasp_of(replay, recording, hand), path))
         # The grasp keeps the number that it had where it was simulated.
         number = re.search(r" (\d+)$", replay.name)
         if number is not None:
             groups = tuple(replace(group, index=np.array([int(number[1])])) for group in problem.groups)
             problem = replace(problem, groups=groups)
         controller = Controller(Collection.of(problem), self.settings)
-        controller.player.show(motion)
+        controller.player.show(recording)
         return controller
 
 
@@ -233,17 +234,18 @@ def _grasp_file(document: ValidationFile) -> Path:
     return found[0]
 
 
-def _grasp_of(motion: ShownMotion, hand: Hand) -> Reading:
+def _grasp_of(replay: Replay, recording: Recording, hand: Hand) -> Reading:
     """Return the grasp of a simulation: the hand at the beginning of the squeeze."""
-    at = max(int(np.searchsorted(motion.stage, Stage.SQUEEZE)) - 1, 0)
+    squeezed = replay.time[replay.stage >= Stage.SQUEEZE]
+    at = max(int(np.searchsorted(recording.time, squeezed[0] if len(squeezed) else np.inf)) - 1, 0)
     grasps = GraspSet(
-        hand=motion.hand,
+        hand=replay.hand,
         base_link=hand.base_link,
         joint_names=hand.joint_names,
-        object=np.array([motion.object]),
+        object=np.array([replay.object]),
         scale=np.ones(1),
-        hand_pose=pose_from_transform(motion.T_root[at : at + 1]),
-        q=motion.q[at : at + 1],
+        hand_pose=pose_from_transform(recording.T_root[at : at + 1]),
+        q=recording.q[at : at + 1],
     )
     return Reading(grasps, OURS, (), ())
 

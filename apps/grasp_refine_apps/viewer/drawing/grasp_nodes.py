@@ -45,8 +45,7 @@ from grasp_refine_apps.viewer.meters.comparison import compared_pose
 from grasp_refine_apps.viewer.meters.obstacles import TABLE
 from grasp_refine_apps.viewer.model.contacts import Contacts, Forces
 from grasp_refine_apps.viewer.model.pose import Pose
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import State
 
 GRASP_NODE = "/grasp"
@@ -165,7 +164,7 @@ class GraspNodes:
         self._draw_ghost(state)
         overlaps = self._overlaps_of(state) if self._display.surroundings else ()
         blocked, blocking = {overlap.link for overlap in overlaps}, {overlap.body for overlap in overlaps}
-        met = state.motion.obstruction_at(state.motion_frame) if isinstance(state.motion, ShownTrajectory) else None
+        met = None if state.motion is None else state.motion.obstruction_at(state.motion_frame)
         if met is not None:
             blocked |= {met.first, met.second}
             blocking |= blocked
@@ -298,7 +297,7 @@ class GraspNodes:
             self._depth_fields[body] = DepthField.of(body)
         return self._depth_fields[body]
 
-    def _draw_simulated_contacts(self, motion: ShownMotion | ShownTrajectory, frame: int) -> None:
+    def _draw_simulated_contacts(self, motion: Recording, frame: int) -> None:
         """Draw the points where the object touches in a simulation, and no targets or forces."""
         points = motion.contacts[frame] if motion.contacts and self._display.contacts else NO_POINTS
         for markers in (self.points_link, self.targets, self._targets_link, self.picked):
@@ -314,7 +313,7 @@ class GraspNodes:
     def _draw_push(self, state: State) -> None:
         """Draw the push of a simulation, from the middle of the object outwards."""
         motion, arrows = state.motion, np.zeros((0, 2, 3))
-        if motion is not None and motion.pushed[state.motion_frame]:
+        if motion is not None and motion.is_pushed(state.motion_frame):
             arrows = push_arrow(self.prepared, state.T_shown_object, motion.force, 0.4 * self._length)[None]
         self.push.draw(arrows)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import viser
@@ -11,15 +11,13 @@ from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
-from grasp_refine.validation.simulation import LIFT
 from grasp_refine_apps.viewer.drawing.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of, fit_camera
 from grasp_refine_apps.viewer.drawing.grasp_nodes import GraspNodes
 from grasp_refine_apps.viewer.drawing.ground import ABOVE, LEAST_SLANT, light
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.comparison import compared_pose
 from grasp_refine_apps.viewer.model.contacts import Contacts
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import DisplayOptions, State
 
 NEAR_PLANE_M, FAR_PLANE_M = 0.005, 50.0
@@ -44,7 +42,7 @@ class View:
         self._camera: FirstCamera | None = None
         self._beside = False
         self._aspects: dict[int, float] = {}
-        self._motion: ShownMotion | ShownTrajectory | None = None
+        self._motion: Recording | None = None
         light(server.scene)
 
     @property
@@ -71,7 +69,7 @@ class View:
                 self._place_cameras(state, nodes)
             if state.motion is not self._motion:
                 self._motion = state.motion
-                if _travels(state.motion):
+                if state.motion is not None and state.motion.travels:
                     self._place_cameras(state, nodes)
             nodes.draw(state)
 
@@ -114,13 +112,12 @@ class View:
     def _points(self, state: State, nodes: GraspNodes) -> np.ndarray:
         """Points (N, 3) on all that is shown, world frame."""
         points = transform_points(state.T_world_object, nodes.corners(state.shown))
-        if isinstance(state.motion, ShownTrajectory):
-            ends = [nodes.corners(state.motion.pose(k), state.motion.T_object[k], arm=True) for k in (0, -1)]
-        elif _travels(state.motion):
+        motion, ends = state.motion, []
+        if motion is not None and motion.carries:
+            ends = [nodes.corners(motion.pose(k), motion.object_pose(k), arm=True) for k in (0, -1)]
+        elif motion is not None and motion.travels:
             # Objects that are lost may be anywhere.
-            ends = [nodes.corners(pose) for pose in map(state.motion.pose, (0, -1)) if pose.finite]
-        else:
-            ends = []
+            ends = [nodes.corners(pose) for pose in map(motion.pose, (0, -1)) if pose.finite]
         points = np.concatenate([points, *(transform_points(state.T_world_object, end) for end in ends)])
         compared = compared_pose(state)
         if compared is not None:
@@ -136,7 +133,8 @@ class View:
         if camera is None:
             return
         points = None
-        if state.side_by_side or _travels(state.motion) or compared_pose(state) is not None:
+        travels = state.motion is not None and state.motion.travels
+        if state.side_by_side or travels or compared_pose(state) is not None:
             points = self._points(state, nodes)
         back = camera.position - camera.look_at
         back /= np.linalg.norm(back)
@@ -149,11 +147,6 @@ class View:
             found = camera if points is None else fit_camera(points, points.mean(axis=0), back, aspect)
             place.fov, place.near, place.far = FIELD_OF_VIEW_RAD, NEAR_PLANE_M, FAR_PLANE_M
             place.position, place.look_at = found.position, found.look_at
-
-
-def _travels(motion: ShownMotion | ShownTrajectory | None) -> TypeGuard[ShownMotion | ShownTrajectory]:
-    """Return whether the hand goes somewhere else than to the grasp."""
-    return isinstance(motion, ShownTrajectory) or (motion is not None and motion.direction in LIFT)
 
 
 def _looks_same(one: Drawn, other: Drawn) -> bool:

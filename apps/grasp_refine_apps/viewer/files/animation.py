@@ -15,6 +15,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
+from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.drawing.camera import FIELD_OF_VIEW_RAD, UP, FirstCamera, first_camera_of
 from grasp_refine_apps.viewer.drawing.colors import distance_colors
 from grasp_refine_apps.viewer.drawing.environment_nodes import EnvironmentNodes
@@ -24,10 +25,9 @@ from grasp_refine_apps.viewer.drawing.scene_nodes import HandMeshes, Lines, Mesh
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses, object_shapes, visual_shapes
 from grasp_refine_apps.viewer.model.contacts import contacts_of
 from grasp_refine_apps.viewer.model.pose import Pose, Target
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording, subsample
 from grasp_refine_apps.viewer.model.state import State
-from grasp_refine_apps.viewer.model.trace import Trace, subsample
+from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.server.page import without_greeting
 from grasp_refine_apps.viewer.server.viser_private import NODE_TEXT
 
@@ -61,6 +61,9 @@ PUSH_COLOR, PUSH_SHARE = (220, 20, 40), 0.3
 
 MAX_FRAMES = 200
 """Maximum number of frames of a film."""
+
+NOTHING_TO_SHOW = "there is nothing to animate yet: refine the grasp, or watch a simulation, first"
+"""Message where there is no recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,59 +105,42 @@ class Film:
 
 
 def film_of(state: State) -> Film:
-    """Return the film of a state: of the shown simulation, else of the last refinement.
+    """Return the film of a state, of at most `MAX_FRAMES` frames of the shown simulation, else of the last refinement.
 
     Raises:
         GraspRefineError: there is neither.
     """
-    scene = state.scene
-    if state.motion is not None:
-        film = motion_film(scene.hand, scene.object, state.motion)
-    elif state.trace is not None:
-        film = refinement_film(scene.hand, scene.object, state.trace, state.targets)
-    else:
-        raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
-    return replace(film, environment=scene.environment)
+    if state.recording is None:
+        raise GraspRefineError(NOTHING_TO_SHOW)
+    return film(state.scene, state.recording, state.targets)
 
 
-def refinement_film(hand: Hand, obj: Object, trace: Trace, targets: Sequence[Target] = ()) -> Film:
-    """Return the film of at most `MAX_FRAMES` iterations of a refinement, with lines where links and object touch."""
-    prepared = HandObject(hand, obj)
-    frames, found = [], []
-    for k in subsample(len(trace), MAX_FRAMES).tolist():
-        pose = trace.pose(k)
-        contacts = contacts_of(prepared, pose.T_object_root, pose.q, gap=trace.gap[k], targets=targets)
-        caption = f"{trace.label[k]}: iteration {k + 1} of {len(trace)}\n{trace.text(k)}"
-        lines = segments(contacts.point_link, contacts.point_object)
-        frames.append(Frame(pose, caption, lines.astype(float), distance_colors(contacts.distance)))
-        found.append(contacts)
-    return Film(f"{hand.name} and {obj.name}: refinement", hand, obj, frames, first_camera_of(found[-1]))
-
-
-def motion_film(hand: Hand, obj: Object, motion: ShownMotion | ShownTrajectory) -> Film:
-    """Return the film of at most `MAX_FRAMES` frames of a simulation."""
-    prepared = HandObject(hand, obj)
-    size = float(np.linalg.norm(obj.mesh.extents))
-
-    def push(k: int) -> np.ndarray:
-        if not motion.pushed[k]:
-            return np.zeros((0, 2, 3))
-        arrow = push_arrow(prepared, motion.T_object[k], motion.force, PUSH_SHARE * size)
-        return arrow_lines(arrow, 0.3 * PUSH_SHARE * size)
-
-    frames = [
-        Frame(
-            motion.pose(k),
-            motion.text(k),
-            T_object=motion.T_object[k],
-            push=push(k),
-            T_bodies={name: T[k] for name, T in motion.T_bodies.items()},
+def film(scene: Scene, recording: Recording, targets: Sequence[Target] = ()) -> Film:
+    """Return the film of a recording: of a refinement, with lines where links and object touch; else with pushes."""
+    prepared = HandObject.of(scene)
+    size = float(np.linalg.norm(scene.object.mesh.extents))
+    frames, contacts = [], []
+    for k in subsample(len(recording), MAX_FRAMES).tolist():
+        pose = recording.pose(k)
+        frame = Frame(
+            pose,
+            recording.text(k),
+            T_object=recording.object_pose(k),
+            T_bodies={name: T[k] for name, T in recording.T_bodies.items()},
         )
-        for k in subsample(len(motion), MAX_FRAMES).tolist()
-    ]
-    first = contacts_of(prepared, frames[0].pose.T_object_root, frames[0].pose.q)
-    title = f"{hand.name} and {obj.name}: simulation, {motion.direction}, {motion.reason}"
-    return Film(title, hand, obj, frames, first_camera_of(first))
+        if isinstance(recording, Trace):
+            found = contacts_of(prepared, pose.T_object_root, pose.q, gap=recording.gap[k], targets=targets)
+            contacts.append(found)
+            lines = segments(found.point_link, found.point_object).astype(float)
+            frame = replace(frame, caption=recording.caption(k), lines=lines, colors=distance_colors(found.distance))
+        elif recording.is_pushed(k):
+            arrow = push_arrow(prepared, recording.object_pose(k), recording.force, PUSH_SHARE * size)
+            frame = replace(frame, push=arrow_lines(arrow, 0.3 * PUSH_SHARE * size))
+        frames.append(frame)
+    first = frames[0].pose
+    seen = contacts[-1] if contacts else contacts_of(prepared, first.T_object_root, first.q)
+    title = f"{scene.hand.name} and {scene.object.name}: {recording.title}"
+    return Film(title, scene.hand, scene.object, frames, first_camera_of(seen), scene.environment)
 
 
 def animation_html(film: Film, seconds: float = FILM_DURATION_S) -> str:

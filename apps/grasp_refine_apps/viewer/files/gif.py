@@ -13,10 +13,10 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine_apps.viewer.files.animation import NOTHING_TO_SHOW
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.worker import Control
-from grasp_refine_apps.viewer.model.state import State
-from grasp_refine_apps.viewer.model.trace import subsample
+from grasp_refine_apps.viewer.model.recording import subsample
 from grasp_refine_apps.viewer.server.page import DRAW_PERIOD_S
 
 MAX_FRAMES, MAX_SIDE_PX = 32, 720
@@ -53,7 +53,9 @@ def recorded_gif(
         Stopped: the job was stopped.
     """
     state = controller.state
-    show, frames = _frames(controller, state)
+    if state.recording is None:
+        raise GraspRefineError(NOTHING_TO_SHOW)
+    frames = subsample(len(state.recording), MAX_FRAMES).tolist()
     factor = min(1.0, MAX_SIDE_PX / max(size))
     height, width = (max(round(factor * side), 2) for side in size)
     pictures = []
@@ -61,7 +63,7 @@ def recorded_gif(
         for done, frame in enumerate(frames):
             control.report(done / len(frames), "recording a GIF")
             control.check()
-            show(frame)
+            controller.player.show_frame(frame)
             settle(RENDER_TIMEOUT_S)
             time.sleep(SETTLE_S)
             pictures.append(client.get_render(height, width, transport_format="jpeg", timeout=RENDER_TIMEOUT_S))
@@ -73,19 +75,6 @@ def recorded_gif(
         else:
             controller.player.scrub(state.frame)
     return gif(pictures)
-
-
-def _frames(controller: Controller, state: State) -> tuple[Callable[[int], None], list[int]]:
-    """Function that shows a frame, and the frames to show.
-
-    Raises:
-        GraspRefineError: there are none.
-    """
-    if state.motion is not None:
-        return controller.player.show_frame, subsample(len(state.motion), MAX_FRAMES).tolist()
-    if state.trace is None:
-        raise GraspRefineError("there is nothing to animate yet: refine the grasp, or watch a simulation, first")
-    return controller.player.scrub, subsample(len(state.trace), MAX_FRAMES).tolist()
 
 
 def gif(pictures: Sequence[UInt8[np.ndarray, "H W 3"]]) -> bytes:

@@ -67,11 +67,11 @@ class Controller(Store):
         self.grasps = OpenGrasps(self, self.editor, self.background)
         """Choice of the open and of the shown grasps, and their marks."""
         self.player = Player(self)
-        """Frames of the refinement, and of the shown simulation or way."""
+        """Frames of the refinement, and of the shown simulation or trajectory."""
         self.refinement = Refinement(self, self.editor, self.background, self.contacts, prepare)
         """Refinement of the shown grasp."""
         self.simulation = Simulation(self, self.editor, self.background, prepare, make_world)
-        """Simulation and way of the shown grasp."""
+        """Simulation and trajectory of the shown grasp."""
         self.many = ManyGrasps(self, self.background, prepare, make_world)
         """Refinement and simulation of many grasps."""
         self.on_stop, self.on_idle = self.background.stopped, self.background.resume

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from grasp_refine_apps.viewer.jobs.store import Store
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording
 
 
 class Player:
@@ -23,12 +22,14 @@ class Player:
                 self._store.set(frame=frame, motion=None)
 
     def show_frame(self, frame: int) -> None:
-        """Show a frame of the simulation or the trajectory."""
+        """Show a frame of the simulation or the trajectory, or else an iteration."""
         with self._store.lock:
             motion = self._store.state.motion
-            if motion is not None:
+            if motion is None:
+                self.scrub(frame)
+            else:
                 self._store.set(motion_frame=min(max(frame, 0), len(motion) - 1))
 
-    def show(self, motion: ShownMotion | ShownTrajectory | None) -> None:
+    def show(self, motion: Recording | None) -> None:
         """Show a simulation, or a trajectory, from its start; None: the grasp again."""
         self._store.set(motion=motion, motion_frame=0)

@@ -114,7 +114,7 @@ def recounted(trace: Trace, scene: Scene, outcome: Outcome) -> Trace:
         scene.hand,
         scene.object,
         scene.links,
-        trace.T,
+        trace.T_root,
         trace.q,
         target_link,
         target_object,

@@ -26,10 +26,11 @@ from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.robustness import offset_labels
 from grasp_refine.validation.simulation import close, push
 from grasp_refine.validation.validate import model_of
+from grasp_refine_apps.viewer.jobs.replaying import replay_recording
 from grasp_refine_apps.viewer.jobs.worker import Control
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.pose import Pose
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion, shown_motion
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.validated import TrialResult
 
 MAX_HANDS, MAX_WORLDS = 2, 6
@@ -163,7 +164,7 @@ def run_trial(make_world: MakeWorld, grasp: PosedGrasp, protocol: Protocol, cont
 
 def record_direction(
     make_world: MakeWorld, grasp: PosedGrasp, trial: TrialResult, direction: str, control: Control
-) -> ShownMotion:
+) -> Recording:
     """Simulate one direction again, this time recorded.
 
     Args:
@@ -189,7 +190,7 @@ def record_direction(
     replay = record(world, motion, direction, name=grasp.scene.object.name, hand=hand.name, also=observer)
     if replay is None:
         raise GraspRefineError(f"nothing to watch: {trial.words(trial.results[0])}")
-    return shown_motion(hand, world.hand, replay, world.model)
+    return replay_recording(hand, world.hand, replay, world.model)
 
 
 def trial_observer(protocol: Protocol, pushing: str, control: Control) -> StepCallback:

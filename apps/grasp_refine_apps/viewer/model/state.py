@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,13 +17,10 @@ from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import Listing
 from grasp_refine_apps.viewer.model.painting import Brush
 from grasp_refine_apps.viewer.model.pose import Pose, Target
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.model.validated import TrialResult
 from grasp_refine_apps.viewer.model.work import Work, Works
-
-if TYPE_CHECKING:
-    from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
-    from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
 
 JobKind = Literal["load", "cut", "measure", "targets", "refine", "batch", "validate", "plan", "replay", "export"]
 Gizmo = Literal["none", "hand", "object"]
@@ -147,7 +144,7 @@ class State:
     """Whether clicks on links and on the object set targets."""
     picked: tuple[str, Float[np.ndarray, " 3"]] | None = None
     """Clicked link, and the point on it (3,), link frame, until a point on the object is clicked."""
-    motion: ShownMotion | ShownTrajectory | None = None
+    motion: Recording | None = None
     """Shown simulation, or trajectory."""
     motion_frame: int = 0
     """Number of its shown frame."""
@@ -223,6 +220,11 @@ class State:
         return self.work.trace
 
     @property
+    def recording(self) -> Recording | None:
+        """The shown simulation or trajectory, else the iterations of the last refinement."""
+        return self.trace if self.motion is None else self.motion
+
+    @property
     def frame(self) -> int | None:
         """`Work.frame` of the shown grasp."""
         return self.work.frame
@@ -260,7 +262,7 @@ class State:
     @property
     def T_shown_object(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the object (4, 4) in the frame of `shown`: it moves in simulations only."""
-        return np.eye(4) if self.motion is None else self.motion.T_object[self.motion_frame]
+        return np.eye(4) if self.motion is None else self.motion.object_pose(self.motion_frame)
 
     @property
     def shelved(self) -> Shelved:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.refinement.iteration_state import IterationState
@@ -14,16 +15,16 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.model.contacts import contacts_of, distances_text
 from grasp_refine_apps.viewer.model.counted import REMAINING, Counted
 from grasp_refine_apps.viewer.model.pose import Pose, Target
+from grasp_refine_apps.viewer.model.recording import Recording
+
+FRAME_S, MAX_PLAY_S = 0.04, 10.0
+"""Duration of a played iteration, and of all together, in seconds: many iterations are played faster."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """K iterations of one grasp; arrays have one row each and grow while it is refined."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trace(Recording):
+    """Recording of the K iterations of a refinement, with their measures; it grows while the grasp is refined."""
 
-    T: Float[np.ndarray, "K 4 4"]
-    """Poses of the base link (K, 4, 4) in the object's frame, metres."""
-    q: Float[np.ndarray, "K n"]
-    """Joint values (K, n)."""
     gap: Float[np.ndarray, "K L"]
     """Gaps (K, L) in metres that the links should keep which an iteration closes; NaN for others."""
     loss: Float[np.ndarray, " K"]
@@ -37,22 +38,20 @@ class Trace:
     start: Counted | None = None
     """Contact links of the grasp that is refined."""
 
-    def __len__(self) -> int:
-        """Return the number of iterations."""
-        return len(self.loss)
+    @staticmethod
+    def of(T_root: np.ndarray, q: np.ndarray, **measures: Any) -> Trace:
+        """Return the trace of iterations at poses (K, 4, 4) and joint values (K, n), with the fields of `measures`."""
+        count = len(T_root)
+        time = min(FRAME_S, MAX_PLAY_S / count) * np.arange(count)
+        return Trace(title="refinement", T_root=T_root, q=q, time=time, **measures)
 
-    def text(self, k: int) -> str:
-        """Text on the measures of an iteration."""
-        return distances_text(float(self.remaining[k]), float(self.penetration[k]), REMAINING)
+    def text(self, frame: int) -> str:
+        """Return the measures of an iteration in one line."""
+        return distances_text(float(self.remaining[frame]), float(self.penetration[frame]), REMAINING)
 
-    def pose(self, k: int) -> Pose:
-        """Return the pose of the hand in an iteration."""
-        return Pose(self.T[k], self.q[k])
-
-
-def subsample(count: int, limit: int) -> Int[np.ndarray, " k"]:
-    """Return at most `limit` of `count` indices from 0, evenly spaced, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
+    def caption(self, frame: int) -> str:
+        """Return the number of an iteration, its stage and its measures in two lines."""
+        return f"{self.label[frame]}: iteration {frame + 1} of {len(self)}\n{self.text(frame)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +153,9 @@ class Recorder:
         ):
             start = _Iteration(first.way, self._start, first.gap, np.nan, "the input grasp")
             iterations = [self._measured(start), *iterations]
-        return Trace(
-            T=np.stack([one.pose.T_object_root for one in iterations]),
-            q=np.stack([one.pose.q for one in iterations]),
+        return Trace.of(
+            np.stack([one.pose.T_object_root for one in iterations]),
+            np.stack([one.pose.q for one in iterations]),
             gap=np.stack([one.gap for one in iterations]),
             loss=np.array([one.loss for one in iterations]),
             remaining=np.array([one.remaining for one in iterations]),

@@ -15,7 +15,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
 from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.pose import Pose, Target
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.model.validated import TrialResult
 
@@ -48,7 +48,7 @@ class Work:
     """Simulation result of `pose`."""
     tested_at: datetime | None = None
     """Time of that simulation; None: it is from a document, or there is none."""
-    plan: ShownTrajectory | None = None
+    plan: Recording | None = None
     """Trajectory of the hand to `pose` and up with the object."""
     of_file: Pose | None = None
     """Pose in the file; None: there is no file."""

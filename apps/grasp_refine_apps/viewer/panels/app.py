@@ -106,7 +106,7 @@ class Viewer:
             controller.listen(drawer.draw)
         panels[ExportPanel].settle = self._drawers[0].settle
         server.on_client_connect(lambda client: self._drawers[0].draw(controller.state))
-        self._measuring = Timer(BACKGROUND_DELAY_S, self._prepare)
+        self._measuring = Timer(BACKGROUND_DELAY_S, controller.background.measure)
         self._measuring.daemon = True
         self._measuring.start()
 
@@ -136,12 +136,6 @@ class Viewer:
                     color="red" if notice.bad else "blue",
                     auto_close_seconds=None if notice.bad else 8.0,
                 )
-
-    def _prepare(self) -> None:
-        """Load what the first refinement needs, and measure grasps whose files have no measures."""
-        import grasp_refine.hands.kinematics  # noqa: F401 - loads PyTorch
-
-        self.controller.background.measure()
 
     @property
     def address(self) -> str:

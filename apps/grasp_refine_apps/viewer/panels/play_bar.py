@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.panels.widgets import LiveInput, on_click
 
 FRAME_RATE_HZ = 25.0
@@ -26,7 +27,7 @@ class PlayBar:
         self,
         gui: viser.GuiApi,
         slider: Any,
-        shown: Callable[[], tuple[object, int]],
+        shown: Callable[[], tuple[Recording | None, int]],
         show: Callable[[int], None],
     ) -> None:
         """Make the button in the container that is open.
@@ -34,7 +35,7 @@ class PlayBar:
         Args:
             gui: The page.
             slider: The slider.
-            shown: Returns what has the frames, compared by identity, and the number of the shown frame.
+            shown: Returns the recording, and the number of its shown frame.
             show: Called with the number of the frame to show; must return at once.
         """
         self._shown, self._show = shown, show
@@ -44,17 +45,15 @@ class PlayBar:
         self._lock = Lock()
         self._stop: Event | None = None
         self._marks: np.ndarray = np.zeros(1)
-        self._times: np.ndarray = np.zeros(1)
 
-    def draw(self, marks: Shaped[np.ndarray, " T"], times: Float[np.ndarray, " T"], frame: int) -> None:
+    def draw(self, marks: Shaped[np.ndarray, " T"], frame: int) -> None:
         """Show T frames.
 
         Args:
             marks: Values of the slider, from 0.
-            times: When each frame is played, in seconds.
             frame: The frame that is shown.
         """
-        self._marks, self._times = marks, times
+        self._marks = marks
         handle = self._slider.handle
         last = marks[-1].item()
         handle.max = max(last, handle.step)
@@ -75,7 +74,7 @@ class PlayBar:
                 return
             self._stop = Event()
             self.button.label = PAUSE
-            Thread(target=self._run, args=(self._times, self._stop), name="viewer player", daemon=True).start()
+            Thread(target=self._run, args=(self._stop,), name="viewer player", daemon=True).start()
 
     def pause(self) -> None:
         """Stop at the present frame; no further one is shown."""
@@ -107,9 +106,11 @@ class PlayBar:
         self.pause()
         self._show(_last_at(self._marks, mark))
 
-    def _run(self, times: Float[np.ndarray, " T"], stop: Event) -> None:
+    def _run(self, stop: Event) -> None:
         """Show one frame after the other, at real speed."""
         source, frame = self._shown()
+        # Not those that were drawn last, which may be older.
+        times = np.zeros(1) if source is None else source.time - source.time[0]
         frame = frame if frame < len(times) - 1 else 0
         began = time.monotonic() - times[frame]
         while True:

@@ -9,8 +9,9 @@ import viser
 from jaxtyping import Float
 
 from grasp_refine_apps.viewer.model.counted import REMAINING
+from grasp_refine_apps.viewer.model.recording import subsample
 from grasp_refine_apps.viewer.model.state import State
-from grasp_refine_apps.viewer.model.trace import Trace, subsample
+from grasp_refine_apps.viewer.model.trace import Trace
 
 MAX_POINTS = 400
 """Maximum points of a curve."""

@@ -8,10 +8,7 @@ import viser
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.trace import Trace
-from grasp_refine_apps.viewer.panels.play_bar import FRAME_RATE_HZ, PlayBar
-
-MAX_PLAY_S = 10.0
-"""Maximum seconds of playing: where there are more iterations, some are left out."""
+from grasp_refine_apps.viewer.panels.play_bar import PlayBar
 
 
 class Timeline:
@@ -28,8 +25,7 @@ class Timeline:
         """Show a state."""
         count = 1 if state.trace is None else len(state.trace)
         self.bar.enable(count > 1)
-        seconds = min(1.0 / FRAME_RATE_HZ, MAX_PLAY_S / count)
-        self.bar.draw(np.arange(count), seconds * np.arange(count), _shown(state)[1])
+        self.bar.draw(np.arange(count), _shown(state)[1])
         self._numbers.content = numbers(state)
 
     def close(self) -> None:

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.motion.plan import PlanStatus
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.viewer.jobs.controller import Controller
+from grasp_refine_apps.viewer.jobs.replaying import FRAME_RATE_HZ
 from grasp_refine_apps.viewer.jobs.validating import MAX_FRICTION
-from grasp_refine_apps.viewer.model.shown_motion import FRAME_RATE_HZ, ShownMotion
-from grasp_refine_apps.viewer.model.shown_trajectory import ShownTrajectory
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import Job, State
 from grasp_refine_apps.viewer.model.validated import DirectionResult, TrialResult
 from grasp_refine_apps.viewer.panels.play_bar import PlayBar
@@ -58,7 +57,7 @@ class ValidatePanel:
         self._server, self._controller = server, controller
         self._lock = threading.RLock()
         self._trial: TrialResult | None = None
-        self._motion: ShownMotion | ShownTrajectory | None = None
+        self._motion: Recording | None = None
 
         gui = server.gui
         hint = "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
@@ -127,7 +126,7 @@ class ValidatePanel:
         own, friction = PROTOCOLS[self.protocol.value].friction, float(self.friction.value)
         return None if abs(friction - own) < 1e-9 else friction
 
-    def _shown(self) -> tuple[ShownMotion | ShownTrajectory | None, int]:
+    def _shown(self) -> tuple[Recording | None, int]:
         """The simulation, and the number of its shown frame."""
         state = self._controller.state
         return state.motion, state.motion_frame
@@ -157,13 +156,13 @@ class ValidatePanel:
             self.watch.options = trial.directions
         self.watch.visible = trial is not None and trial.watchable
 
-    def _draw_trajectory(self, plan: ShownTrajectory | None) -> None:
+    def _draw_trajectory(self, plan: Recording | None) -> None:
         """Show what is known of the trajectory."""
         self.trajectory.visible = plan is not None
         if plan is not None:
-            self.trajectory.content = motion_html(_sentence(plan.summary), lost=plan.status != PlanStatus.FREE)
+            self.trajectory.content = motion_html(_sentence(plan.summary), lost=not plan.succeeds)
 
-    def _draw_motion(self, motion: ShownMotion | ShownTrajectory | None, frame: int) -> None:
+    def _draw_motion(self, motion: Recording | None, frame: int) -> None:
         """Show the text of a frame; a new motion is played at once, if a browser is connected."""
         new = motion is not self._motion
         if new:
@@ -171,13 +170,12 @@ class ValidatePanel:
             self.replay.pause()
             self.end.visible = motion is not None
             # The heading also describes the frames of a trajectory; obstacles stand above.
-            self.line.visible = isinstance(motion, ShownMotion)
+            self.line.visible = motion is not None and not motion.summary
             self.replay.set_visible(motion is not None)
         if motion is None:
             return
-        self.line.content = motion_html(motion.text(frame), lost=bool(motion.lost[frame]))
-        times = motion.time - motion.time[0]
-        self.replay.draw(np.round(times, 2), times, frame)
+        self.line.content = motion_html(motion.text(frame), lost=motion.is_lost(frame))
+        self.replay.draw(np.round(motion.time - motion.time[0], 2), frame)
         if new and self._server.get_clients():
             self.replay.play()
 

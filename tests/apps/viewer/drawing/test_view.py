@@ -16,7 +16,7 @@ from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.pose import Pose
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import DisplayOptions
 from grasp_refine_apps.viewer.server.page import close_server, open_server
 from open_viewer import controller, example, settled
@@ -85,10 +85,9 @@ def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> 
     T_root[:, 2, 3] += np.linspace(0.0, 0.3, count)
     T_object = np.tile(np.eye(4), (count, 1, 1))
     T_object[-1, 2, 3] = -50.0
-    zeros, q = np.zeros(count), np.tile(shown.q, (count, 1))
-    names = "allegro", "mug", "lift", "tabletop", "lost"
-    numbers = zeros, np.full(count, 2), zeros, T_root, q, T_object, zeros, zeros, np.zeros(3), ()
-    viewer.player.show(ShownMotion(*names, *numbers))
+    q = np.tile(shown.q, (count, 1))
+    lift = {"title": "lift", "time": np.arange(count), "texts": ("lift",) * count, "travels": True}
+    viewer.player.show(Recording(T_root=T_root, q=q, T_object=T_object, **lift))
     view.draw(viewer.state)
     for T in (T_root[0], T_root[-1]):
         assert_sees(view.server.initial_camera, view.nodes.corners(Pose(T, shown.q)))

@@ -9,12 +9,13 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
-from grasp_refine_apps.viewer.files.animation import MAX_FRAMES, Film, film_of, motion_film, refinement_film  # noqa: E402
+from grasp_refine_apps.viewer.files.animation import MAX_FRAMES, Film, film_of
+from grasp_refine_apps.viewer.files.animation import film as film_of_recording
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.pose import Pose
-from grasp_refine_apps.viewer.model.shown_motion import ShownMotion
+from grasp_refine_apps.viewer.model.recording import Recording, subsample
 from grasp_refine_apps.viewer.model.state import State
-from grasp_refine_apps.viewer.model.trace import Trace, subsample
+from grasp_refine_apps.viewer.model.trace import Trace
 from grasp_refine_apps.viewer.model.work import Work
 from open_viewer import example
 from refusals import assert_names, refused
@@ -40,12 +41,13 @@ def coming(scene: Scene, count: int) -> Trace:
     gap = np.full((count, len(scene.links)), np.nan)
     gap[:, -1] = 0.0
     ramp = np.linspace(0.002, 0.0, count)
-    return Trace(T, np.repeat(scene.q[:1], count, axis=0), gap, ramp, ramp, 0.5 * ramp, ("gaps close",) * count)
+    measures = {"gap": gap, "loss": ramp, "remaining": ramp, "penetration": 0.5 * ramp}
+    return Trace.of(T, np.repeat(scene.q[:1], count, axis=0), **measures, label=("gaps close",) * count)
 
 
 @pytest.fixture(scope="module")
 def film(scene: Scene) -> Film:
-    return refinement_film(scene.hand, scene.object, coming(scene, 5))
+    return film_of_recording(scene, coming(scene, 5))
 
 
 def test_many_iterations_are_thinned_evenly_and_keep_both_ends():
@@ -88,24 +90,17 @@ def test_a_simulation_moves_the_object_and_reports_how_far(scene: Scene):
     count = 3
     T_object = np.tile(np.eye(4), (count, 1, 1))
     T_object[:, 0, 3] = [0.0, 0.005, 0.02]
-    motion = ShownMotion(
-        hand="allegro",
-        object="mug",
-        direction="+x",
-        protocol="dexgraspbench",
-        reason="moved",
-        time=np.arange(count) * 0.1,
-        stage=np.full(count, 2),
-        since_stage=np.arange(count) * 0.1,
+    motion = Recording(
+        title="simulation, +x, moved",
         T_root=np.repeat(scene.T_world_root[:1], count, axis=0),
         q=np.repeat(scene.q[:1], count, axis=0),
+        time=np.arange(count) * 0.1,
+        texts=tuple(f"moved {1e3 * T[0, 3]:.1f} mm" for T in T_object),
         T_object=T_object,
-        displacement_m=T_object[:, 0, 3],
-        angle_rad=np.zeros(count),
+        pushed=np.ones(count, dtype=bool),
         force=np.array([1.0, 0.0, 0.0]),
-        contacts=(),
     )
-    film = motion_film(scene.hand, scene.object, motion)
+    film = film_of_recording(scene, motion)
     assert_names(film.title, "allegro", "mug", "+x", "moved")
     np.testing.assert_array_equal([frame.T_object for frame in film.frames], T_object)
     assert [frame.caption for frame in film.frames] == [motion.text(k) for k in range(count)]

@@ -108,7 +108,7 @@ def test_of_several_starts_the_timeline_shows_the_one_that_led_to_the_result(
     tries = {label.partition(", ")[2] for label in trace.label[1:-1]}
     assert len(tries) == 1 and np.isfinite(trace.remaining).all() and np.isfinite(trace.penetration).all()
     # One way has no jumps but those at its beginning, to a start nearby, and at its end, to its best iteration.
-    assert np.linalg.norm(np.diff(trace.T[1:-1, :3, 3], axis=0), axis=1).max() < 0.02
+    assert np.linalg.norm(np.diff(trace.T_root[1:-1, :3, 3], axis=0), axis=1).max() < 0.02
 
 
 def test_stop_takes_effect_at_the_next_iteration_and_keeps_what_was_reached(viewer: Controller) -> None:
@@ -129,7 +129,8 @@ def test_a_stopped_refinement_that_reports_late_changes_nothing(
 ) -> None:
     began, release, shown = (threading.Event() for _ in range(3))
     zero = np.zeros(1)
-    late = Trace(np.eye(4)[None], np.zeros((1, 16)), np.zeros((1, 1)), zero, zero, zero, ("late",))
+    measures = {"gap": np.zeros((1, 1)), "loss": zero, "remaining": zero, "penetration": zero}
+    late = Trace.of(np.eye(4)[None], np.zeros((1, 16)), **measures, label=("late",))
 
     def refine_late(prepared: object, scene: object, pose: object, *given: Any) -> None:
         _, _, control, show, *_ = given

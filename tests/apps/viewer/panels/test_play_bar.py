@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ class Shown:
     """A bar whose state is the number of a frame, and when each was shown."""
 
     def __init__(self, server: Any) -> None:
-        self.source, self.frame = object(), 0
+        self.source, self.frame = SimpleNamespace(time=TIMES), 0
         self.seen: list[tuple[float, int]] = []
         self.slider = server.gui.add_slider("Seconds", 0.0, 1.0, 0.02, 0.0)
         self.bar = PlayBar(server.gui, self.slider, lambda: (self.source, self.frame), self.show)
@@ -38,8 +39,8 @@ class Shown:
         return self.button.label == PLAY
 
     def draw(self, times: np.ndarray, frame: int = 0) -> None:
-        self.frame = frame
-        self.bar.draw(times, times, frame)
+        self.source, self.frame = SimpleNamespace(time=times), frame
+        self.bar.draw(times, frame)
 
 
 @pytest.fixture
@@ -59,6 +60,15 @@ def test_it_takes_as_long_as_the_motion_took(shown: Shown) -> None:
     assert len(frames) <= 0.6 * FRAME_RATE_HZ + 3 and np.diff(times).min() > 0.9 / FRAME_RATE_HZ
     # Each frame comes when it happened, or a little later.
     assert (np.array(times) - began - TIMES[list(frames)]).min() > -0.02
+
+
+def test_a_recording_is_played_to_its_own_end_though_a_shorter_one_was_drawn(shown: Shown) -> None:
+    """Frames that came after the last drawing were left out, and the bar stood still before the end."""
+    shown.draw(TIMES)
+    shown.source = SimpleNamespace(time=np.arange(41) / 50.0)
+    shown.bar.play()
+    until(shown.ended)
+    assert shown.frame == 40
 
 
 def test_it_is_paused_goes_on_there_and_begins_again_from_the_end(shown: Shown) -> None:
@@ -95,7 +105,7 @@ def test_the_slider_shows_its_frame_and_ends_the_playing(shown: Shown) -> None:
     until(lambda: shown.slider.value == 10.0)
 
 
-@pytest.mark.parametrize("moved", [{"frame": 12000}, {"source": object()}])
+@pytest.mark.parametrize("moved", [{"frame": 12000}, {"source": None}])
 def test_whatever_moves_the_state_ends_the_playing(shown: Shown, moved: dict[str, Any]) -> None:
     shown.draw(LONG)
     shown.bar.play()

@@ -24,14 +24,14 @@ from websocket_page import Page, until
 
 def trace_of(count: int, n: int = 2) -> Trace:
     falling = 0.01 * 0.9 ** np.arange(count)
-    return Trace(
+    return Trace.of(
         np.broadcast_to(np.eye(4), (count, 4, 4)),
         np.zeros((count, n)),
-        np.zeros((count, 1)),
-        falling**2,
-        falling,
-        np.zeros(count),
-        ("slide",) * count,
+        gap=np.zeros((count, 1)),
+        loss=falling**2,
+        remaining=falling,
+        penetration=np.zeros(count),
+        label=("slide",) * count,
     )
 
 

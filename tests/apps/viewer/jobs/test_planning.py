@@ -13,7 +13,7 @@ from grasp_refine.core.se3 import inverse
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.hands.hand import load_hand
-from grasp_refine.motion.plan import LEGS, PlanStatus, plan_motions
+from grasp_refine.motion.plan import LEGS, plan_motions
 from grasp_refine.motion.sweep import SPACING_M
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.problem import Problem
@@ -22,7 +22,8 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.jobs.controller import Controller
-from grasp_refine_apps.viewer.model.shown_trajectory import LIFT, SQUEEZE, ShownTrajectory, shown_trajectory
+from grasp_refine_apps.viewer.jobs.planning import trajectory_recording
+from grasp_refine_apps.viewer.model.recording import Recording
 from open_viewer import controller, settled
 
 LIFT_M = 0.1
@@ -39,9 +40,9 @@ def grasp(*bodies: EnvironmentBody) -> tuple[Scene, Motion, HandObject]:
     return scene, Motion(np.tile(T, (1, 3, 1, 1)), fingers[None]), HandObject.of(scene)
 
 
-def shown(*bodies: EnvironmentBody) -> tuple[Scene, HandObject, ShownTrajectory]:
+def shown(*bodies: EnvironmentBody) -> tuple[Scene, HandObject, Recording]:
     scene, motion, prepared = grasp(*bodies)
-    return scene, prepared, shown_trajectory(scene, plan_motions(scene, motion, prepared=prepared)[0], prepared)
+    return scene, prepared, trajectory_recording(scene, plan_motions(scene, motion, prepared=prepared)[0], prepared)
 
 
 def post(top: float) -> EnvironmentBody:
@@ -53,20 +54,20 @@ def post(top: float) -> EnvironmentBody:
 
 def test_the_object_goes_up_with_the_palm_and_fingers_stay_on_it() -> None:
     _, _, plan = shown()
-    assert plan.status == PlanStatus.FREE and plan.met is None and not plan.lost.any()
-    assert sorted(set(plan.leg)) == list(range(len(LEGS))) and (np.diff(plan.time) > 0).all()
+    assert plan.succeeds and plan.obstruction is None and not plan.lost.any()
+    leg = np.array([LEGS.index(text.partition(",")[0]) for text in plan.texts])
+    assert sorted(set(leg)) == list(range(len(LEGS))) and (np.diff(plan.time) > 0).all()
     np.testing.assert_allclose(plan.T_object[-1, :3, 3], [0.0, 0.0, LIFT_M], atol=1e-9)
-    at_grasp = inverse(plan.T_root[np.flatnonzero(plan.leg == LIFT)[0] - 1])
-    held = inverse(plan.T_root[plan.leg == LIFT]) @ plan.T_object[plan.leg == LIFT]
+    at_grasp = inverse(plan.T_root[np.flatnonzero(leg == LEGS.index("lift"))[0] - 1])
+    held = inverse(plan.T_root[leg == LEGS.index("lift")]) @ plan.T_object[leg == LEGS.index("lift")]
     np.testing.assert_allclose(held, np.broadcast_to(at_grasp, held.shape), atol=1e-9)
     # Set points press, fingers do not go into the object.
-    np.testing.assert_allclose(plan.q[plan.leg >= SQUEEZE], 0.025, atol=1e-9)
-    np.testing.assert_array_equal(
-        plan.T_object[plan.leg < LIFT], np.broadcast_to(np.eye(4), (sum(plan.leg < LIFT), 4, 4))
-    )
+    np.testing.assert_allclose(plan.q[leg >= LEGS.index("squeeze")], 0.025, atol=1e-9)
+    resting = plan.T_object[leg < LEGS.index("lift")]
+    np.testing.assert_array_equal(resting, np.broadcast_to(np.eye(4), resting.shape))
 
 
-def lowest(scene: Scene, prepared: HandObject, plan: ShownTrajectory) -> np.ndarray:
+def lowest(scene: Scene, prepared: HandObject, plan: Recording) -> np.ndarray:
     """Height of the lowest point of the hand in each frame (T,), metres."""
     T = prepared.chain(plan.T_root, plan.q).T_world_link
     heights, _ = Plane().heights(prepared.bodies, T)
@@ -77,26 +78,27 @@ def lowest(scene: Scene, prepared: HandObject, plan: ShownTrajectory) -> np.ndar
 def test_a_post_below_a_finger_is_met_in_the_frame_in_which_the_finger_reaches_it(height: float) -> None:
     tip = lowest(*shown())[-1] - LIFT_M
     scene, prepared, plan = shown(post(tip + height))
-    assert plan.status == PlanStatus.BLOCKED and plan.obstruction is not None and plan.met is not None
-    assert plan.obstruction.second == "post" and "post" in plan.text(plan.met) and "post" in plan.summary
-    assert "post" not in plan.text(plan.met - 1) and plan.obstruction_at(plan.met - 1) is None
+    met = int(plan.lost.argmax())
+    assert not plan.succeeds and plan.obstruction is not None and plan.lost[met]
+    assert plan.obstruction.second == "post" and "post" in plan.text(met) and "post" in plan.summary
+    assert "post" not in plan.text(met - 1) and plan.obstruction_at(met - 1) is None
     z = lowest(scene, prepared, plan)
     step = np.abs(np.diff(z)).max()
     # Samples of the sweep and frames are each a little apart.
-    assert z[plan.met] == pytest.approx(tip + height, abs=SPACING_M + step)
-    assert plan.lost.tolist() == [frame >= plan.met for frame in range(len(plan))]
+    assert z[met] == pytest.approx(tip + height, abs=SPACING_M + step)
+    assert plan.lost.tolist() == [frame >= met for frame in range(len(plan))]
 
 
 def test_planning_is_kept_until_the_grasp_is_moved(viewer: Controller) -> None:
     viewer.simulation.plan_trajectory()
     settled(viewer, 60.0)
     plan = viewer.state.work.plan
-    assert isinstance(plan, ShownTrajectory) and viewer.state.motion is plan and len(plan) > 20
+    assert isinstance(plan, Recording) and viewer.state.motion is plan and len(plan) > 20
     # It ends at the grasp: the pose that is planned for is passed on the way.
     closest = np.abs(plan.T_root - viewer.state.pose.T_object_root).max(axis=(1, 2)) + np.abs(
         plan.q - viewer.state.pose.q
     ).max(axis=1)
-    assert plan.status != PlanStatus.FREE or closest.min() < 0.02
+    assert not plan.succeeds or closest.min() < 0.02
     viewer.player.show(None)
     viewer.simulation.plan_trajectory()
     assert viewer.state.job is None and viewer.state.motion is plan

@@ -1,16 +1,16 @@
-"""Recorded simulation for display: poses of hand and object in each frame, and a description of it."""
+"""Recordings of replays: poses of hand and object in each frame, as MuJoCo had them."""
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import fields
 from math import degrees
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import inverse, transform_from_pose
@@ -20,8 +20,9 @@ from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import HAND, SCENE
 from grasp_refine.validation.replay.replay import POSE_AXES, Replay, Stage, check_replay, object_contacts
+from grasp_refine.validation.simulation import LIFT
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.model.pose import Pose
+from grasp_refine_apps.viewer.model.recording import Recording
 
 FRAME_RATE_HZ = 50
 """Maximum frame rate in hertz."""
@@ -30,91 +31,10 @@ MAX_DISPLACEMENT_M = 0.3
 """Displacement of the object in metres at which a motion ends: a lost one flies for many more."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShownMotion:
-    """T frames of a simulation, in the frame that the object had in the first of them."""
-
-    hand: str
-    """Name of the hand."""
-    object: str
-    """Name of the object."""
-    direction: str
-    """Direction in which the object was pushed, such as "+x", or "lift"."""
-    protocol: str
-    """Name of the protocol."""
-    reason: str
-    """End of the trial: "held", or why it failed, as `Reason.label`."""
-    time: Float[np.ndarray, " T"]
-    """Seconds since the hand began to close (T,)."""
-    stage: Int[np.ndarray, " T"]
-    """A `Stage` for each frame (T,)."""
-    since_stage: Float[np.ndarray, " T"]
-    """Seconds since that stage began (T,)."""
-    T_root: Float[np.ndarray, "T 4 4"]
-    """Poses of the hand's base link (T, 4, 4)."""
-    q: Float[np.ndarray, "T n"]
-    """Joint values (T, n) in `Hand.joint_names` order, nearest to the simulation's."""
-    T_object: Float[np.ndarray, "T 4 4"]
-    """Poses of the object (T, 4, 4); the first is the identity."""
-    displacement_m: Float[np.ndarray, " T"]
-    """Distance of the object from where it should be (T,), metres."""
-    angle_rad: Float[np.ndarray, " T"]
-    """Rotation of the object from how it should be turned (T,), radians."""
-    force: Float[np.ndarray, " 3"]
-    """The push at the object's centre of mass (3,), newtons; zero where it is lifted."""
-    contacts: tuple[Float[np.ndarray, "_ 3"], ...]
-    """Points where the object touches the hand or the table in each of T frames, (k, 3); empty: not known."""
-    T_bodies: Mapping[str, Float[np.ndarray, "T 4 4"]] = field(default_factory=dict)
-    """Poses (T, 4, 4) of the movable bodies around the object, by name."""
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.time)
-
-    def pose(self, frame: int) -> Pose:
-        """Return the pose of the hand in a frame."""
-        return Pose(self.T_root[frame], self.q[frame])
-
-    @property
-    def held(self) -> bool:
-        """Whether the object stayed."""
-        return self.reason == Reason.HELD.label
-
-    @property
-    def lost(self) -> Bool[np.ndarray, " T"]:
-        """True in frames (T,) from the loss of the object on: it has once been too far away, or turned too far.
-
-        A trial is judged at its checks; in between the object may swing farther, and come back.
-        """
-        beyond = (self.displacement_m >= Protocol.farthest) | (self.angle_rad >= Protocol.steepest)
-        return np.logical_or.accumulate(beyond & (not self.held))
-
-    @property
-    def pushed(self) -> Bool[np.ndarray, " T"]:
-        """True in frames (T,) in which `force` acts."""
-        return (self.stage == Stage.PUSH) & bool(np.any(self.force))
-
-    def stage_text(self, frame: int) -> str:
-        """Description of the stage in a frame, such as "pushed along +x"."""
-        return {
-            Stage.CLOSE: "the hand closes",
-            Stage.SQUEEZE: "the hand squeezes",
-            Stage.PUSH: f"pushed along {self.direction}",
-            Stage.LIFT: "lifted off the table",
-        }[Stage(self.stage[frame])]
-
-    def text(self, frame: int) -> str:
-        """Description of a frame in one line."""
-        moved, turned = self.displacement_m[frame] * 1e3, degrees(self.angle_rad[frame])
-        line = (
-            f"{self.stage_text(frame)}, {self.since_stage[frame]:.2f} s: "
-            f"the object has moved {moved:.1f} mm and turned {turned:.1f}°"
-        )
-        return f"{line}; it is lost" if self.lost[frame] else line
-
-
-def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None) -> ShownMotion:
-    """Return a replay as frames of a hand, at most `FRAME_RATE_HZ` per second.
+def replay_recording(
+    hand: Hand, hand_model: HandModel, replay: Replay, model: mujoco.MjModel | None = None
+) -> Recording:
+    """Return a replay as a recording of at most `FRAME_RATE_HZ` frames per second.
 
     Joint values in MuJoCo are matrix q + offset, and values of joints that mimic others may differ a little from that:
     q is the least-squares solution.
@@ -134,23 +54,36 @@ def shown_motion(hand: Hand, hand_model: HandModel, replay: Replay, model: mujoc
     T_world_object = transform_from_pose(replay.object_pose)
     T_start_world = inverse(T_world_object[0])
     displacement, angle = replay.displacement()
-    return ShownMotion(
-        hand=replay.hand,
-        object=replay.object,
-        direction=replay.direction,
-        protocol=replay.protocol,
-        reason=replay.reason,
-        time=replay.time[frames],
-        stage=replay.stage[frames],
-        since_stage=replay.since_stage()[frames],
+    stage, held = replay.stage[frames], replay.reason == Reason.HELD.label
+    # A trial is judged at its checks; in between the object may swing farther, and come back.
+    beyond = (displacement[frames] >= Protocol.farthest) | (angle[frames] >= Protocol.steepest)
+    lost = np.logical_or.accumulate(beyond & (not held))
+    stages = {
+        Stage.CLOSE: "the hand closes",
+        Stage.SQUEEZE: "the hand squeezes",
+        Stage.PUSH: f"pushed along {replay.direction}",
+        Stage.LIFT: "lifted off the table",
+    }
+    since = replay.since_stage()
+    texts = (
+        f"{stages[Stage(replay.stage[k])]}, {since[k]:.2f} s: the object has moved {1e3 * displacement[k]:.1f} mm and "
+        f"turned {degrees(angle[k]):.1f}°{'; it is lost' if is_lost else ''}"
+        for k, is_lost in zip(frames, lost, strict=True)
+    )
+    return Recording(
+        title=f"simulation, {replay.direction}, {replay.reason}",
         T_root=T_start_world @ _roots(hand_model, replay)[frames],
         q=_joint_values(hand, hand_model, replay)[frames],
+        time=replay.time[frames],
+        texts=tuple(texts),
         T_object=T_start_world @ T_world_object[frames],
-        displacement_m=displacement[frames],
-        angle_rad=angle[frames],
+        T_bodies={name: T_start_world @ T[frames] for name, T in _body_poses(replay)},
+        lost=lost,
+        pushed=(stage == Stage.PUSH) & bool(np.any(replay.force)),
         force=T_start_world[:3, :3] @ replay.force,
         contacts=() if model is None else _contacts(model, replay, frames, T_start_world),
-        T_bodies={name: T_start_world @ T[frames] for name, T in _body_poses(replay)},
+        succeeds=held,
+        travels=replay.direction in LIFT,
     )
 
 
