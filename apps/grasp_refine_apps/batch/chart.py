@@ -10,7 +10,7 @@ import numpy as np
 from grasp_refine.measures.measures import COMPARED, MEASURES, METRE, MOVEMENTS, QUALITY, RADIAN, Measure
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import words
-from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
+from grasp_refine_apps.batch.histogram import Histogram
 from grasp_refine_apps.report.html_page import COLORS
 from grasp_refine_apps.report.svg_chart import MUTED, RULE, add_tooltip, svg_chart
 
@@ -60,7 +60,7 @@ def statistics_row(measure: Measure, distributions: Mapping[str, Histogram]) -> 
 def _sides(measure: Measure, distributions: Mapping[str, Histogram]) -> tuple[Histogram, Histogram]:
     """Return the distributions before and after; an empty one before of a measure that is not compared."""
     *_, after = found = [distributions[entry] for entry in measure.entries.values()]
-    return (found[0] if measure.compared else Histogram(after.bins)), after
+    return (found[0] if measure.compared else Histogram.of(measure.unit)), after
 
 
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
@@ -68,8 +68,8 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     sides = _sides(measure, distributions)
     if not any(its.count for its in sides):
         return ""
-    bins = sides[1].bins
-    zero, shares, edges = _shown(bins.edges[::BINS_PER_BAR], bins.scale == LINEAR, *sides)
+    whole = sides[1]
+    zero, shares, edges = _shown(*sides)
     places = np.arange(shares.shape[1], dtype=float)
     if zero.any():
         places, shares = np.append(ZERO_BAR, places), np.column_stack([zero, shares])
@@ -78,14 +78,14 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
         axes.bar(places, shares[0], 0.92, color=RULE, edgecolor=MUTED, linewidth=0.6, clip_on=False)
         axes.bar(places, shares[1], 0.6, color=COLORS[0][0], clip_on=False)
         for place, bar in zip(places, axes.bar(places, shares.max(), 1.0, alpha=0.0, clip_on=False), strict=True):
-            span = (0.0, bins.low) if place < 0 else edges[int(place) : int(place) + 2]
+            span = (0.0, whole.low) if place < 0 else edges[int(place) : int(place) + 2]
             add_tooltip(
-                bar, f"{_range_text(measure, *span, bins)}: {_shares_text(measure, shares[:, places == place])}"
+                bar, f"{_range_text(measure, *span, whole)}: {_shares_text(measure, shares[:, places == place])}"
             )
         if measure.name in MARKS:
             at = np.interp(MARKS[measure.name], edges, np.arange(len(edges))) - 0.5
             axes.axvline(at, color=COLORS[2][0], linewidth=1.2, dashes=(4, 3), clip_on=False)
-        ticks = _ticks(measure, edges, bins.scale == LINEAR)
+        ticks = _ticks(measure, edges, whole.linear)
         if zero.any():
             # No label overlaps that of the bar of zeros.
             least = ZERO_BAR + LABEL_DISTANCE * len(places)
@@ -97,26 +97,17 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     return drawn.svg
 
 
-def _shown(edges: np.ndarray, linear: bool, *sides: Histogram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what is drawn.
-
-    Args:
-        edges: Edges of all bars.
-        linear: Whether the axis is linear, and always whole.
-        sides: Distributions.
-
-    Returns:
-        Shares (2,) below all bars, shares (2, bars) of the bars that are drawn, and the edges (bars + 1,) of these.
-    """
+def _shown(*sides: Histogram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what is drawn: shares (2,) below all bars, shares (2, bars), and the edges (bars + 1,) of the bars."""
     zero, *inner, above = np.array([its.shares(BINS_PER_BAR) for its in sides]).T
     shares = np.column_stack(inner)
     shares[:, -1] += above
     most = shares.shape[1] - 1
     used = np.flatnonzero(shares.any(axis=0))
-    first, last = (0, most) if linear else (used[0], used[-1]) if len(used) else (0, 0)
+    first, last = (0, most) if sides[0].linear else (used[0], used[-1]) if len(used) else (0, 0)
     while last - first + 1 < min(MIN_BARS, most + 1):
         first, last = max(first - 1, 0), min(last + 1, most)
-    return zero, shares[:, first : last + 1], edges[first : last + 2]
+    return zero, shares[:, first : last + 1], sides[0].edges[::BINS_PER_BAR][first : last + 2]
 
 
 def _ticks(measure: Measure, edges: np.ndarray, linear: bool) -> dict[float, str]:
@@ -137,11 +128,11 @@ def _ticks(measure: Measure, edges: np.ndarray, linear: bool) -> dict[float, str
     return found
 
 
-def _range_text(measure: Measure, low: float, high: float, bins: Bins) -> str:
+def _range_text(measure: Measure, low: float, high: float, whole: Histogram) -> str:
     """Return text on the range of values of a bar."""
-    if high <= bins.low:
+    if high <= whole.low:
         text = f"below {value_text(measure, high)}"
-    elif high >= bins.high and measure.better != "higher":
+    elif high >= whole.high and measure.better != "higher":
         text = f"{value_text(measure, low)} or more"
     else:
         text = f"{value_text(measure, low)} to {value_text(measure, high)}"

@@ -9,50 +9,26 @@ import numpy as np
 
 from grasp_refine.measures.measures import Unit
 
-LINEAR, LOGARITHMIC = "linear", "logarithmic"
-
 BINS_PER_DECADE, LINEAR_BINS = 20, 100
 """Numbers of bins of each power of ten, and of a linear range."""
-
-
-@dataclass(frozen=True)
-class Bins:
-    """Range, number and scale of bins."""
-
-    low: float
-    """Lower edge of the first bin."""
-    high: float
-    """Upper edge of the last bin."""
-    count: int
-    """Number of bins."""
-    scale: str = LOGARITHMIC
-    """LINEAR or LOGARITHMIC."""
-
-    @staticmethod
-    def of(unit: Unit) -> Bins:
-        """Return the bins of values in a unit.
-
-        There are `BINS_PER_DECADE`, so that quantiles are known to 6 %, or, from 0 on, `LINEAR_BINS` in all.
-        """
-        low, high = unit.span
-        if low == 0.0:
-            return Bins(low, high, LINEAR_BINS, LINEAR)
-        return Bins(low, high, round(BINS_PER_DECADE * log10(high / low)))
-
-    @property
-    def edges(self) -> np.ndarray:
-        """Edges (count + 1,) of the bins."""
-        space = np.geomspace if self.scale == LOGARITHMIC else np.linspace
-        return space(self.low, self.high, self.count + 1)
 
 
 @dataclass(eq=False)
 class Histogram:
     """Histogram that grows by `add`, without non-finite values; the same order gives bit-identical results."""
 
-    bins: Bins
+    low: float
+    """Lower edge of the first bin."""
+    high: float
+    """Upper edge of the last bin."""
+    bins: int
+    """Number of bins."""
+    linear: bool = False
+    """Whether bins have the same width; False: the same ratio of their edges."""
     counts: np.ndarray = field(init=False)
-    """Numbers of values (count + 2,) below the bins, in each bin, and above."""
+    """Numbers of values (bins + 2,) below the bins, in each bin, and above."""
+    edges: np.ndarray = field(init=False)
+    """Edges (bins + 1,) of the bins."""
     total: float = 0.0
     """Sum of the values."""
     least: float = inf
@@ -62,8 +38,19 @@ class Histogram:
 
     def __post_init__(self) -> None:
         """Begin with empty bins."""
-        self.counts = np.zeros(self.bins.count + 2, dtype=np.int64)
-        self._edges = self.bins.edges
+        self.counts = np.zeros(self.bins + 2, dtype=np.int64)
+        self.edges = (np.linspace if self.linear else np.geomspace)(self.low, self.high, self.bins + 1)
+
+    @staticmethod
+    def of(unit: Unit) -> Histogram:
+        """Return the empty histogram of values in a unit.
+
+        There are `BINS_PER_DECADE` bins, so that quantiles are known to 6 %, or, from 0 on, `LINEAR_BINS` in all.
+        """
+        low, high = unit.span
+        if low == 0.0:
+            return Histogram(low, high, LINEAR_BINS, linear=True)
+        return Histogram(low, high, round(BINS_PER_DECADE * log10(high / low)))
 
     def add(self, values: np.ndarray) -> None:
         """Count values (N,)."""
@@ -71,7 +58,7 @@ class Histogram:
         if not len(values):
             return
         # The last bin includes its upper edge: a quality of 1 is no outlier.
-        at = np.where(values == self._edges[-1], self.bins.count, np.searchsorted(self._edges, values, side="right"))
+        at = np.where(values == self.edges[-1], self.bins, np.searchsorted(self.edges, values, side="right"))
         self.counts += np.bincount(at, minlength=len(self.counts))
         self.total = fsum((self.total, *values.tolist()))
         self.least, self.most = min(self.least, float(values.min())), max(self.most, float(values.max()))
@@ -97,9 +84,9 @@ class Histogram:
         at = int(np.searchsorted(reached, max(share * self.count, 0.5)))
         if at == 0 or at == len(self.counts) - 1:
             return self.least if at == 0 else self.most
-        low, high = self._edges[at - 1 : at + 1]
+        low, high = self.edges[at - 1 : at + 1]
         within = (share * self.count - reached[at - 1]) / self.counts[at]
-        found = low * (high / low) ** within if self.bins.scale == LOGARITHMIC else low + (high - low) * within
+        found = low + (high - low) * within if self.linear else low * (high / low) ** within
         return float(np.clip(found, self.least, self.most))
 
     def shares(self, together: int) -> np.ndarray:

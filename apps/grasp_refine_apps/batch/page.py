@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from grasp_refine.core.plurals import count_text, whole
-from grasp_refine.measures.measures import COMPARED, Measure
+from grasp_refine.measures.measures import COMPARED, SIDES, Measure
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import BAR
 from grasp_refine_apps.batch import words
@@ -48,7 +48,7 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         title=words.grasps(statistics.all.count),
         subtitle=_subtitle(document, statistics),
         tiles=_tiles(totals, statistics, failed),
-        agreement=[statistics.all.agreement_before.line("Before, "), statistics.all.agreement_after.line("After, ")],
+        agreement=[side.line(f"{name.title()}, ") for name, side in zip(SIDES, statistics.all.agreement, strict=True)],
         bar=BAR,
         notes=list(_notes(totals, failed)),
         simulated=statistics.held is not None,
@@ -106,7 +106,7 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
             "words": "grasps refined" if its.usable == its.count else f"of {words.grasps(its.count)} were refined",
             "tone": "",
         },
-        change(its.good_before, its.good_after, its.count, f"quality {BAR} (an estimate)"),
+        change(*its.good.tolist(), its.count, f"quality {BAR} (an estimate)"),
     ]
     if statistics.held is not None:
         tiles.insert(0, change(*statistics.held, its.simulated, "held in simulation"))
@@ -144,8 +144,8 @@ def _row(hand: str, name: str, tally: Tally) -> dict[str, Any]:
         "count": whole(tally.count),
         "unusable": whole(tally.count - tally.usable) if tally.count > tally.usable else words.NONE,
         "converged": words.share(tally.converged, tally.count),
-        "good": [words.share(good, tally.count) for good in (tally.good_before, tally.good_after)],
-        "held": [words.share(held, of) for held in (tally.held_before, tally.held_after)],
+        "good": [words.share(good, tally.count) for good in tally.good.tolist()],
+        "held": [words.share(held, of) for held in tally.held],
         "quality": [f"{value:.3f}" if not isnan(value) else words.NONE for value in tally.mean_quality],
         "deepest": words.millimetres(tally.deepest),
     }

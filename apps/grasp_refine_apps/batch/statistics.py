@@ -14,7 +14,7 @@ from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.refinement.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import Agreement
-from grasp_refine_apps.batch.histogram import Bins, Histogram
+from grasp_refine_apps.batch.histogram import Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.worst import Case, Worst
 
@@ -38,51 +38,43 @@ class Tally:
     """Number of grasps refined at all."""
     converged: int = 0
     """Number of grasps that converged."""
-    good_before: int = 0
-    """Number of grasps with a quality of `HOLDS` or more before."""
-    good_after: int = 0
-    """Number of grasps with such a quality after."""
     gained: int = 0
     """Number of grasps that hold after, and did not before."""
     lost: int = 0
     """Number of grasps that held before, and do not after."""
-    agreement_before: Agreement = Agreement()
-    """Agreement of quality and simulation of the simulated grasps, before."""
-    agreement_after: Agreement = Agreement()
-    """Agreement of quality and simulation of the simulated grasps, after."""
-    quality_before: float = 0.0
-    """Sum of the qualities before, without NaN."""
-    quality_after: float = 0.0
-    """Sum of the qualities after, without NaN."""
-    rated_before: int = 0
-    """Number of grasps with a quality before."""
-    rated_after: int = 0
-    """Number of grasps with a quality after."""
+    good: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=int))
+    """Numbers of grasps (2,) with a quality of `HOLDS` or more, before and after."""
+    rated: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=int))
+    """Numbers of grasps (2,) with a quality, before and after."""
+    quality: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    """Sums of the qualities (2,) before and after, without NaN."""
+    agreement: np.ndarray = field(default_factory=lambda: np.array([Agreement(), Agreement()]))
+    """`Agreement` (2,) of quality and simulation of the simulated grasps, before and after."""
     deepest: float = 0.0
     """Deepest penetration after, metres."""
 
     def add(self, rows: Rows) -> None:
         """Count grasps."""
         known = np.isfinite(rows["held_after"])
-        good, quality = ({side: rows[f"{key}_{side}"] for side in SIDES} for key in ("good", "quality"))
-        held = {side: rows[f"held_{side}"][known] > 0 for side in SIDES}
-        both: dict[str, Any] = {}
-        for side in SIDES:
-            both |= {
-                f"good_{side}": int(good[side].sum()),
-                f"agreement_{side}": Agreement.of(good[side][known] > 0, held[side]),
-                f"quality_{side}": float(np.nansum(quality[side])),
-                f"rated_{side}": int(np.isfinite(quality[side]).sum()),
-            }
+        good, held, quality = (
+            np.stack([rows[f"{name}_{side}"] for side in SIDES]) for name in ("good", "held", "quality")
+        )
+        good, held = good > 0, held[:, known] > 0
+        before, after = held
         self.merge(
             Tally(
                 count=len(rows),
                 usable=int((~np.isin(rows["status"], UNUSABLE)).sum()),
                 converged=int((rows["status"] == Status.CONVERGED.label).sum()),
-                gained=int((held["after"] & ~held["before"]).sum()),
-                lost=int((held["before"] & ~held["after"]).sum()),
+                gained=int((after & ~before).sum()),
+                lost=int((before & ~after).sum()),
+                good=good.sum(axis=1),
+                rated=np.isfinite(quality).sum(axis=1),
+                quality=np.array([np.nansum(values) for values in quality]),
+                agreement=np.array(
+                    [Agreement.of(*both) for both in zip(good[:, known] > 0, (before, after), strict=True)]
+                ),
                 deepest=float(np.nanmax(rows["penetration_m_after"], initial=0.0)),
-                **both,
             )
         )
 
@@ -95,28 +87,23 @@ class Tally:
     @property
     def simulated(self) -> int:
         """Number of grasps simulated."""
-        return self.agreement_after.count
+        return self.agreement[1].count
 
     @property
-    def held_before(self) -> int:
-        """Number of simulated grasps that held before."""
-        return self.agreement_before.held
-
-    @property
-    def held_after(self) -> int:
-        """Number of simulated grasps that hold after."""
-        return self.agreement_after.held
+    def held(self) -> tuple[int, int]:
+        """Numbers of simulated grasps that held before and that hold after."""
+        return self.agreement[0].held, self.agreement[1].held
 
     @property
     def mean_quality(self) -> tuple[float, float]:
         """Mean quality before and after; NaN where no grasp has one."""
-        before = self.quality_before / self.rated_before if self.rated_before else nan
-        return before, self.quality_after / self.rated_after if self.rated_after else nan
+        before, after = (q / n if n else nan for q, n in zip(self.quality.tolist(), self.rated.tolist(), strict=True))
+        return before, after
 
     @property
     def failures(self) -> int:
         """Number of grasps that do not hold: in simulation, where they were simulated, else by their quality."""
-        return self.simulated - self.held_after if self.simulated else self.count - self.good_after
+        return self.simulated - self.held[1] if self.simulated else self.count - int(self.good[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +127,7 @@ class Statistics:
     @staticmethod
     def empty() -> Statistics:
         """Return the statistics of no grasps."""
-        distributions = {
-            column: Histogram(Bins.of(measure.unit)) for measure in RECORDED for column in measure.entries.values()
-        }
+        distributions = {entry: Histogram.of(one.unit) for one in RECORDED for entry in one.entries.values()}
         return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
 
     def add(self, rows: Rows) -> None:
@@ -185,7 +170,7 @@ class Statistics:
     @property
     def held(self) -> tuple[int, int] | None:
         """Numbers of grasps that held in simulation before and after; None: none was simulated."""
-        return (self.all.held_before, self.all.held_after) if self.all.simulated else None
+        return self.all.held if self.all.simulated else None
 
     def totals(self) -> dict[str, Any]:
         """Counts of the JSON summary."""
@@ -193,8 +178,7 @@ class Statistics:
         return {
             "n": self.all.count,
             "converged": self.all.converged,
-            "good_before": self.all.good_before,
-            "good_after": self.all.good_after,
+            **{f"good_{side}": int(count) for side, count in zip(SIDES, self.all.good, strict=True)},
             "success_before": before,
             "success_after": after,
         }

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.core.plurals import count_text, whole
+from grasp_refine.measures.measures import SIDES
 from grasp_refine.results.table import plain_table
 from grasp_refine.results.verdict import HOLDS, estimate_line, held_line
 from grasp_refine.scene.protocols.protocol_file import protocol_of
@@ -63,11 +64,11 @@ def _table(statistics: Statistics) -> Table:
 
 
 def _cells(tally: Tally, simulated: bool) -> list[RenderableType]:
-    held = _change(tally.held_before, tally.held_after, tally.simulated)
+    held = _change(*tally.held, tally.simulated)
     return [
         whole(tally.count),
         held if simulated else whole(tally.converged),
-        _change(tally.good_before, tally.good_after, tally.count),
+        _change(*tally.good.tolist(), tally.count),
         " → ".join("-" if isnan(value) else f"{value:.3f}" for value in tally.mean_quality),
         f"{1e3 * tally.deepest:.2f}",
     ]
@@ -86,17 +87,16 @@ def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[T
     """Lines with the numbers of grasps that held in simulation before and after, or with an estimate by quality."""
     its = statistics.all
     if not its.simulated:
-        return [estimate_line(its.good_after, its.good_before, its.count)]
+        return [estimate_line(int(its.good[1]), int(its.good[0]), its.count)]
     described = (document.get("config") or {}).get("protocol")
     protocol = protocol_of(described).label if described else ""
     return [
-        held_line(protocol, (its.held_before, its.held_after), its.gained, its.lost, its.simulated),
+        held_line(protocol, its.held, its.gained, its.lost, its.simulated),
         *(
             Text.assemble("  ", (f"{whole(count)} {name}", "red"))
             for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0]))
         ),
-        its.agreement_before.line("before, "),
-        its.agreement_after.line("after, "),
+        *(side.line(f"{name}, ") for name, side in zip(SIDES, its.agreement, strict=True)),
     ]
 
 

@@ -15,7 +15,7 @@ from batch_rows import made_up_rows
 from command_line import subprocess_environment
 from grasp_refine.measures.measures import METRE
 from grasp_refine_apps.batch import statistics as module
-from grasp_refine_apps.batch.histogram import LINEAR, Bins, Histogram
+from grasp_refine_apps.batch.histogram import Histogram
 from grasp_refine_apps.batch.rows import Rows
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.worst import MAX_CASES_PER_PAIR, MAX_KEPT, NUM_CASES
@@ -32,16 +32,16 @@ def statistics(*parts: Rows) -> Statistics:
 
 
 def test_a_histogram_counts_each_value_in_its_bin():
-    its = Histogram(Bins(1.0, 1000.0, 3))
+    its = Histogram(1.0, 1000.0, 3)
     its.add(np.array([0.0, 0.5, 1.0, 5.0, 10.0, 99.0, 100.0, 1000.0, 2000.0, np.nan, np.inf]))
     # The end of the last bin belongs to it.
     assert its.counts.tolist() == [2, 2, 2, 2, 1] and its.count == 9
     assert (its.least, its.most) == (0.0, 2000.0) and its.mean == pytest.approx(3215.5 / 9)
-    assert Histogram(Bins(0.0, 1.0, 4, LINEAR)).mean != Histogram(Bins(0.0, 1.0, 4, LINEAR)).mean, "NaN of none"
+    assert Histogram(0.0, 1.0, 4, linear=True).mean != Histogram(0.0, 1.0, 4, linear=True).mean, "NaN of none"
 
 
 def test_shares_are_of_all_values_and_neighbours_are_put_together():
-    its = Histogram(Bins(0.0, 1.0, 4, LINEAR))
+    its = Histogram(0.0, 1.0, 4, linear=True)
     its.add(np.array([-1.0, 0.1, 0.3, 0.4, 0.6, 0.9, 1.0, 2.0]))
     assert its.shares(1).tolist() == [0.125, 0.125, 0.25, 0.125, 0.25, 0.125]
     assert its.shares(2).tolist() == [0.125, 0.375, 0.375, 0.125]
@@ -50,7 +50,7 @@ def test_shares_are_of_all_values_and_neighbours_are_put_together():
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.5, 0.9, 0.95, 1.0])
 def test_quantiles_are_right_to_within_a_bin(share: float):
     values = np.exp(np.random.default_rng(0).normal(np.log(1e-3), 1.5, 4000))
-    its = Histogram(Bins.of(METRE))
+    its = Histogram.of(METRE)
     its.add(values)
     width = 10 ** (1 / 20)
     assert np.quantile(values, share) / width < its.quantile(share) < np.quantile(values, share) * width
@@ -58,13 +58,13 @@ def test_quantiles_are_right_to_within_a_bin(share: float):
 
 
 def test_quantiles_outside_of_the_bins_are_extremes():
-    its = Histogram(Bins(1.0, 10.0, 1))
+    its = Histogram(1.0, 10.0, 1)
     its.add(np.array([0.0, 0.0, 0.0, 5.0, 70.0]))
-    assert (its.quantile(0.5), its.quantile(1.0)) == (0.0, 70.0) and np.isnan(Histogram(its.bins).quantile(0.5))
+    assert (its.quantile(0.5), its.quantile(1.0)) == (0.0, 70.0) and np.isnan(Histogram.of(METRE).quantile(0.5))
 
 
 def test_the_mean_of_many_values_is_exact():
-    its = Histogram(Bins(1e-9, 1e9, 18))
+    its = Histogram(1e-9, 1e9, 18)
     parts = [np.random.default_rng(k).lognormal(0, 8, 64) for k in range(200)]
     for values in parts:
         its.add(values)
@@ -91,7 +91,7 @@ def test_counts_are_as_in_the_rows():
         made_up_rows(2, 1, object="bottle", held_before=[1, 1], held_after=[1, 0], good_before=0, good_after=1),
     )
     its = found.all
-    assert (its.count, its.usable, its.converged, its.good_before, its.good_after) == (8, 6, 4, 1, 5)
+    assert (its.count, its.usable, its.converged, *its.good) == (8, 6, 4, 1, 5)
     assert found.held == (3, 4) and its.simulated == 8 and found.reasons == {"moved": 2, "penetrates": 1}
     assert found.statuses == {"converged": 4, "stalled": 1, "budget": 1, "no target": 1, "not finite": 1}
     assert found.totals() == {
