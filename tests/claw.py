@@ -9,48 +9,31 @@ import trimesh
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.scene import Scene
+from made_hands import joint, link, links, made_hand, slide, solid
 
-LIMIT = '<limit lower="-1" upper="1" effort="3" velocity="1"/>'
 NONE = np.zeros((0, 3), dtype=int)
 
-URDF = f"""<robot name="claw">
-  <link name="palm"><collision><origin xyz="0 0 -0.2"/><geometry><sphere radius="0.02"/></geometry></collision></link>
-  <link name="knuckle"/><link name="joint"/><link name="hook"/><link name="arm"/>
-  <link name="index"><collision><origin xyz="0 0 0.05"/><geometry><sphere radius="0.012"/></geometry></collision></link>
-  <link name="ring"><collision><origin xyz="0 0 0.04"/><geometry><sphere radius="0.009"/></geometry></collision></link>
-  <link name="thumb"><collision><origin xyz="0 0 0.03"/><geometry><sphere radius="0.015"/></geometry></collision></link>
-  <link name="side"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
-  <joint name="I2" type="revolute">
-    <parent link="palm"/><child link="knuckle"/><origin xyz="0.05 0 -0.06"/><axis xyz="0 1 0"/>{LIMIT}
-  </joint>
-  <joint name="I1" type="revolute">
-    <parent link="knuckle"/><child link="index"/><origin xyz="0 0 0.02" rpy="0.2 -0.1 0"/><axis xyz="0.3 1 0"/>{LIMIT}
-  </joint>
-  <joint name="R3" type="revolute">
-    <parent link="palm"/><child link="arm"/><origin xyz="-0.03 0.04 -0.07"/><axis xyz="0 0 1"/>{LIMIT}
-  </joint>
-  <joint name="R2" type="revolute">
-    <parent link="arm"/><child link="joint"/><origin xyz="0 0 0.02"/><axis xyz="1 0.2 0"/>{LIMIT}
-  </joint>
-  <joint name="R1" type="revolute">
-    <parent link="joint"/><child link="ring"/><origin xyz="0 0 0.02"/><axis xyz="1 0 0.1"/>{LIMIT}
-  </joint>
-  <joint name="T2" type="prismatic">
-    <parent link="palm"/><child link="hook"/><origin xyz="-0.03 -0.04 -0.03" rpy="0.3 0 0.2"/><axis xyz="0.5 1 0"/>
-    <limit lower="-0.02" upper="0.02" effort="3" velocity="1"/>
-  </joint>
-  <joint name="T1" type="revolute">
-    <parent link="hook"/><child link="thumb"/><origin xyz="0 0 0"/><axis xyz="1 -0.5 0"/>
-    <mimic joint="T2" multiplier="-12" offset="0.05"/>{LIMIT}
-  </joint>
-  <joint name="S1" type="prismatic">
-    <parent link="arm"/><child link="side"/><origin xyz="0.03 0.01 0.075"/><axis xyz="0 1 0.3"/>
-    <limit lower="-0.02" upper="0.02" effort="3" velocity="1"/>
-  </joint>
-</robot>"""
+LIMITS = {"limits": (-1, 1), "effort": 3}
+SHORT = {"limits": (-0.02, 0.02), "effort": 3}
+PARTS = (
+    link("palm", solid("sphere 0.02", "0 0 -0.2")),
+    links("knuckle", "joint", "hook", "arm"),
+    link("index", solid("sphere 0.012", "0 0 0.05")),
+    link("ring", solid("sphere 0.009", "0 0 0.04")),
+    link("thumb", solid("sphere 0.015", "0 0 0.03")),
+    link("side", solid("sphere 0.01")),
+    joint("I2", "palm", "knuckle", at="0.05 0 -0.06", axis="0 1 0", **LIMITS),
+    joint("I1", "knuckle", "index", at="0 0 0.02", rpy="0.2 -0.1 0", axis="0.3 1 0", **LIMITS),
+    joint("R3", "palm", "arm", at="-0.03 0.04 -0.07", axis="0 0 1", **LIMITS),
+    joint("R2", "arm", "joint", at="0 0 0.02", axis="1 0.2 0", **LIMITS),
+    joint("R1", "joint", "ring", at="0 0 0.02", axis="1 0 0.1", **LIMITS),
+    slide("T2", "palm", "hook", at="-0.03 -0.04 -0.03", rpy="0.3 0 0.2", axis="0.5 1 0", **SHORT),
+    joint("T1", "hook", "thumb", at="0 0 0", axis="1 -0.5 0", follow=("T2", -12, 0.05), **LIMITS),
+    slide("S1", "arm", "side", at="0.03 0.01 0.075", axis="0 1 0.3", **SHORT),
+)
 """Hinges in a row, a slide with a hinge that follows it, and a slide beside two hinges on the same turning arm."""
 
 TIPS = ("index", "ring", "thumb", "side")
@@ -69,10 +52,8 @@ ratio = [0.5, 1.0, 0.8]
 
 def claw(folder: Path, *, coupled: bool = False) -> Hand:
     """The hand, its tips as contacts; the index has a capsule for a tip."""
-    (folder / "claw.urdf").write_text(URDF)
     contacts = "\n".join(f'[[contact]]\nlink = "{tip}"\ngroup = "{tip}"\n' for tip in TIPS)
-    (folder / "hand.toml").write_text('urdf = "claw.urdf"\n' + contacts + (COUPLED if coupled else ""))
-    hand = load_hand(folder, candidates=64)
+    hand = made_hand(folder, *PARTS, name="claw", toml=contacts + COUPLED * coupled, candidates=64)
     ends = np.array([[0.0, 0.0, 0.035], [0.003, -0.002, 0.06]])
     capsule = build_body("index", [Piece(ends, NONE, 0.012)], candidates=64)
     links = tuple(replace(link, body=capsule) if link.name == "index" else link for link in hand.links)

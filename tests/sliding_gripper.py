@@ -10,30 +10,12 @@ import trimesh
 
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-
-URDF = """<robot name="gripper">
-  <link name="base"><collision><origin xyz="0 0 -0.03"/><geometry>{base}</geometry></collision></link>
-  <link name="left"><collision><geometry>{left}</geometry></collision></link>
-  <link name="right"><collision><geometry>{right}</geometry></collision></link>
-  <link name="thumb"><collision><origin xyz="0 0 0.06"/><geometry>{thumb}</geometry></collision></link>
-  <joint name="left_slide" type="prismatic">
-    <parent link="base"/><child link="left"/><origin xyz="0.02 0 0.04" rpy="0 0.1 0"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.05" effort="3" velocity="1"/>
-  </joint>
-  <joint name="right_slide" type="prismatic">
-    <parent link="base"/><child link="right"/><origin xyz="-0.02 0 0.04"/><axis xyz="-1 0 0"/>
-    <mimic joint="left_slide" multiplier="0.8" offset="0.002"/><limit lower="0" upper="0.05" effort="3" velocity="1"/>
-  </joint>
-  <joint name="thumb_turn" type="revolute">
-    <parent link="base"/><child link="thumb"/><origin xyz="0 0.04 -0.01"/><axis xyz="1 0 0"/>
-    <limit lower="-0.5" upper="1.2" effort="3" velocity="1"/>
-  </joint>
-</robot>"""
+from made_hands import joint, link, made_hand, slide, solid
 
 RADII = {"base": 0.02, "left": 0.012, "right": 0.011, "thumb": 0.016}
 """Radius of each link, metres; of a box, half its sides."""
@@ -45,18 +27,28 @@ OBJECTS = {"sphere": "sphere:0.03", "box": "box:0.05,0.06,0.045", "mesh": "cylin
 def sliding_gripper(folder: Path, shape: str = "sphere", candidates: int = 8192) -> Hand:
     """The hand, its links of a shape out of `OBJECTS`; those of a mesh are hulls of random points."""
     folder.mkdir(exist_ok=True)
-    geometry = {}
-    for seed, (link, radius) in enumerate(RADII.items()):
+    shapes = {}
+    for seed, (name, radius) in enumerate(RADII.items()):
         if shape == "mesh":
             points = np.random.default_rng(seed).normal(size=(20, 3))
             points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
-            trimesh.convex.convex_hull(points).export(folder / f"{link}.stl")
-        size = " ".join([str(2 * radius)] * 3)
-        tags = {"sphere": f'radius="{radius}"', "box": f'size="{size}"', "mesh": f'filename="{link}.stl"'}
-        geometry[link] = f"<{shape} {tags[shape]}/>"
-    path = folder / "gripper.urdf"
-    path.write_text(URDF.format(**geometry))
-    return load_hand(path, candidates=candidates)
+            trimesh.convex.convex_hull(points).export(folder / f"{name}.stl")
+        sizes = {"sphere": radius, "box": " ".join([str(2 * radius)] * 3), "mesh": f"{name}.stl"}
+        shapes[name] = f"{shape} {sizes[shape]}"
+    places = {"base": "0 0 -0.03", "thumb": "0 0 0.06"}
+    opens = {"limits": (0, 0.05), "effort": 3}
+    return made_hand(
+        folder,
+        *(link(name, solid(shapes[name], places.get(name))) for name in RADII),
+        slide("left_slide", "base", "left", at="0.02 0 0.04", rpy="0 0.1 0", axis="1 0 0", **opens),
+        slide(
+            *("right_slide", "base", "right"),
+            **opens, at="-0.02 0 0.04", axis="-1 0 0", follow=("left_slide", 0.8, 0.002),
+        ),
+        joint("thumb_turn", "base", "thumb", at="0 0.04 -0.01", axis="1 0 0", limits=(-0.5, 1.2), effort=3),
+        name="gripper",
+        candidates=candidates,
+    )  # fmt: skip
 
 
 def around_object(hand: Hand, count: int, seed: int, source: str = OBJECTS["sphere"], table: bool = False) -> Scene:

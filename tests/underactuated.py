@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
+from made_hands import inertial, joint, link, made_hand, solid
 
 FINGERS = {"index": 0.033, "middle": 0.011, "ring": -0.011, "little": -0.033}
 """Finger -> its place across the palm, in metres."""
@@ -39,8 +40,8 @@ def underactuated(folder: Path, *, left: bool = False, toml: bool = True) -> Han
     folder.mkdir(exist_ok=True)
     trimesh.Trimesh(*_wedge()).export(folder / "palm.stl")
     sign = -1.0 if left else 1.0
-    scale = ' scale="-1 1 1"' if left else ""
-    parts = [f'<link name="palm"><collision><geometry><mesh filename="palm.stl"{scale}/></geometry></collision></link>']
+    scale = 'palm.stl" scale="-1 1 1' if left else "palm.stl"
+    parts = [f'<link name="palm"><collision><geometry><mesh filename="{scale}"/></geometry></collision></link>']
     skeleton = [("thumb_yaw", "palm", "thumb_base", (0.028, 0.018, -0.03), (0, 0, 1), None)]
     skeleton += [
         ("thumb_1", "thumb_base", "thumb_a", (0, 0.008, 0), (1, 0, 0), ((0, 1, 0), 0.034)),
@@ -55,32 +56,25 @@ def underactuated(folder: Path, *, left: bool = False, toml: bool = True) -> Han
         ]
     for name, parent, child, (x, y, z), (ax, ay, az), bone in skeleton:
         last = name in ("thumb_3", *(f"{finger}_2" for finger in FINGERS))
-        parts.append(f'<link name="{child}">{"" if bone is None else _bone(*bone, last)}</link>')
-        follow = '<mimic joint="{}" multiplier="{}" offset="{}"/>'.format(*FOLLOWERS[name]) if name in FOLLOWERS else ""
+        parts.append(link(child, "" if bone is None else _bone(*bone, last)))
         # A mirrored turn goes the other way round the mirrored axis.
+        place, turn = (sign * x, y, z), (ax, sign * ay, sign * az)
+        limits = LOWER.get(name, 0.0), UPPER.get(name, 1.5)
+        follow = FOLLOWERS.get(name)
         parts.append(
-            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="{sign * x} {y} {z}"/><axis xyz="{ax} {sign * ay} {sign * az}"/>{follow}'
-            f'<limit lower="{LOWER.get(name, 0.0)}" upper="{UPPER.get(name, 1.5)}" effort="2" velocity="3"/></joint>'
+            joint(name, parent, child, at=place, axis=turn, limits=limits, effort=2, velocity=3, follow=follow)
         )
-    (folder / "hand.urdf").write_text(f'<robot name="underactuated">{"".join(parts)}</robot>')
-    if toml:
-        rest = "\n".join(f"{name} = {0.0 if 'thumb' in name else 0.4}" for name in INDEPENDENT)
-        (folder / "hand.toml").write_text(f"[rest_pose]\n{rest}\n[actuator]\nkp = 3.0\n")
-    return load_hand(folder, candidates=256)
+    rest = "\n".join(f"{name} = {0.0 if 'thumb' in name else 0.4}" for name in INDEPENDENT)
+    written = f"[rest_pose]\n{rest}\n[actuator]\nkp = 3.0\n" if toml else None
+    return made_hand(folder, *parts, name="underactuated", toml=written, candidates=256)
 
 
 def _bone(direction: tuple[int, int, int], length: float, last: bool) -> str:
     """A rod with a mass of 15 g, with a ball at its end where it is the last one."""
     rpy = "0 0 0" if direction[2] else "-1.5707963267948966 0 0"
     middle, end = (" ".join(str(share * length * d) for d in direction) for share in (0.5, 1.0))
-    ball = f'<collision><origin xyz="{end}"/><geometry><sphere radius="0.009"/></geometry></collision>' * last
-    return (
-        f'<inertial><origin xyz="{middle}"/><mass value="0.015"/>'
-        '<inertia ixx="3e-6" ixy="0" ixz="0" iyy="3e-6" iyz="0" izz="3e-6"/></inertial>'
-        f'<collision><origin xyz="{middle}" rpy="{rpy}"/>'
-        f'<geometry><cylinder radius="0.007" length="{length}"/></geometry></collision>{ball}'
-    )
+    rod = solid(f"cylinder 0.007 {length}", middle, rpy)
+    return inertial(0.015, (3e-6, 3e-6, 3e-6), middle) + rod + solid("sphere 0.009", end) * last
 
 
 def _wedge() -> tuple[np.ndarray, np.ndarray]:

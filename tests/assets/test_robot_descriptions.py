@@ -10,6 +10,7 @@ import pytest
 from grasp_refine.assets.robot_descriptions import described
 from grasp_refine.core.errors import AssetError
 from grasp_refine.hands.hand import load_hand
+from made_hands import BALL, joint, links, robot, slide
 from refusals import refused
 
 CACHE = """import os
@@ -30,11 +31,13 @@ PACKAGE_PATH: str = _path.join(REPOSITORY_PATH, "claw")
 
 FINGER = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 1 0" range="-1 1"/><geom size="0.01"/></body>'
 CLAW = '<mujoco><worldbody><body name="palm"><geom size="0.02"/>{}{}</body></worldbody></mujoco>'
-BALL = '<link name="{}"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
-URDF = f"""<robot name="arm"><link name="base"/><link name="palm"/>{BALL.format("a")}{BALL.format("b")}
-  <joint name="lift" type="prismatic"><parent link="base"/><child link="palm"/><limit lower="0" upper="1"/></joint>
-  <joint name="a" type="revolute"><parent link="palm"/><child link="a"/><limit lower="0" upper="1"/></joint>
-  <joint name="b" type="revolute"><parent link="palm"/><child link="b"/><limit lower="0" upper="1"/></joint></robot>"""
+OPENS = {"limits": (0, 1), "effort": None, "velocity": None}
+URDF = robot(
+    "arm",
+    links("base", "palm") + links("a", "b", inside=BALL),
+    slide("lift", "base", "palm", **OPENS),
+    joint("a", "palm", "a", **OPENS) + joint("b", "palm", "b", **OPENS),
+)
 
 
 @pytest.fixture

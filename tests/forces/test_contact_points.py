@@ -24,22 +24,28 @@ from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from made_hands import link, made_hand, slide, solid
 
-JAW = '<link name="{0}"><collision><origin xyz="0 {1} 0.03"/><geometry>{2}</geometry></collision></link>'
-JOINT = (
-    '<joint name="{0}_joint" type="prismatic"><parent link="palm"/><child link="{0}"/><axis xyz="0 {1} 0"/>'
-    '<limit lower="0" upper="0.06" effort="60" velocity="1"/></joint>'
-)
-BOX_JAW, ROUND_JAW = '<box size="0.02 0.01 0.04"/>', '<sphere radius="0.005"/>'
+BOX_JAW, ROUND_JAW = "box 0.02 0.01 0.04", "sphere 0.005"
 
 
 def jaws(tmp_path, shape: str = BOX_JAW) -> Hand:
     """A palm and two jaws that open along y; joint values are the distances of the faces from its middle."""
-    links = "".join(JAW.format(name, y, shape) for name, y in (("left", 0.005), ("right", -0.005)))
-    joints = "".join(JOINT.format(name, y) for name, y in (("left", 1), ("right", -1)))
-    path = tmp_path / "jaws.urdf"
-    path.write_text(f'<robot name="jaws"><link name="palm"/>{links}{joints}</robot>')
-    return replace(load_hand(path), patches=True)
+    sides = {"left": 1, "right": -1}
+    return replace(
+        made_hand(
+            tmp_path,
+            link("palm"),
+            *(link(name, solid(shape, (0, 0.005 * y, 0.03))) for name, y in sides.items()),
+            *(
+                slide(f"{name}_joint", "palm", name, axis=(0, y, 0), limits=(0, 0.06), effort=60)
+                for name, y in sides.items()
+            ),
+            name="jaws",
+            candidates=1024,
+        ),
+        patches=True,
+    )
 
 
 @pytest.fixture(name="block")

@@ -1,7 +1,6 @@
 """Squeezes: torques do the work of the forces, set points press and do not pull, actuators make what they can."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,26 +28,21 @@ from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from made_hands import BALL, link, links, made_hand, slide
 from single_load import single_load_forces
-
-PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-LIMIT = '<limit lower="-0.1" upper="0.1" effort="{}" velocity="1"/>'
-CLAMP = f"""<robot name="clamp">
-  <link name="base"/><link name="left">{PAD}</link><link name="right">{PAD}</link>
-  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
-    <axis xyz="1 0 0"/>{LIMIT.format(100)}</joint>
-  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
-    <axis xyz="1 0 0"/>{LIMIT.format(5)}</joint>
-</robot>"""
-"""Two balls that hold a ball of 5 cm; the right one is weak."""
 
 
 @pytest.fixture(scope="module")
 def clamp(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    path: Path = tmp_path_factory.mktemp("clamp") / "clamp.urdf"
-    path.write_text(CLAMP)
-    path.with_name("hand.toml").write_text("actuator = { kp = 5.0 }")
-    return load_hand(path, candidates=16)
+    """Two balls that hold a ball of 5 cm; the right one is weak."""
+    return made_hand(
+        tmp_path_factory.mktemp("clamp"),
+        link("base") + links("left", "right", inside=BALL),
+        slide("l", "base", "left", at="0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1), effort=100),
+        slide("r", "base", "right", at="-0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1), effort=5),
+        name="clamp",
+        toml="actuator = { kp = 5.0 }",
+    )
 
 
 @pytest.fixture(scope="module")

@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 
 from grasp_refine.hands.clear_rest import clear_rest
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
+from made_hands import link, made_hand, slide, solid
 
 RADIUS = 0.01
 
 
 def balls(folder: Path, **ranges: tuple[float, float]) -> Hand:
     """A hand of balls that slide along one line."""
-    parts = "".join(
-        f"""<link name="{name}"><collision><geometry><sphere radius="{RADIUS}"/></geometry></collision></link>
-        <joint name="{name}" type="prismatic"><parent link="palm"/><child link="{name}"/><axis xyz="1 0 0"/>
-        <limit lower="{low}" upper="{high}" effort="1" velocity="1"/></joint>"""
-        for name, (low, high) in ranges.items()
+    parts = (
+        link(name, solid(f"sphere {RADIUS}")) + slide(name, "palm", name, axis="1 0 0", limits=limits)
+        for name, limits in ranges.items()
     )
-    path = folder / "balls.urdf"
-    path.write_text(f'<robot name="balls"><link name="palm"/>{parts}</robot>')
-    return load_hand(path, candidates=16)
+    return made_hand(folder, link("palm"), *parts, name="balls")
 
 
 def test_crossed_fingers_part_and_other_joints_stay(tmp_path: Path) -> None:

@@ -6,30 +6,25 @@ import numpy as np
 import pytest
 
 from bar_gripper import bar_gripper
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.linkages.pins import pinned_links
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import jaw_frame
+from made_hands import BALL, joint, link, links, made_hand, solid
 
-FINGER = """<robot name="r">
-  <link name="palm">{solid}</link><link name="proximal">{solid}</link><link name="distal">{solid}</link>
-  <link name="palm_sensor">{solid}</link><link name="phalanx_sensor">{solid}</link>
-  <link name="pad">{solid}</link><link name="nail">{solid}</link>
-  <joint name="j1" type="revolute"><parent link="palm"/><child link="proximal"/><origin xyz="0 0 0.05"/>
-    <axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="1"/></joint>
-  <joint name="j2" type="revolute"><parent link="proximal"/><child link="distal"/><origin xyz="0 0 0.05"/>
-    <axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="1"/></joint>
-  <joint name="f1" type="fixed"><parent link="palm"/><child link="palm_sensor"/><origin xyz="0.02 0 0"/></joint>
-  <joint name="f2" type="fixed"><parent link="proximal"/><child link="phalanx_sensor"/><origin xyz="0.02 0 0"/></joint>
-  <joint name="f3" type="fixed"><parent link="distal"/><child link="pad"/><origin xyz="0.02 0 0"/></joint>
-  <joint name="f4" type="fixed"><parent link="distal"/><child link="nail"/><origin xyz="-0.02 0 0"/></joint></robot>"""
-
-SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
+FINGER = (
+    joint("j1", "palm", "proximal", at="0 0 0.05", axis="0 1 0", limits=(0, 1.5), velocity=None),
+    joint("j2", "proximal", "distal", at="0 0 0.05", axis="0 1 0", limits=(0, 1.5), velocity=None),
+    joint("f1", "palm", "palm_sensor", "fixed", at="0.02 0 0"),
+    joint("f2", "proximal", "phalanx_sensor", "fixed", at="0.02 0 0"),
+    joint("f3", "distal", "pad", "fixed", at="0.02 0 0"),
+    joint("f4", "distal", "nail", "fixed", at="-0.02 0 0"),
+)
+FINGER_LINKS = ("palm", "proximal", "distal", "palm_sensor", "phalanx_sensor", "pad", "nail")
 
 
 def test_sensors_on_phalanges_are_no_fingertips_and_what_is_fixed_together_is_one(tmp_path: Path) -> None:
-    (tmp_path / "r.urdf").write_text(FINGER.format(solid=SOLID))
-    hand = load_hand(tmp_path / "r.urdf", candidates=16)
+    hand = made_hand(tmp_path, links(*FINGER_LINKS, inside=BALL), *FINGER)
     assert [contact.link for contact in hand.contacts] == ["distal", "pad", "nail"]
     assert len(hand.fingers) == 1
 
@@ -77,25 +72,28 @@ def linkage(
     folder: Path, *, pad: str = "pad", bar_parent: str = "finger", bar: str = "bar", bar_m: float = -0.04
 ) -> Hand:
     """A gripper of two jaws; a bar hangs from the inner end of each finger, or from the palm, and no mimic ties it."""
-    box = '<collision><origin xyz="0 0 {0}"/><geometry><box size="0.01 0.01 {1}"/></geometry></collision>'
-    joint = """<joint name="{1}_j" type="{2}"><parent link="{0}"/><child link="{1}"/><origin xyz="{3} 0 {4}"/>
-      <axis xyz="0 1 0"/><limit lower="{5}" upper="{6}" effort="5" velocity="1"/></joint>"""
-    parts = [f'<link name="palm">{box.format(-0.01, 0.02)}</link>']
+
+    def box(z: float, length: float) -> str:
+        return solid(f"box 0.01 0.01 {length}", (0, 0, z))
+
+    def pinned(parent: str, child: str, kind: str, x: float, z: float, reach: float) -> str:
+        limits = (-reach, reach) if reach else (0, 0)
+        return joint(f"{child}_j", parent, child, kind, at=(x, 0, z), axis="0 1 0", limits=limits, effort=5)
+
+    parts = [link("palm", box(-0.01, 0.02))]
     for side, x in (("left", -0.03), ("right", 0.03)):
         lever, finger, tip, rod = f"{side}_lever", f"{side}_finger", f"{side}_{pad}", f"{side}_{bar}"
         parts += [
-            f'<link name="{lever}">{box.format(0.03, 0.05)}</link>',
-            f'<link name="{finger}">{box.format(0.02, 0.03)}</link>',
-            f'<link name="{tip}">{box.format(0.0, 0.02)}</link>',
-            f'<link name="{rod}">{box.format(bar_m / 2, abs(bar_m))}</link>',
-            joint.format("palm", lever, "revolute", x, 0.0, -0.8, 0.8),
-            joint.format(lever, finger, "revolute", 0.0, 0.06, -0.9, 0.9),
-            joint.format(finger, tip, "fixed", 0.0, 0.045, 0, 0),
-            joint.format({"finger": finger, "palm": "palm"}[bar_parent], rod, "continuous", x / 2, 0.005, 0, 0),
+            link(lever, box(0.03, 0.05)),
+            link(finger, box(0.02, 0.03)),
+            link(tip, box(0.0, 0.02)),
+            link(rod, box(bar_m / 2, abs(bar_m))),
+            pinned("palm", lever, "revolute", x, 0.0, 0.8),
+            pinned(lever, finger, "revolute", 0.0, 0.06, 0.9),
+            pinned(finger, tip, "fixed", 0.0, 0.045, 0.0),
+            pinned({"finger": finger, "palm": "palm"}[bar_parent], rod, "continuous", x / 2, 0.005, 0.0),
         ]
-    path = folder / "linkage.urdf"
-    path.write_text(f'<robot name="linkage">{"".join(parts)}</robot>')
-    return load_hand(path, candidates=16)
+    return made_hand(folder, *parts, name="linkage")
 
 
 def test_bars_that_fold_back_from_fingers_are_none(tmp_path: Path) -> None:

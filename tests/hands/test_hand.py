@@ -12,6 +12,7 @@ from grasp_refine.core.errors import AssetError, GraspRefineError, HandError
 from grasp_refine.hands.files.urdf import read_urdf
 from grasp_refine.hands.hand import Contact, Coupled, Hand, load_hand, needs_urdf
 from grasp_refine_apps.commands.hands import Hands
+from made_hands import BALL, link, write_urdf
 from refusals import assert_names, refused
 
 FINGERTIPS = {
@@ -36,12 +37,10 @@ FINGERS = {
 }
 """Groups of the contact links where names tell the finger."""
 
-TIP = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-
 
 def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
     path = write(
-        tmp_path, {"base": "", "tip": TIP, "thumb": TIP}, joint("a", "base", "tip"), joint("b", "base", "thumb")
+        tmp_path, {"base": "", "tip": BALL, "thumb": BALL}, joint("a", "base", "tip"), joint("b", "base", "thumb")
     )
     hand = load_hand(path, candidates=16)
     assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
@@ -55,18 +54,12 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: st
 
 
 def write(folder: Path, links: dict[str, str], *joints: str, toml: str | None = None) -> Path:
-    folder.mkdir(exist_ok=True)
-    path = folder / "hand.urdf"
-    elements = "".join(f'<link name="{name}">{inside}</link>' for name, inside in links.items())
-    path.write_text(f'<robot name="r">{elements}{"".join(joints)}</robot>')
-    if toml is not None:
-        (folder / "hand.toml").write_text(toml)
-    return path
+    return write_urdf(folder, *(link(name, inside) for name, inside in links.items()), *joints, toml=toml)
 
 
 def finger(folder: Path, toml: str | None = None) -> Path:
     """A palm on a wrist, with a finger of joints 1, 2 and a frame at its end; returns the URDF file."""
-    links = {"arm": "", "palm": TIP, "near": TIP, "tip": TIP, "frame": ""}
+    links = {"arm": "", "palm": BALL, "near": BALL, "tip": BALL, "frame": ""}
     chain = [joint("wrist", "arm", "palm"), joint("1", "palm", "near"), joint("2", "near", "tip")]
     return write(folder, links, *chain, joint("end", "tip", "frame", "fixed"), toml=toml)
 
@@ -100,9 +93,9 @@ def test_allegro_touches_with_round_fingertips_of_the_published_size(shared_asse
 
 def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> None:
     hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
-    for link in hand.links:
-        if link.name not in FINGERTIPS["allegro"] and link.body is not None:
-            for ours, theirs in zip(link.body.pieces, other.links_by_name[link.name].body.pieces, strict=True):
+    for part in hand.links:
+        if part.name not in FINGERTIPS["allegro"] and part.body is not None:
+            for ours, theirs in zip(part.body.pieces, other.links_by_name[part.name].body.pieces, strict=True):
                 np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
 
 
@@ -252,7 +245,7 @@ def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path
 
 
 def test_contact_links_are_on_the_last_rigid_parts_that_move(tmp_path: Path) -> None:
-    links = {"palm": TIP, "a1": TIP, "sensor": "", "pad": TIP, "frame": "", "b1": TIP, "mount": TIP, "c1": ""}
+    links = {"palm": BALL, "a1": BALL, "sensor": "", "pad": BALL, "frame": "", "b1": BALL, "mount": BALL, "c1": ""}
     path = write(
         tmp_path,
         links,
@@ -274,7 +267,7 @@ def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) 
 
 def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
     links = {
-        "a": TIP + TIP.replace("sphere radius", 'box size="1 1 1" x'),
+        "a": BALL + BALL.replace("sphere radius", 'box size="1 1 1" x'),
         "b": '<inertial><mass value="2"/></inertial>',
     }
     hand = load_hand(write(tmp_path, links, joint("1", "a", "b")), candidates=100)
@@ -317,7 +310,7 @@ def test_hand_toml_is_held_against_the_urdf(tmp_path: Path) -> None:
 def test_slides_are_driven_like_joints_at_a_lever_of_10_cm(tmp_path: Path) -> None:
     def driven(toml: str) -> list[list[float]]:
         joints = joint("1", "a", "b"), joint("2", "b", "c", "prismatic")
-        found = load_hand(write(tmp_path, dict.fromkeys("abc", TIP), *joints, toml=toml)).actuator
+        found = load_hand(write(tmp_path, dict.fromkeys("abc", BALL), *joints, toml=toml)).actuator
         return [getattr(found, key).round(12).tolist() for key in ("kp", "damping", "armature", "frictionloss")]
 
     assert driven("") == [[5, 500], [0.1, 10], [0.0002, 0.02], [0.01, 0.1]]
@@ -399,7 +392,7 @@ def test_unknown_hands_are_refused_with_the_known_ones(tmp_path: Path) -> None:
     [
         ('<inertial><mass value="-1"/></inertial>', ("'a'", "-1 kg")),
         ('<collision><geometry><mesh filename="no.stl"/></geometry></collision>', ("'a'", "'no.stl'")),
-        (TIP + TIP.replace("0.01", "1"), None),
+        (BALL + BALL.replace("0.01", "1"), None),
     ],
 )
 def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, named: tuple[str, ...] | None) -> None:

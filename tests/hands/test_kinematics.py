@@ -18,45 +18,33 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance
+from made_hands import BALL, joint, link, links, made_hand, slide
 from refusals import refused
 from shapes_for_tests import convex_body
 from twists import gradient_along_twists
 
-LIMIT = '<limit lower="-1" upper="2" effort="3" velocity="1"/>'
+WIDE = {"limits": (-1, 2), "effort": 3}
 
-MIMIC = f"""<robot name="gripper">
-  <link name="base"/><link name="arm"/><link name="wheel"/><link name="hook"/><link name="left"/><link name="right"/>
-  <link name="tip"><collision><geometry><sphere radius="0.01"/></geometry></collision></link><link name="frame"/>
-  <joint name="tip_turn" type="revolute">
-    <parent link="left"/><child link="tip"/><origin xyz="0.02 0 0.01" rpy="0.3 -0.2 0.9"/><axis xyz="1 1 0"/>
-    <mimic joint="right_slide" multiplier="-3" offset="0.2"/>{LIMIT}
-  </joint>
-  <joint name="lift" type="revolute">
-    <parent link="base"/><child link="arm"/><origin xyz="0 0.1 0" rpy="0.1 0.2 0.3"/><axis xyz="0 3 4"/>{LIMIT}
-  </joint>
-  <joint name="left_slide" type="prismatic">
-    <parent link="arm"/><child link="left"/><origin xyz="0 0.03 0" rpy="0 0.4 0"/><axis xyz="0 1 0"/>{LIMIT}
-  </joint>
-  <joint name="right_slide" type="prismatic">
-    <parent link="arm"/><child link="right"/><origin xyz="0 -0.03 0"/><axis xyz="1 -2 0"/>
-    <mimic joint="left_slide" multiplier="0.5" offset="0.01"/>{LIMIT}
-  </joint>
-  <joint name="end" type="fixed"><parent link="tip"/><child link="frame"/><origin xyz="0 0 0.05" rpy="1 0 0"/></joint>
-  <joint name="spin" type="continuous">
-    <parent link="base"/><child link="wheel"/><origin xyz="0.05 0 0"/><axis xyz="0 0 -1"/>
-  </joint>
-  <joint name="catch" type="revolute">
-    <parent link="wheel"/><child link="hook"/><origin xyz="0 0.05 0.01"/><axis xyz="1 0 0"/>{LIMIT}
-  </joint>
-</robot>"""
+MIMIC = (
+    links("base", "arm", "wheel", "hook", "left", "right"),
+    link("tip", BALL) + link("frame"),
+    joint(
+        *("tip_turn", "left", "tip"),
+        **WIDE, at="0.02 0 0.01", rpy="0.3 -0.2 0.9", axis="1 1 0", follow=("right_slide", -3, 0.2),
+    ),
+    joint("lift", "base", "arm", at="0 0.1 0", rpy="0.1 0.2 0.3", axis="0 3 4", **WIDE),
+    slide("left_slide", "arm", "left", at="0 0.03 0", rpy="0 0.4 0", axis="0 1 0", **WIDE),
+    slide("right_slide", "arm", "right", at="0 -0.03 0", axis="1 -2 0", follow=("left_slide", 0.5, 0.01), **WIDE),
+    joint("end", "tip", "frame", "fixed", at="0 0 0.05", rpy="1 0 0"),
+    joint("spin", "base", "wheel", "continuous", at="0.05 0 0", axis="0 0 -1"),
+    joint("catch", "wheel", "hook", at="0 0.05 0.01", axis="1 0 0", **WIDE),
+)  # fmt: skip
 """A slide that follows a slide, and a hinge that follows the follower; two joints of a level have the same parent."""
 
 
 @pytest.fixture(scope="module")
 def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    path = tmp_path_factory.mktemp("gripper") / "gripper.urdf"
-    path.write_text(MIMIC)
-    return load_hand(path, candidates=16)
+    return made_hand(tmp_path_factory.mktemp("gripper"), *MIMIC, name="gripper")
 
 
 @pytest.fixture(scope="module")

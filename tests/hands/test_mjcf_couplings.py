@@ -8,17 +8,17 @@ import pytest
 
 from grasp_refine.hands.hand import Coupled, Hand, Mimic, load_hand
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from made_hands import joint, links, made_hand, write_urdf
 from refusals import assert_names
 
-URDF = """<robot name="r"><link name="palm"/><link name="a1"/><link name="a2"/><link name="a3"/><link name="b1"/>
-  <joint name="A1" type="revolute"><parent link="palm"/><child link="a1"/><origin xyz="0.05 0 0.02"/>
-    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
-  <joint name="A2" type="revolute"><parent link="a1"/><child link="a2"/><origin xyz="0 0 0.04"/>
-    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
-  <joint name="A3" type="revolute"><parent link="a2"/><child link="a3"/><origin xyz="0 0 0.04"/>
-    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3"/></joint>
-  <joint name="B1" type="revolute"><parent link="palm"/><child link="b1"/><origin xyz="-0.05 0.03 0.02"/>
-    <axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="3"/></joint></robot>"""
+WIDE = {"limits": (-2, 2), "effort": 3, "velocity": None}
+PARTS = (
+    links("palm", "a1", "a2", "a3", "b1"),
+    joint("A1", "palm", "a1", at="0.05 0 0.02", axis="0 1 0", **WIDE),
+    joint("A2", "a1", "a2", at="0 0 0.04", axis="0 1 0", **WIDE),
+    joint("A3", "a2", "a3", at="0 0 0.04", axis="0 1 0", **WIDE),
+    joint("B1", "palm", "b1", at="-0.05 0.03 0.02", axis="1 0 0", **WIDE),
+)
 
 MJCF = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.01"/>
   <body name="a1" pos="0.05 0 0.02" euler="0 {ref} 0"><joint name="rh_A1" axis="0 1 0" ref="{ref}"/><geom size="0.01"/>
@@ -33,11 +33,9 @@ TENDON = """<tendon><fixed name="pull"><joint joint="rh_A2" coef="{}"/><joint jo
 
 
 def loaded(folder: Path, parts: str, *, sign: int = 1, ref: float = 0.0, toml: str = "") -> Hand:
-    """The hand of `URDF` with an MJCF."""
-    (folder / "r.urdf").write_text(URDF)
+    """The hand of `PARTS` with an MJCF."""
     (folder / "r.xml").write_text(MJCF.format(parts=parts, sign=sign, ref=ref))
-    (folder / "hand.toml").write_text(f'mjcf = "r.xml"\n{toml}')
-    return load_hand(folder, candidates=16)
+    return made_hand(folder, *PARTS, name="r", toml=f'mjcf = "r.xml"\n{toml}')
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -128,8 +126,8 @@ def test_a_joint_equality_is_a_mimic_joint_that_moves_as_in_the_mjcf(tmp_path: P
 
 
 def test_a_tendon_does_not_tie_what_follows_the_other_way_in_the_urdf(tmp_path: Path) -> None:
-    mimic = URDF.replace('<axis xyz="1 0 0"/><limit', '<axis xyz="1 0 0"/><mimic joint="A2" multiplier="2"/><limit')
-    (tmp_path / "r.urdf").write_text(mimic)
+    follower = joint("B1", "palm", "b1", at="-0.05 0.03 0.02", axis="1 0 0", follow=("A2", 2), **WIDE)
+    write_urdf(tmp_path, *PARTS[:-1], follower, name="r")
     tied = """<tendon><fixed name="t"><joint joint="rh_A2" coef="2"/><joint joint="rh_B1" coef="-1"/></fixed></tendon>
       <equality><tendon tendon1="t"/></equality><actuator><position joint="rh_B1"/></actuator>"""
     (tmp_path / "r.xml").write_text(MJCF.format(parts=tied, sign=1, ref=0.0))

@@ -12,6 +12,7 @@ from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount, standing
 from grasp_refine.hands.self_collision import touching_pairs
+from made_hands import joint, link, links, solid, write_urdf
 
 DH = np.array(
     [
@@ -117,9 +118,9 @@ def test_mujoco_places_the_links_of_a_hand_on_an_arm_where_we_do(arm: Hand, hand
     mujoco.mj_kinematics(model, data)
     links = ["wrist_3_link", "base_link", *(contact.link for contact in whole.contacts)]
     T = Chain(whole, links)(np.eye(4)[None], q).T_world_link[0]
-    for link, pose in zip(links, T, strict=True):
-        np.testing.assert_allclose(data.body(link).xpos, pose[:3, 3], atol=1e-9)
-        np.testing.assert_allclose(data.body(link).xmat.reshape(3, 3), pose[:3, :3], atol=1e-9)
+    for name, pose in zip(links, T, strict=True):
+        np.testing.assert_allclose(data.body(name).xpos, pose[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(data.body(name).xmat.reshape(3, 3), pose[:3, :3], atol=1e-9)
 
 
 def test_fingers_and_forearm_are_pairs_that_can_collide(arm: Hand, hand: Hand) -> None:
@@ -163,29 +164,20 @@ def test_hand_on_an_arm_is_mounted_once(arm: Hand, hand: Hand) -> None:
         mount(arm, mount(arm, hand))
 
 
-ARM_AND_HAND = """
-<robot name="both">
-  <link name="stand"/>
-  <link name="upper"/>
-  <link name="palm"><collision><geometry><box size="0.1 0.1 0.02"/></geometry></collision></link>
-  <link name="left"><collision><geometry><box size="0.02 0.02 0.1"/></geometry></collision></link>
-  <link name="right"><collision><geometry><box size="0.02 0.02 0.1"/></geometry></collision></link>
-  <joint name="lift" type="prismatic"><parent link="stand"/><child link="upper"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="1" effort="9" velocity="0.5"/></joint>
-  <joint name="turn" type="revolute"><parent link="upper"/><child link="palm"/><axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" effort="9" velocity="2"/></joint>
-  <joint name="l" type="revolute"><parent link="palm"/><child link="left"/><origin xyz="0.04 0 0.06"/>
-    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-  <joint name="r" type="revolute"><parent link="palm"/><child link="right"/><origin xyz="-0.04 0 0.06"/>
-    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-</robot>
-"""
+ARM_AND_HAND = (
+    links("stand", "upper"),
+    link("palm", solid("box 0.1 0.1 0.02")),
+    links("left", "right", inside=solid("box 0.02 0.02 0.1")),
+    joint("lift", "stand", "upper", "prismatic", axis="0 0 1", limits=(0, 1), effort=9, velocity=0.5),
+    joint("turn", "upper", "palm", axis="0 0 1", limits=(-3, 3), effort=9, velocity=2),
+    joint("l", "palm", "left", at="0.04 0 0.06", axis="0 1 0", limits=(-1, 1)),
+    joint("r", "palm", "right", at="-0.04 0 0.06", axis="0 1 0", limits=(-1, 1)),
+)
 
 
 def test_file_with_arm_and_hand_stands_on_the_base_of_its_arm(tmp_path: Path) -> None:
     """Joints above the palm are the arm's; without one, the message says how to give it."""
-    file = tmp_path / "both.urdf"
-    file.write_text(ARM_AND_HAND)
+    file = write_urdf(tmp_path, *ARM_AND_HAND, name="both")
     whole = standing(load_hand(file, base_link="stand", candidates=16))
     assert whole.palm == "palm" and dict(zip(whole.joint_names, whole.arm_joints.tolist(), strict=True)) == {
         "lift": True, "turn": True, "l": False, "r": False

@@ -18,6 +18,7 @@ from grasp_refine.hands.self_collision import (
     self_penetration,
     touching_pairs,
 )
+from made_hands import joint, link, made_hand, solid
 from refusals import assert_names, refused
 
 RADIUS = 0.01
@@ -27,41 +28,32 @@ QUICK = Sampling(extreme=300)
 """Enough for hands of a few joints."""
 
 
-def link(name: str, radius: float | None = RADIUS) -> str:
-    ball = f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>' if radius else ""
-    return f'<link name="{name}">{ball}</link>'
+def ball(name: str, radius: float | None = RADIUS) -> str:
+    return link(name, solid(f"sphere {radius}") if radius else "")
 
 
 def slide(
     parent: str, child: str, low: float, high: float, *, z: float = 0.0, radius: float | None = RADIUS, mimic: str = ""
 ) -> str:
     """A ball that moves along x from `low` to `high`, where it is seen from its parent."""
-    follow = f'<mimic joint="{mimic}"/>' if mimic else ""
-    return f"""{link(child, radius)}<joint name="{child}_slide" type="prismatic">
-      <parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/><axis xyz="1 0 0"/>{follow}
-      <limit lower="{low}" upper="{high}" effort="1" velocity="1"/></joint>"""
+    settings = {"at": (0, 0, z), "axis": "1 0 0", "limits": (low, high), "follow": (mimic,) if mimic else None}
+    return ball(child, radius) + joint(f"{child}_slide", parent, child, "prismatic", **settings)
 
 
 def fixed(parent: str, child: str, z: float) -> str:
     """A ball at rest above its parent."""
-    return f"""{link(child)}<joint name="{child}_mount" type="fixed"><parent link="{parent}"/><child link="{child}"/>
-      <origin xyz="0 0 {z}"/></joint>"""
+    return ball(child) + joint(f"{child}_mount", parent, child, "fixed", at=(0, 0, z))
 
 
-def turn(parent: str, child: str, reach: float) -> str:
+def turn(parent: str, child: str, reach: float, at: tuple | None = None) -> str:
     """A ball that turns about z without a limit, `reach` away from the axis; at 0 it is on the x axis."""
-    return f"""<link name="{child}"><collision><origin xyz="{reach} 0 0"/><geometry><sphere radius="{RADIUS}"/>
-      </geometry></collision></link><joint name="{child}_turn" type="continuous"><parent link="{parent}"/>
-      <child link="{child}"/><axis xyz="0 0 1"/></joint>"""
+    part = link(child, solid(f"sphere {RADIUS}", (reach, 0, 0)))
+    return part + joint(f"{child}_turn", parent, child, "continuous", axis="0 0 1", at=at)
 
 
-def build(folder: Path, *parts: str, rest: dict[str, float] | None = None, base: str = link("base")) -> Hand:
-    folder.mkdir(exist_ok=True)
-    path = folder / "hand.urdf"
-    path.write_text(f'<robot name="balls">{base}{"".join(parts)}</robot>')
+def build(folder: Path, *parts: str, rest: dict[str, float] | None = None, base: str = ball("base")) -> Hand:
     pose = ", ".join(f"{child}_slide = {value}" for child, value in (rest or {}).items())
-    (folder / "hand.toml").write_text(f"rest_pose = {{ {pose} }}")
-    return load_hand(path, candidates=16)
+    return made_hand(folder, base, *parts, toml=f"rest_pose = {{ {pose} }}")
 
 
 def found(hand: Hand, sampling: Sampling = QUICK) -> tuple[tuple[str, str], ...]:
@@ -102,13 +94,13 @@ def test_links_over_joints_that_turn_about_one_point_are_neighbours(
     base = f"""<link name="base"><collision><origin xyz="-0.05 0.01 0"/><geometry><sphere radius="{RADIUS}"/></geometry>
       </collision></link>"""
     knuckle = turn("base", "knuckle", 0.0)
-    finger = turn("knuckle", "finger", 0.045).replace("<axis", f'<origin xyz="{apart} 0 0"/><axis')
+    finger = turn("knuckle", "finger", 0.045, (apart, 0, 0))
     assert found(build(tmp_path, knuckle, finger, base=base)) == pairs
 
 
 def test_fingers_on_a_base_that_is_not_solid_are_no_neighbours(tmp_path: Path) -> None:
     fingers = slide("base", "a", 0.0, 0.1), slide("base", "b", 0.1, 0.2)
-    assert found(build(tmp_path, *fingers, base=link("base", None))) == (("a", "b"),)
+    assert found(build(tmp_path, *fingers, base=ball("base", None))) == (("a", "b"),)
 
 
 def test_more_pairs_than_are_looked_at_are_refused_before_anything_is_asked(
@@ -192,7 +184,7 @@ def test_mimic_joints_follow(tmp_path: Path) -> None:
 
 def test_a_hand_without_bodies_or_joints_has_no_pairs(tmp_path: Path) -> None:
     assert found(build(tmp_path)) == ()
-    assert found(build(tmp_path, slide("base", "a", 0, 1, radius=None), base=link("base", None))) == ()
+    assert found(build(tmp_path, slide("base", "a", 0, 1, radius=None), base=ball("base", None))) == ()
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import made_hands
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.files.tree import Tree
+from made_hands import write_urdf
 from refusals import refused
 
 LIMIT = '<limit lower="-1" upper="2" effort="3"/>'
@@ -18,10 +20,7 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: st
 
 
 def tree(folder: Path, links: str, *joints: str) -> Tree:
-    path = folder / "hand.urdf"
-    elements = "".join(f'<link name="{name}"/>' for name in links)
-    path.write_text(f'<robot name="r">{elements}{"".join(joints)}</robot>')
-    return read_tree(path)
+    return read_tree(write_urdf(folder, made_hands.links(*links), *joints))
 
 
 def test_parents_come_before_children_whatever_the_file_order(tmp_path: Path) -> None:

@@ -10,27 +10,25 @@ from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
 from grasp_refine_apps.cli import main
+from made_hands import joint, link, solid, write_urdf
 from refusals import refused
-
-BOX = """<{0}><origin xyz="{1}"/><geometry><box size="{2}"/></geometry></{0}>"""
-JOINT = """<joint name="{0}_j" type="revolute"><parent link="{1}"/><child link="{0}"/><origin xyz="{2} 0 .01"/>
-  <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="1"/></joint>"""
 
 
 def pincers(folder: Path, kind: str = "visual", tip: str = "visual") -> Path:
     """A forearm, a palm that turns on it, and two fingers, of geometry of one kind; the left finger of another."""
-    path = folder / "pincers.urdf"
-    parts = [
-        f'<link name="forearm">{BOX.format(kind, "0 0 -.06", ".04 .04 .1")}</link>',
-        f'<link name="palm">{BOX.format(kind, "0 0 0", ".08 .06 .02")}</link>',
-        f'<link name="left">{BOX.format(tip, "0 0 .03", ".012 .02 .06")}</link>',
-        f'<link name="right">{BOX.format(kind, "0 0 .03", ".012 .02 .06")}</link>',
-        JOINT.format("palm", "forearm", "0"),
-        JOINT.format("left", "palm", "-.03"),
-        JOINT.format("right", "palm", ".03"),
-    ]
-    path.write_text(f'<robot name="pincers">{"".join(parts)}</robot>')
-    return path
+    finger = "box .012 .02 .06"
+    return write_urdf(
+        folder,
+        link("forearm", solid("box .04 .04 .1", "0 0 -.06", kind=kind)),
+        link("palm", solid("box .08 .06 .02", "0 0 0", kind=kind)),
+        link("left", solid(finger, "0 0 .03", kind=tip)),
+        link("right", solid(finger, "0 0 .03", kind=kind)),
+        *(
+            joint(f"{name}_j", parent, name, at=(x, 0, ".01"), axis="0 1 0", limits=(-1, 1), effort=5)
+            for name, parent, x in (("palm", "forearm", "0"), ("left", "palm", "-.03"), ("right", "palm", ".03"))
+        ),
+        name="pincers",
+    )
 
 
 def sizes(hand: Hand) -> dict[str, float]:

@@ -1,29 +1,25 @@
 """Geometric measures in closed form: a hand of balls on a ball."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from grasp_refine.core.se3 import exp_se3
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.geometry import Geometry, measure, movement
 from grasp_refine.objects.object import Object, load_object
+from made_hands import link, links, made_hand, slide, solid
 
 RADIUS, OBJECT = 0.01, 0.05
 """Of the links' balls and of the object, in metres."""
 
-LINK = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
-
-URDF = f"""<robot name="sliders">
-  <link name="base"/><link name="left">{LINK}</link><link name="right">{LINK}</link><link name="middle">{LINK}</link>
-  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.1 0 0"/>
-    <axis xyz="1 0 0"/><limit lower="-0.1" upper="0.1" effort="1" velocity="1"/></joint>
-  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.1 0 0"/>
-    <axis xyz="1 0 0"/><limit lower="-0.1" upper="0.1" effort="1" velocity="1"/></joint>
-  <joint name="m" type="prismatic"><parent link="base"/><child link="middle"/><origin xyz="0 0.2 0" rpy="0.3 0.5 1"/>
-    <axis xyz="0 0 1"/><limit lower="-0.05" upper="0.05" effort="1" velocity="1"/></joint>
-</robot>"""
+SHORT = {"limits": (-0.1, 0.1)}
+PARTS = (
+    link("base"),
+    links("left", "right", "middle", inside=solid(f"sphere {RADIUS}")),
+    slide("l", "base", "left", at="0.1 0 0", axis="1 0 0", **SHORT),
+    slide("r", "base", "right", at="-0.1 0 0", axis="1 0 0", **SHORT),
+    slide("m", "base", "middle", at="0 0.2 0", rpy="0.3 0.5 1", axis="0 0 1", limits=(-0.05, 0.05)),
+)
 """Three balls on slides: two along x, 10 cm from the origin, and one at y = 20 cm."""
 
 LINKS = ("left", "right", "middle")
@@ -31,9 +27,7 @@ LINKS = ("left", "right", "middle")
 
 @pytest.fixture(scope="module")
 def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    path: Path = tmp_path_factory.mktemp("hand") / "sliders.urdf"
-    path.write_text(URDF)
-    return load_hand(path, candidates=64)
+    return made_hand(tmp_path_factory.mktemp("hand"), *PARTS, name="sliders", candidates=64)
 
 
 @pytest.fixture(scope="module")

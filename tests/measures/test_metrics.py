@@ -12,26 +12,22 @@ from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.quality import quality
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.measures.metrics import Metrics, metrics
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.hand_object import HandObject
+from made_hands import BALL, link, links, made_hand, slide
 
-PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
-URDF = f"""<robot name="clamp">
-  <link name="base"/><link name="left">{PAD}</link><link name="right">{PAD}</link><link name="palm">{PAD}</link>
-  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
-    <axis xyz="1 0 0"/>{LIMIT}</joint>
-  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
-    <axis xyz="-1 0 0"/>{LIMIT}</joint>
-  <joint name="p" type="prismatic"><parent link="base"/><child link="palm"/><origin xyz="0 0 -0.06"/>
-    <axis xyz="0 0 -1"/>{LIMIT}</joint>
-</robot>"""
+PARTS = (
+    link("base"),
+    links("left", "right", "palm", inside=BALL),
+    slide("l", "base", "left", at="0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1)),
+    slide("r", "base", "right", at="-0.06 0 0", axis="-1 0 0", limits=(-0.1, 0.1)),
+    slide("p", "base", "palm", at="0 0 -0.06", axis="0 0 -1", limits=(-0.1, 0.1)),
+)
 """Three balls of 1 cm that touch a ball of 5 cm and move straight away from it by as much as their joints say."""
 
-TOML = """urdf = "clamp.urdf"
-[rest_pose]
+TOML = """[rest_pose]
 l = 0.05
 r = 0.05
 p = 0.05
@@ -52,10 +48,7 @@ group = "two"
 
 @pytest.fixture(scope="module")
 def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    folder: Path = tmp_path_factory.mktemp("clamp")
-    (folder / "clamp.urdf").write_text(URDF)
-    (folder / "hand.toml").write_text(TOML)
-    return load_hand(folder, candidates=16)
+    return made_hand(tmp_path_factory.mktemp("clamp"), *PARTS, name="clamp", toml=TOML)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Open hands: clear of the object by as much as was asked for, near the grasp, within limits."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,27 +18,20 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
-
-PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-LIMIT = '<limit lower="-0.1" upper="0.1" effort="1" velocity="1"/>'
-CLAMP = f"""<robot name="clamp">
-  <link name="base"/>
-  <link name="palm">{PAD}</link>
-  <link name="left">{PAD}</link><link name="right">{PAD}</link>
-  <joint name="p" type="fixed"><parent link="base"/><child link="palm"/><origin xyz="0 0 -0.0605"/></joint>
-  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
-    <axis xyz="1 0 0"/>{LIMIT}</joint>
-  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
-    <axis xyz="1 0 0"/>{LIMIT}</joint>
-</robot>"""
-"""Two balls that hold a ball of 5 cm, and a palm under it, half a millimetre away."""
+from made_hands import BALL, joint, link, links, made_hand, slide
 
 
 @pytest.fixture(scope="module")
 def clamp(tmp_path_factory: pytest.TempPathFactory) -> Hand:
-    path: Path = tmp_path_factory.mktemp("clamp") / "clamp.urdf"
-    path.write_text(CLAMP)
-    return load_hand(path, candidates=16)
+    """Two balls that hold a ball of 5 cm, and a palm under it, half a millimetre away."""
+    return made_hand(
+        tmp_path_factory.mktemp("clamp"),
+        link("base") + links("palm", "left", "right", inside=BALL),
+        joint("p", "base", "palm", "fixed", at="0 0 -0.0605"),
+        slide("l", "base", "left", at="0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1)),
+        slide("r", "base", "right", at="-0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1)),
+        name="clamp",
+    )
 
 
 @pytest.fixture(scope="module")

@@ -17,11 +17,11 @@ from grasp_refine.hands.linkages.servos import servo_settings
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.urdf_model import Parts, excluded_pairs, urdf_model
+from made_hands import BALL, link, made_hand
 
 SHARED = ("allegro", "robotiq3f", "shadow", "leap", "barrett")
 """Hands in the shared assets."""
 
-BALL = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-1" upper="2" effort="3"/>'
 
 
@@ -40,11 +40,7 @@ def weight(mass: float, ixx: float, iyy: float, izz: float) -> str:
 
 
 def build(folder: Path, links: dict[str, str], *joints: str, toml: str = "") -> Hand:
-    path = folder / "hand.urdf"
-    elements = "".join(f'<link name="{name}">{inside}</link>' for name, inside in links.items())
-    path.write_text(f'<robot name="r">{elements}{"".join(joints)}</robot>')
-    (folder / "hand.toml").write_text(toml)
-    return load_hand(path, candidates=16)
+    return made_hand(folder, *(link(name, inside) for name, inside in links.items()), *joints, toml=toml)
 
 
 def placed(made: HandModel, model: mujoco.MjModel, hand: Hand, q: np.ndarray) -> mujoco.MjData:

@@ -18,24 +18,22 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.report.hand_check import check_hand
 from grasp_refine_apps.report.hand_toml_text import hand_toml_text
+from made_hands import BALL, joint, link, solid, write_urdf
 from refusals import assert_names
 from spread_gripper import spread_gripper
 from underactuated import underactuated
 
-BALL = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 
 
 def pincers(folder: Path, *, limit: str = LIMIT, links: str = "", joints: str = "", size: float = 0.01) -> Path:
     """A palm and two fingers of one joint each; further links and joints hang from them."""
-    ball = BALL.replace("0.01", str(size))
-    parts = [f'<link name="palm">{ball}</link>']
-    for name, x in (("left", -0.04), ("right", 0.04)):
-        parts.append(f'<link name="{name}">{ball}</link><joint name="{name}_j" type="revolute"><parent link="palm"/>')
-        parts.append(f'<child link="{name}"/><origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>{limit}</joint>')
-    path = folder / "pincers.urdf"
-    path.write_text(f'<robot name="pincers">{"".join(parts)}{links}{joints}</robot>')
-    return path
+    ball = solid(f"sphere {size}")
+    fingers = (
+        link(name, ball) + joint(f"{name}_j", "palm", name, "revolute", limit, at=(x, 0, 0), axis="0 1 0")
+        for name, x in (("left", -0.04), ("right", 0.04))
+    )
+    return write_urdf(folder, link("palm", ball), *fingers, links, joints, name="pincers")
 
 
 def suspicious(path: Path) -> list[str]:

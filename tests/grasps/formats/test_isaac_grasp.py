@@ -18,7 +18,8 @@ from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
+from made_hands import link, links, made_hand, slide, solid
 from refusals import assert_names, refused
 
 Load = Callable[..., Hand]
@@ -118,26 +119,22 @@ def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
     assert_names(given.notes[1], "gripper_frame", "base_link")
 
 
-JAWS = """<robot name="jaws">
-  <link name="base"><collision><origin xyz="-0.04 0 0.02"/><geometry><box size="0.05 0.05 0.04"/></geometry></collision>
-  </link>
-  <link name="first"><collision><geometry><box size="0.04 0.02 0.01"/></geometry></collision></link>
-  <link name="second"><collision><geometry><box size="0.04 0.02 0.01"/></geometry></collision></link>
-  <joint name="slide" type="prismatic"><parent link="base"/><child link="first"/><origin xyz="0.03 0 0.005"/>
-    <axis xyz="0 0 1"/><limit lower="0" upper="0.04" effort="50" velocity="1"/></joint>
-  <joint name="other" type="prismatic"><parent link="base"/><child link="second"/><origin xyz="0.03 0 -0.005"/>
-    <axis xyz="0 0 -1"/><limit lower="0" upper="0.04" effort="50" velocity="1"/><mimic joint="slide"/></joint>
-</robot>"""
+OPENS = {"limits": (0, 0.04), "effort": 50}
+JAWS = (
+    link("base", solid("box 0.05 0.05 0.04", "-0.04 0 0.02")),
+    links("first", "second", inside=solid("box 0.04 0.02 0.01")),
+    slide("slide", "base", "first", at="0.03 0 0.005", axis="0 0 1", **OPENS),
+    slide("other", "base", "second", at="0.03 0 -0.005", axis="0 0 -1", follow=("slide",), **OPENS),
+)
 """Jaws that move along z and point along x: their palm lies behind the origin of the base link."""
 
 
 def test_graspgens_frame_is_that_of_the_jaws(tmp_path: Path, load: Load):
     """Along x of the file the fingers move, along z they point; a frame with a name, or joints, are taken as given."""
     files = {name: GRASP_GEN | more for name, more in (("bare", {}), ("named", {"gripper_frame": "/World/base"}))}
-    (tmp_path / "jaws.urdf").write_text(JAWS)
     for hand, axis, approach, joint in (
         (load("franka_hand", "panda_hand"), [0, 1, 0], [0, 0, 1], "panda_finger_joint1"),
-        (load_hand(tmp_path / "jaws.urdf"), [0, 0, 1], [1, 0, 0], "slide"),
+        (made_hand(tmp_path, *JAWS, name="jaws", candidates=1024), [0, 0, 1], [1, 0, 0], "slide"),
     ):
         bare, named = (reading(save(tmp_path / f"{name}.yaml", file), hand=hand) for name, file in files.items())
         R = transform_from_pose(bare.grasps.hand_pose)[:, :3, :3]

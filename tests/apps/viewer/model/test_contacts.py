@@ -23,35 +23,22 @@ from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.drawing.glyphs import patch_area, patch_outline
 from grasp_refine_apps.viewer.model.contacts import Contacts, contacts_of
 from grasp_refine_apps.viewer.model.pose import Target
-
-PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-CLAMP = f"""<robot name="clamp">
-  <link name="base"/><link name="left">{PAD}</link><link name="right">{PAD}</link>
-  <link name="far">{PAD}</link>
-  <joint name="l" type="prismatic"><parent link="base"/><child link="left"/><origin xyz="0.06 0 0"/>
-    <axis xyz="1 0 0"/><limit lower="-0.1" upper="0.1"/></joint>
-  <joint name="r" type="prismatic"><parent link="base"/><child link="right"/><origin xyz="-0.06 0 0"/>
-    <axis xyz="-1 0 0"/><limit lower="-0.1" upper="0.1"/></joint>
-  <joint name="f" type="fixed"><parent link="base"/><child link="far"/><origin xyz="0 0 0.3"/></joint>
-</robot>"""
-"""Two balls of 1 cm that hold a ball of 5 cm: joint values are their gaps."""
-
-TOML = """
-[[contact]]
-link = "left"
-group = "left"
-[[contact]]
-link = "right"
-group = "right"
-"""
+from made_hands import BALL, joint, link, links, made_hand, slide
 
 
 @pytest.fixture(scope="module")
 def clamp(tmp_path_factory: pytest.TempPathFactory) -> HandObject:
-    path = tmp_path_factory.mktemp("clamp") / "clamp.urdf"
-    path.write_text(CLAMP)
-    path.with_name("hand.toml").write_text(f'urdf = "clamp.urdf"\n{TOML}')
-    return HandObject(load_hand(path, candidates=16), load_object("sphere:0.05", candidates=16))
+    """Two balls of 1 cm that hold a ball of 5 cm: joint values are their gaps."""
+    hand = made_hand(
+        tmp_path_factory.mktemp("clamp"),
+        link("base") + links("left", "right", "far", inside=BALL),
+        slide("l", "base", "left", at="0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1), effort=None, velocity=None),
+        slide("r", "base", "right", at="-0.06 0 0", axis="-1 0 0", limits=(-0.1, 0.1), effort=None, velocity=None),
+        joint("f", "base", "far", "fixed", at="0 0 0.3"),
+        name="clamp",
+        toml="".join(f'[[contact]]\nlink = "{side}"\ngroup = "{side}"\n' for side in ("left", "right")),
+    )
+    return HandObject(hand, load_object("sphere:0.05", candidates=16))
 
 
 def at(prepared: HandObject, left: float, right: float, **options) -> Contacts:
@@ -198,8 +185,8 @@ def test_points_lie_on_their_surfaces():
     found = contacts_of(prepared, T[0], q[0])
     apart = np.linalg.norm(found.point_object - found.point_link, axis=1)
     np.testing.assert_allclose(apart, np.abs(found.distance), atol=1e-9)
-    for link, point in zip(found.link, found.point_link, strict=True):
-        number = prepared.chain.links.index(link)
+    for name, point in zip(found.link, found.point_link, strict=True):
+        number = prepared.chain.links.index(name)
         local = transform_points(inverse(found.frames.T_world_link[0, number]), point)
         depth = [
             (piece.planes[0] @ local - piece.planes[1]).max(initial=-np.inf) for piece in prepared.bodies[number].pieces
