@@ -1,25 +1,13 @@
-"""Rows of batches for tests: out of real refinements of an example, and made up in any number."""
+"""Rows and summaries of batches that are made up, in any number."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.closing.motion import closing_motion
-from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.grasps.grasp_set import load_grasps, match_joints
-from grasp_refine.hands.hand import load_hand
-from grasp_refine.objects.object import load_object
-from grasp_refine.refinement.config import Config
-from grasp_refine.refinement.refine import refine
-from grasp_refine.results.outcome import Outcome, compare
-from grasp_refine.results.result_files import save_results
-from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.batch.rows import Rows, column_kinds
 from grasp_refine_apps.batch.shard import Shard
 
@@ -27,36 +15,6 @@ from grasp_refine_apps.batch.shard import Shard
 def shard(number: int, path: Path, size: int = 4) -> Shard:
     """A shard of which only the result file matters."""
     return Shard(number, "hand/object", f"job, part {number}", size, path, "stamp", None)
-
-
-def refined(name: str, rows: slice = slice(None)) -> Outcome:
-    """Some example grasps of the Allegro-type hand on an embedded object, their geometry refined."""
-    hand = load_hand("allegro")
-    grasps = load_grasps(resource_dir("robots") / "allegro" / f"example_{name}.npz")
-    grasps = grasps.select(np.arange(len(grasps))[rows])
-    q, _ = match_joints(grasps, hand)
-    scene = Scene(hand, load_object(name), transform_from_pose(grasps.hand_pose), q)
-    config = Config()
-    config = replace(config, weights=replace(config.weights, wrench=0.0))
-    result = refine(scene, config)
-    after = replace(scene, T_world_root=result.T_world_root, q=result.q)
-    row = np.arange(len(grasps)) + (rows.start or 0)
-    return compare(scene, result, closing_motion(after), margin=0.0, name=name, scale=1.0, row=row, index=row)
-
-
-def save_refined(path: Path, outcome: Outcome, **batch: Any) -> None:
-    """Write what a shard of such grasps comes to."""
-    hand = load_hand("allegro")
-    links = refined_links(hand)
-    provenance = {"source": {"path": "example.npz", "sha256": "0"}, "batch": {"job": "examples", **batch}}
-    save_results(path, hand, links, outcome, provenance)
-
-
-def refined_links(hand: Any) -> tuple[str, ...]:
-    """The links that per-link arrays are about."""
-    from grasp_refine.scene.scene import links_of
-
-    return links_of(hand)
 
 
 def made_up_rows(count: int, number: int = 0, seed: int = 0, **columns: Any) -> Rows:

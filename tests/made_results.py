@@ -1,4 +1,4 @@
-"""Result files with many grasps, made in a moment: the grasps of an example, varied, with measures that are made up."""
+"""Results for tests: of grasps that are refined, and made up in a moment, as outcomes, trials, margins and files."""
 
 from __future__ import annotations
 
@@ -9,13 +9,21 @@ from typing import Any
 import numpy as np
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.closing.motion import closing_motion
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.measures import RECORDED
+from grasp_refine.objects.object import load_object
+from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.results.outcome import Outcome
+from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.result_files import fingerprint, save_results
-from grasp_refine.scene.scene import links_of
+from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.validation.margins.limits import Limits
+from grasp_refine.validation.margins.margins import Margins
+from grasp_refine.validation.trials import Reason, Trials
 
 STATUSES = (Status.CONVERGED, Status.CONVERGED, Status.STALLED, Status.BUDGET)
 """How grasp i ended: entry i modulo 4."""
@@ -160,3 +168,60 @@ def with_status(outcome: Outcome, **grasps: Status) -> Outcome:
 def with_measures(outcome: Outcome, **values: Any) -> Outcome:
     """The outcome with other values of measures: name -> values as in `Outcome.measures`."""
     return replace(outcome, measures={**outcome.measures, **values})
+
+
+def made_trials(reason: np.ndarray, directions: tuple[str, ...] = ("+x", "-x"), **changes: Any) -> Trials:
+    """Trials (N, D) that failed or not for some reasons, with 0 in all other fields; `changes` are other values.
+
+    A grasp is held if it is in all directions.
+    """
+    count, links = len(reason), ("palm", "tip")
+    zeros, nothing = np.zeros(reason.shape), np.zeros((count, len(links)), dtype=bool)
+    fields = dict.fromkeys(("time_s", "displacement_m", "angle_rad", "peak_m", "peak_rad"), zeros)
+    fields |= dict.fromkeys(("closing_m", "closing_rad", "penetration_m"), np.zeros(count))
+    fields |= dict.fromkeys(("contacts_grasp", "contacts_squeeze"), nothing)
+    fields |= {"contacts": np.zeros((*reason.shape, len(links)), dtype=bool)}
+    fields |= {"success": (reason == Reason.HELD).all(axis=1), **changes}
+    return Trials(directions=directions[: reason.shape[1]], links=links, reason=reason, **fields)
+
+
+def made_margins(better: int = 0) -> Margins:
+    """Three grasps in 8 draws, of each factor alone in 4; with `better`, so many more draws are held by all."""
+
+    def held(counts: list[int], of: int) -> np.ndarray:
+        return np.arange(of) < np.minimum(np.array(counts) + better, of)[:, None]
+
+    return Margins(
+        held={
+            "all": held([2, 6, 8], 8),
+            "push": held([3, 4, 4], 4),
+            "friction": held([2, 4, 4], 4),
+            "mass": held([3, 1, 4], 4),
+        },
+        limits=Limits(
+            friction=np.array([np.nan, 0.4, 0.1]), force=np.array([0.0, 2.0, 5.0]), torque=np.array([0.0, 0.1, 0.3])
+        ),
+        cpu_s=np.array([1.0, 2.0, 3.0]),
+    )
+
+
+def refined(name: str, rows: slice = slice(None)) -> Outcome:
+    """Some example grasps of the Allegro-type hand on an embedded object, their geometry refined."""
+    hand = load_hand("allegro")
+    grasps = load_grasps(resource_dir("robots") / "allegro" / f"example_{name}.npz")
+    grasps = grasps.select(np.arange(len(grasps))[rows])
+    q, _ = match_joints(grasps, hand)
+    scene = Scene(hand, load_object(name), transform_from_pose(grasps.hand_pose), q)
+    config = Config()
+    config = replace(config, weights=replace(config.weights, wrench=0.0))
+    result = refine(scene, config)
+    after = replace(scene, T_world_root=result.T_world_root, q=result.q)
+    row = np.arange(len(grasps)) + (rows.start or 0)
+    return compare(scene, result, closing_motion(after), margin=0.0, name=name, scale=1.0, row=row, index=row)
+
+
+def save_refined(path: Path, outcome: Outcome, **batch: Any) -> None:
+    """Write what a shard of such grasps comes to."""
+    hand = load_hand("allegro")
+    provenance = {"source": {"path": "example.npz", "sha256": "0"}, "batch": {"job": "examples", **batch}}
+    save_results(path, hand, links_of(hand), outcome, provenance)

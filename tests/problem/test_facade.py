@@ -19,7 +19,8 @@ from grasp_refine.forces.wrench import LEVER_M, center_of_mass
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.results.document import run_document
 from grasp_refine.validation.engines.mujoco.world import World
-from grasp_refine.validation.trials import Trials
+from grasp_refine.validation.trials import Reason, Trials
+from made_results import made_trials
 from plate_gripper import URDF
 from refusals import refused
 
@@ -117,9 +118,8 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
 
     def place(world: World, motion: Motion, *, numbers: np.ndarray, **others: object) -> Trials:
         numbered.append(numbers)
-        x, number = motion.T_world_root[:, 1, 0, 3], np.zeros((len(motion), 1))
-        none = np.zeros((len(motion), 0), dtype=bool)
-        return Trials(("+x",), (), number.astype(int), *(number,) * 5, none[:, None], none, none, x, x, x, x == x)
+        x, held = motion.T_world_root[:, 1, 0, 3], np.full((len(motion), 1), Reason.HELD)
+        return made_trials(held, closing_m=x, closing_rad=x, penetration_m=x)
 
     monkeypatch.setattr("grasp_refine.validation.robustness.judge", place)
     problem = gr.load_problem(gr.ProblemSpec(grasps=tmp_path / "two.npz", index=(0, 1, 2)))

@@ -13,7 +13,7 @@ from grasp_refine.results.margins_table import LIMITS, margins_comparison, margi
 from grasp_refine.validation.margins.draws import draw
 from grasp_refine.validation.margins.factors import Factors
 from grasp_refine.validation.margins.intervals import difference_interval, wilson
-from made_margins import made_margins
+from made_results import made_margins
 
 OBJECTS, INDEX = np.array(["mug", "mug", "bowl"]), np.array([4, 7, 0])
 

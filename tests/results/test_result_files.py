@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +23,9 @@ from grasp_refine.results.result_files import (
     save_results,
 )
 from grasp_refine.scene.scene import links_of
-from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.cli import main
-from made_results import plain_outcome
+from made_results import made_trials, plain_outcome
 from refusals import refused
 
 
@@ -69,13 +68,10 @@ def test_only_a_simulation_may_be_added(tmp_path: Path) -> None:
 
 def test_the_simulation_of_a_file_is_that_of_the_worst_direction(tmp_path: Path) -> None:
     reason = np.array([[Reason.HELD, Reason.MOVED], [Reason.HELD, Reason.HELD]])
-    number, none = np.array([[1.0, 2.0], [4.0, 3.0]]), np.zeros((2, 2, 1), dtype=bool)
-    after = Trials(
-        ("+x", "-x"), ("tip",), reason, number, number, number, 1e-3 * number, number, none, none[:, 0], none[:, 0],
-        number[:, 0], number[:, 0], number[:, 0], np.array([False, True]),
-    )  # fmt: skip
+    number = np.array([[1.0, 2.0], [4.0, 3.0]])
+    after = made_trials(reason, displacement_m=number, angle_rad=number, peak_m=1e-3 * number)
     hand, path = load_hand("allegro"), tmp_path / "results.npz"
-    before = replace(after, reason=np.full((2, 2), Reason.HELD), success=np.ones(2, dtype=bool))
+    before = made_trials(np.full((2, 2), Reason.HELD))
     outcome = plain_outcome(2, links=len(links_of(hand)), q=hand.rest[None].repeat(2, axis=0))
     save_results(path, hand, links_of(hand), outcome, {}, (before, after))
     with np.load(path) as entries:

@@ -21,8 +21,8 @@ from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.validation.trials import Reason, Trials
-from made_results import error_in_millimetres, with_measures, with_status
+from grasp_refine.validation.trials import Reason
+from made_results import error_in_millimetres, made_trials, with_measures, with_status
 from refusals import assert_names
 
 
@@ -181,18 +181,10 @@ def test_quality_is_reported_against_simulation():
 def simulated(*pairs: tuple[bool, bool]) -> SimulatedGrasps:
     """What simulation says of grasps that held or not, before and after."""
 
-    def trials(held: list[bool]) -> Trials:
-        reason = np.where(held, Reason.HELD, Reason.MOVED)[:, None]
-        one, many = np.zeros((len(held), 1)), np.zeros((len(held), 1, 2), dtype=bool)
-        return Trials(
-            directions=("+z",), links=("palm", "tip"), reason=reason, time_s=one, displacement_m=one, angle_rad=one,
-            peak_m=one, peak_rad=one, contacts=many, closing_m=one[:, 0], closing_rad=one[:, 0],
-            penetration_m=one[:, 0], contacts_grasp=many[:, 0], contacts_squeeze=many[:, 0],
-            success=np.array(held),
-        )  # fmt: skip
-
-    before, after = (trials(list(side)) for side in zip(*pairs, strict=True))
-    return SimulatedGrasps(Protocol(), before, {"pregrasp": "own", "squeeze": "own"}, after)
+    before, after = np.where(np.array(pairs).T, Reason.HELD, Reason.MOVED)
+    return SimulatedGrasps(
+        Protocol(), made_trials(before[:, None]), {"pregrasp": "own", "squeeze": "own"}, made_trials(after[:, None])
+    )
 
 
 def test_where_grasps_were_simulated_this_is_reported_first_and_before_as_well_as_after():

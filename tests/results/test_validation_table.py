@@ -12,19 +12,19 @@ from grasp_refine.measures.measures import VALIDATED
 from grasp_refine.measures.metrics import Metrics
 from grasp_refine.results.validation_table import validation_table
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.validation.trials import Reason, Trials
+from grasp_refine.validation.trials import Reason
 from grasp_refine.validation.validate import Validated
+from made_results import made_trials
 
 
 def validated(reason: np.ndarray, peak_m: np.ndarray, peak_rad: np.ndarray) -> Validated:
     """Grasps whose object ends half as far away as it once was."""
-    count, directions = reason.shape
-    names, nothing, links = tuple(f"+{k}" for k in range(directions)), np.zeros(count), np.zeros((count, 1), dtype=bool)
-    held = (reason == Reason.HELD).all(axis=1)
-    moved = peak_m / 2, peak_rad / 2, peak_m, peak_rad
-    touched = np.zeros((count, directions, 1), dtype=bool)
-    time_s = np.where(reason == Reason.HELD, np.nan, 0.5)
-    trials = Trials(names, ("tip",), reason, time_s, *moved, touched, links, links, nothing, nothing, nothing, held)
+    count = len(reason)
+    trials = made_trials(
+        reason, displacement_m=peak_m / 2, angle_rad=peak_rad / 2, peak_m=peak_m, peak_rad=peak_rad,
+        time_s=np.where(reason == Reason.HELD, np.nan, 0.5),
+    )  # fmt: skip
+    nothing = np.zeros(count)
     number = np.arange(count)
     metrics = Metrics({measure.name: np.full(count, 0.95) for measure in VALIDATED})
     return Validated(

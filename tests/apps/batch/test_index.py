@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from batch_rows import made_up_rows, refined, save_refined, shard
+from batch_rows import made_up_rows, shard
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import from_cell
 from grasp_refine.measures.measures import RECORDED
@@ -21,7 +21,7 @@ from grasp_refine_apps.batch import index as module
 from grasp_refine_apps.batch.index import index_path, index_writer
 from grasp_refine_apps.batch.rows import Rows, column_kinds, read_rows
 from grasp_refine_apps.batch.shard import Shard
-from made_results import save_example_results
+from made_results import refined, save_example_results, save_refined
 from refusals import refused
 
 

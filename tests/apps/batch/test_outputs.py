@@ -8,10 +8,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from batch_rows import refined, save_refined, shard
+from batch_rows import shard
 from grasp_refine_apps.batch.outputs import Outputs
 from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.session import Session
+from made_results import refined, save_refined
 
 
 def test_results_of_another_batch_and_damaged_ones_are_failures(tmp_path: Path):

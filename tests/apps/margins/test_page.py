@@ -7,7 +7,7 @@ from drawn_charts import bars, paths
 from grasp_refine.results.margins_table import LIMITS
 from grasp_refine_apps.margins.charts import Side, color_names, factor_bars, limit_curve
 from grasp_refine_apps.margins.page import page
-from made_margins import made_margins
+from made_results import made_margins
 
 SIDES = [Side("before", made_margins()), Side("after <b>", made_margins(better=1))]
 

@@ -23,7 +23,7 @@ from grasp_refine_apps.viewer.jobs.validating import PosedGrasp, run_trial, worl
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import HELD, REASON
 from grasp_refine_apps.viewer.model.pose import Pose
-from made_margins import made_margins
+from made_results import made_margins
 from open_viewer import ignored
 from refusals import assert_names, refused
 
