@@ -92,7 +92,7 @@ def problem_on_arm(problem: Problem, spec: SourceSpec, *, seed: int = 0) -> Prob
     Args:
         problem: The hand on its arm, and grasps of the hand alone, or such as begin at the base of the arm already;
             without an arm, the problem is returned as it is.
-        spec: Tells where the base stands.
+        spec: Pose of the base.
         seed: Seed of the starts of the inverse kinematics.
     """
     hand = problem.hand
@@ -230,7 +230,7 @@ def reach_of(
 
     Args:
         problem: The hand on its arm.
-        spec: Tells where the base stands.
+        spec: Pose of the base.
         seed: Seed of the starts of the inverse kinematics.
     """
     hand = problem.hand

@@ -23,7 +23,7 @@ def number_entries() -> dict[str, str]:
 def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
     """Return the numbers of the grasps of all files, in their order, SI units; NaN where a file lacks one.
 
-    Names are those of `number_entries`, of values after refinement without that side: "quality",
+    Names are as in `number_entries`, of values after refinement without that side: "quality",
     "penetration_m", "held", but "quality_before". Grasp files without results have none.
 
     Args:

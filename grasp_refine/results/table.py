@@ -91,7 +91,7 @@ def grasp_table(
 def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:
     shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
     if len(outcome) > MAX_LISTED_GRASPS and not verbose:
-        # Grasps without a result come first, then those that did not hold, then the largest errors.
+        # Grasps without a result come first, then grasps that did not hold, then the largest errors.
         errors = np.fmax(outcome["contact_error_m"][:, 1], outcome["penetration_m"][:, 1])
         badness = -outcome.quality[:, 1] if holds else errors
         good = np.zeros(len(outcome)) if held is None else held[:, 1]

@@ -138,7 +138,7 @@ def _simulation(
 
 
 def refinement_keys() -> tuple[str, ...]:
-    """Return the keys of the entries of `run` that are null in validations; times are those of the simulation."""
+    """Return the keys of the entries of `run` that are null in validations; times are of the simulation."""
     measures = (each for each in RECORDED if not (each.validated or each.unit == SECOND))
     return ("status", "advice", *(each.name for each in measures))
 

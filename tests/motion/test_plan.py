@@ -195,7 +195,7 @@ def test_fingers_that_are_behind_a_rim_open_wider_for_the_approach(hand: Hand, t
     T_rim = np.eye(4)
     T_rim[2, 3] = 0.055
     rimmed = build_body("rimmed", [box([0.05, 0.05, 0.12]), box([0.05, 0.058, 0.01]).transformed(T_rim)])
-    scene, motion = grasp(hand, replace(thing, body=rimmed))
+    scene, motion = grasp(hand, thing.with_body(rimmed))
     motion.q[0, 0] = 0.027
     (plan,) = plan_motions(scene, motion)
     approach = plan.legs[0]
@@ -217,7 +217,7 @@ def test_plans_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: bo
     assert scene.environment is not None
     there = Scene(
         whole,
-        replace(thing, body=build_body(thing.name, [piece.transformed(D) for piece in thing.body.pieces])),
+        thing.with_body(build_body(thing.name, [piece.transformed(D) for piece in thing.body.pieces])),
         D @ scene.T_world_root,
         scene.q,
         environment=Environment(scene.environment.bodies, np.linalg.inv(D)),

@@ -4,7 +4,7 @@ Run `python -m grasp_refine_apps.authoring.calibrate_quality ASSETS [--samples F
 folder of hands, objects and grasps such as `../shared/assets`. Each grasp is simulated as it came, with its geometry
 refined, and refined from one start and from several: what people will ask about. Refined grasps of generators are also
 simulated with weak actuators, for what strains them: its weight is fitted with all others held. The reliability is
-told on each set with a fit on all others, where a set is one generator with one hand. Grasps of the ends of long
+reported on each set with a fit on all others, where a set is one generator with one hand. Grasps of the ends of long
 objects, and of a handle, have contacts close together, about which objects turn: the weight of that is fitted likewise.
 """
 
@@ -176,7 +176,7 @@ def fit(found: Samples) -> Calibration:
     """Return the logistic model of most likelihood, with a ridge; no weight is below 0.
 
     The weights of the last two shortcomings, what strains actuators and how the object yields, are fitted to the grasps
-    that have the one and not the other, and all others to those that have neither: where actuators are strong and
+    that have the one and not the other, and all others to grasps that have neither: where actuators are strong and
     contacts well apart, nothing changes.
     """
     found = take(found, np.isfinite(found.shortcomings).all(axis=1))

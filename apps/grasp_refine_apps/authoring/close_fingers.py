@@ -1,7 +1,7 @@
 """Make the example grasps of robots/: put a hand around an object, close its fingers, disturb the result.
 
 Run `python -m grasp_refine_apps.authoring.close_fingers`. Each grasp of the Allegro hand starts from a pose given
-here by hand, the palm facing the object, and its fingers close joint by joint until their tips almost touch. Those of
+here by hand, the palm facing the object, and its fingers close joint by joint until their tips almost touch. Fingers of
 the other hands are sampled: the best that touch with all fingertips. A small seeded disturbance then makes a grasp
 only *almost* right, with some tips a centimetre away and some links inside the object: what a grasp from a generator
 or a demonstration looks like, and what refinement is for.

@@ -33,7 +33,7 @@ def _kinds(measures: Iterable[Measure]) -> dict[str, Kind]:
 
 
 def column_kinds() -> dict[str, Kind]:
-    """Return name -> kind of all columns, in order; those that differ between two runs of the same command come last.
+    """Return name -> kind of all columns, in order; columns that differ between runs of the same command come last.
 
     `file` is relative to the folder of the results, and `row_in_file` the row in it; `row` is the row in the grasp file
     `source`. `good` is true if a grasp should hold by its quality, `held` if it did in simulation. Lengths are in

@@ -36,7 +36,7 @@ class Options:
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
     256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
-    contacts, and of joints: all hands), pieces (by number of convex pieces: a box cut into 1 to 64), workers (grasps
+    contacts, and of joints: all hands), pieces (by number of convex pieces: a box in 1 to 64), workers (grasps
     per second with 1 and 2 processes), smoke (under a minute)."""
     assets: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
     """Folder with hands/, objects/ and grasps/normalised/, from which --sets choose, instead of --hand, --object and

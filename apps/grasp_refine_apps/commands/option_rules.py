@@ -132,7 +132,7 @@ class OptionRules(ConstructorRegistry):
         return StructFieldSpec(title, MARKERS.OmitArgPrefixes[named], box(), about)
 
     def _nested_spec(self, kind: type, name: str, default: Any) -> StructFieldSpec | None:
-        """Return a field that is a dataclass itself, of those of its fields that are options; None: there are none."""
+        """Return a field that is a dataclass, with its fields that are options; None: there are none."""
         inner, extras = _split(_hints(kind)[name])
         without = {left for extra in extras if isinstance(extra, Without) for left in extra.names}
         self._nested[inner] = tuple(one.name for one in fields(inner) if one.name not in without)

@@ -56,9 +56,9 @@ class Output:
     json: OptionalFile = None
     """Write the measures of each grasp to this file, in SI units."""
     trajectory: OptionalFile = None
-    """Plan the trajectory of each grasp, approach, pregrasp, grasp, squeeze and lift, tell what is in it, and write
+    """Plan the trajectory of each grasp, approach, pregrasp, grasp, squeeze and lift, report obstacles, and write
     waypoints and set points over time to this file, .json or .npz. With --validate and a protocol that lifts, MuJoCo
-    follows each free trajectory, and tells what was held, hit and pushed."""
+    follows each free trajectory, and reports objects held, hit and pushed."""
     approach: float = TrajectoryOptions.approach
     """Length (metres) of the straight approach to the pregrasp, with --trajectory."""
     lift: float = TrajectoryOptions.lift

@@ -128,15 +128,15 @@ class Settings:
     there, and would throw what they touch."""
     pressure: float = Config.pressure
     """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
-    heavier objects, and loses more of those in soft contacts."""
+    heavier objects, and loses more objects in soft contacts."""
     reach: float = ContactSelection.reach
     """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
     other_link_distance: float = ContactSelection.other_link_distance
     """Without targets, all other links within this distance (metres) of the object should touch it."""
     contacts: Annotated[
-        tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: those within reach)")
+        tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: links within reach)")
     ] = ()
-    """Links, or fingers as `refine-grasp hands` lists them, that should touch, instead of those within reach."""
+    """Links, or fingers as `refine-grasp hands` lists them, that should touch, instead of links within reach."""
     transport: bool = Descent.transport
     """With descent or adam, equivalent gradient transport: the object's gradient acts through the links."""
     width: int = Config.width

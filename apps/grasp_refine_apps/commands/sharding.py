@@ -37,7 +37,7 @@ class Sharding:
     the extra `cluster`."""
     patience: float = 600.0
     """Seconds without a heartbeat after which a worker is killed and its shard tried again; there is none while a mesh
-    is cut into convex pieces."""
+    is decomposed."""
     tries: int = 2
     """Maximum attempts at a shard whose worker crashes or hangs, before it is recorded as failed."""
     again: bool = False

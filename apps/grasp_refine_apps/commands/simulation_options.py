@@ -47,17 +47,17 @@ class Simulation:
     mass: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Mass of the object, kg."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
-    """Duration of each push, or of the lift, in steps of 0.2 s, or those of the protocol; 0.4 instead of 2 takes a
+    """Duration of each push, or of the lift, in steps of 0.2 s, or as in the protocol; 0.4 instead of 2 takes a
     third of the time."""
     multiccd: Annotated[DisallowNone[bool | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Let two convex pieces touch in several points, so that flat faces hold each other by a patch, instead of turning
     about one point; for mujoco. A protocol that says nothing does so for hands that touch in patches, as grippers."""
     closing: StageSource = "auto"
-    """Pregrasps and squeezes: those of the file, our own, or auto: those of the file if it has them, else our own."""
+    """Pregrasps and squeezes: from the file, generated, or auto: from the file if it has them, else generated."""
     engine: EngineChoice = "mujoco"
     """Engine that simulates: mujoco; drake, of another contact model, for a second opinion (pip install
     'grasp-refine[drake]'); or both, and how far they agree. --noise, --frictions and --without-squeeze of both are
-    those of mujoco."""
+    mujoco's."""
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 

@@ -51,7 +51,7 @@ from grasp_refine_apps.report.screen import screen
 
 @dataclass(frozen=True)
 class Output:
-    """What is compared, shown and written."""
+    """Comparisons, and outputs on screen and in files."""
 
     groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("output"),)
 

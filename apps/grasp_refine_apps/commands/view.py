@@ -128,9 +128,9 @@ class View:
             close_server(page.server)
         return 0
 
-    def _controller(self, tell: Callable[[str], None] = lambda what: None) -> Controller:
-        """Load the grasps of the files, with the results of documents about them; `tell` is called with each step."""
-        tell("reading the grasps")
+    def _controller(self, report: Callable[[str], None] = lambda step: None) -> Controller:
+        """Load the grasps of the files, with the results of documents about them; `report` is called with each step."""
+        report("reading the grasps")
         from grasp_refine_apps.viewer.files.validation_file import read_validation
         from grasp_refine_apps.viewer.jobs.controller import Controller
         from grasp_refine_apps.viewer.jobs.replaying import is_replay
@@ -147,11 +147,11 @@ class View:
 
             def say(line: str) -> None:
                 reporter.say(line)
-                tell(line)
+                report(line)
 
             def wait(what: str) -> None:
                 reporter.wait(what)
-                tell(what)
+                report(what)
 
             if grasps and is_replay(grasps[0]):
                 if self.compare is not None:

@@ -2,7 +2,7 @@
 
 They are processes of `multiprocessing`, with a pipe each, because the pools that others keep do less: all tasks of
 `ProcessPoolExecutor` and of loky end when one worker crashes; Pebble (LGPL) has no heartbeats; Dask's local cluster is
-14 packages, starts in 1.5 s instead of 0.15 s, takes 64 MB for an idle worker instead of 16 MB, and does not tell by
+14 packages, starts in 1.5 s instead of 0.15 s, takes 64 MB for an idle worker instead of 16 MB, and does not report by
 which signal, and where in the code, a worker ended.
 """
 

@@ -105,8 +105,8 @@ def seen_faces(
 ) -> Bool[np.ndarray, " F"]:
     """Return True for the triangles (F,) whose centres are seen in the rectangle of a camera.
 
-    A centre is seen where no other triangle is in front of it. Whether triangles face the camera does not matter: those
-    at the back of a closed surface are hidden by its front.
+    A centre is seen where no other triangle is in front of it. Whether triangles face the camera does not matter:
+    triangles at the back of a closed surface are hidden by its front.
 
     Args:
         triangles: Corners (F, 3, 3) of all triangles of a surface, its frame.

@@ -125,7 +125,7 @@ def outcome_text(outcome: Outcome) -> str:
     rows = (
         (measure.headline, [measure_text(measure, value) for value in outcome[measure.name][0]])
         for measure in COMPARED
-        # Those of scenes and arms are known only where there is one.
+        # Settings of scenes and arms are known only where there is one.
         if not (np.isnan(outcome[measure.name][0]).all() and outcome.usable[0])
     )
     table = "\n".join(f"| {name} | {before} | **{after}** |" for name, (before, after) in rows)

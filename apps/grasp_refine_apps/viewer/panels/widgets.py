@@ -16,8 +16,8 @@ HOLD_S = 0.5
 """Seconds after a user's last movement during which states do not move the widget: they may be older."""
 
 
-# viser runs other functions in threads, where Start could overtake a choice that was made just before. Those that are
-# asynchronous run one after the other, as a user's changes come; none may wait for anything.
+# viser runs other functions in threads, where Start could overtake a choice that was made just before. Functions that
+# are asynchronous run one after the other, as a user's changes come; none may wait for anything.
 
 
 def on_click(button: Any, act: Callable[[], object]) -> None:
