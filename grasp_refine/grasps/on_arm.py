@@ -19,7 +19,7 @@ ArmClearance = Callable[[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]], 
 values; at most `ROOM_M`, negative where it runs into something."""
 
 ROOM_M = 0.03
-"""Distance in metres from which on more of it is no better: ways of an arm with less are taken where there is none."""
+"""Distance in metres beyond which more is no better: configurations with less are a fallback."""
 
 
 def on_arm(
@@ -33,8 +33,8 @@ def on_arm(
 ) -> tuple[GraspSet, tuple[str, ...]]:
     """Return grasps of a hand as grasps of the hand on an arm, and notes.
 
-    The base of the arm has the given pose, and its joints bring the palm to the pose of each grasp: of the ways
-    that inverse kinematics finds, without self-collision and with room around them, the best one, see
+    The base of the arm has the given pose, and its joints bring the palm to the pose of each grasp: of the solutions
+    of inverse kinematics, without self-collision and with room around them, the best one, see
     `ArmKinematics.solve`. Joint values of the arm are NaN where there is none. Pregrasps and squeezes are left out, as
     they may move the palm; grasps that begin at the base of the arm already are returned as they are.
 

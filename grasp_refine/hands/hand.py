@@ -140,7 +140,7 @@ class Hand:
     arm: Arm | None = None
     """Arm that carries the palm from a base that stands still; None: the base is the palm, and moves freely."""
     parts: tuple[Hand, ...] = ()
-    """The arm and the hand of which it was made, with the names of the whole; none where one file has all."""
+    """The arm and the hand it was made from, with the names of the whole; none where one file has all."""
 
     def __repr__(self) -> str:
         parts = (len(self.joint_names), "joint"), (len(self.links), "link"), (len(self.contacts), "contact point")

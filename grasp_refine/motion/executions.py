@@ -82,7 +82,7 @@ class Executions:
         if np.isnan(self.tracking_m).all():
             return ""
         away, turned = 1e3 * np.nanmax(self.tracking_m), np.degrees(np.nanmax(self.tracking_rad))
-        return f"; the palm at most {away:.1f} mm and {turned:.1f} degrees from the way"
+        return f"; the palm at most {away:.1f} mm and {turned:.1f} degrees from the trajectory"
 
     def _incident(self, row: int) -> str:
         """Return what went wrong with a grasp; empty: nothing."""

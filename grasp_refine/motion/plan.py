@@ -1,6 +1,6 @@
 """Plans of grasps: approach, pregrasp, grasp, squeeze and lift, free of collision or with their obstacle.
 
-The palm comes straight to the pregrasp, from one of several directions of which the first free one is taken; the
+The palm comes straight to the pregrasp, from the first free one of several directions; the
 fingers close to the grasp and press; the palm goes straight up with the object.
 """
 

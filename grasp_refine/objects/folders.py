@@ -1,6 +1,6 @@
 """Folders of objects in the layouts of other programs: lookup of an object by name, and its convex pieces.
 
-The folder of an object holds its convex pieces, cut by someone else, in one of these ways:
+The folder of an object holds its convex pieces, decomposed by someone else, in one of these layouts:
 
     urdf/meshes/*             a mesh for each piece (DexGraspBench, BODex, Dexonomy); mesh/simplified.obj is the surface
     coacd/decomposed.obj      one file with a group of faces for each piece (DexGraspNet)

@@ -203,23 +203,23 @@ def _why_out_of_reach(scene: Scene, T_base: np.ndarray, q: np.ndarray, T_palm: n
     hand, kinematics = scene.hand, ArmKinematics(scene.hand)
     own = q[None, ~hand.arm_joints]
     found = kinematics.solve(T_base, own, T_palm[None], seed=seed)
-    ways = found.q[0][np.isfinite(found.q[0]).all(axis=1)]
-    if not len(ways):
+    solutions = found.q[0][np.isfinite(found.q[0]).all(axis=1)]
+    if not len(solutions):
         metres, radians = kinematics.shortfall(T_base[None], own, T_palm[None], seed=seed)[0]
         return f"the palm stays {1e3 * metres:.0f} mm and {np.degrees(radians):.0f} degrees away"
     arm = hand.arm
     assert arm is not None
     moving = [link.name for link in hand.links if link.body is not None and link.name in arm.links - arm.standing]
     met = []
-    for values in ways:
-        # A way is as bad as the worst that it meets.
+    for values in solutions:
+        # A solution is as bad as its deepest collision.
         own_depths = [(float(self_penetration(hand, (pair,), values[None])[0]), *pair) for pair in kinematics.pairs]
         around = deepest(hand, moving, T_base, values, scene) if moving else []
         met.append(max([*own_depths, *((depth, link, what) for what, depth, link in around)], default=(0.0, "", "")))
     depth, first, second = min(met)
     return (
         f"{first} and {second} would be {1e3 * depth:.1f} mm in each other, in the best of "
-        f"{count_text(len(ways), 'way')} of the arm"
+        f"{count_text(len(solutions), 'configuration')} of the arm"
     )
 
 

@@ -21,7 +21,8 @@ MAX_DEPTH_RADII = 1.5
 """Most radii of the closure frame by which its centre goes beyond the point, so that hands come as near as possible."""
 
 MIN_OPENING_SHARE, MAX_SPREAD_SHARE = 0.3, 0.5
-"""Least share of the way from rest to open hands, and largest share of that to the limits of spreading joints."""
+"""Least share of the range from rest to open hands, and largest share of the range to the limits of spreading
+joints."""
 
 
 @dataclass(frozen=True, eq=False)

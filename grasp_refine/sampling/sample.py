@@ -68,7 +68,7 @@ SAME_DISTANCE_M = 1e-7
 """Difference of distances in metres that does not count, so that no last bit chooses where a hand or finger stays."""
 
 SPEED_RANGE = (0.4, 1.0)
-"""Range of the closing speeds of joints, so that fingers curl in many ways."""
+"""Range of the closing speeds of joints, so that fingers curl in many shapes."""
 
 SINGLE_GROUP_PENALTY = 0.1
 """Penalty in a score of being held by one group of links only; for several groups it is divided by their number."""
@@ -320,7 +320,7 @@ class _Closing:
             lack = np.where(proximity.witness.valid, CLEARANCE_M - proximity.witness.distance, 0.0)
             # A little farther than required, so that no last bit says whether it is clear, or touches.
             lack = np.where(lack > 0.0, lack + SAME_DISTANCE_M, 0.0)
-            # Where a surface lies along the way, the step is shorter than required: the surface may end sooner.
+            # Where a surface lies along the path, the step is shorter than required: the surface may end sooner.
             back = (lack / np.maximum((proximity.witness.normal * way[:, None]).sum(axis=-1), 0.3)).max(axis=1)
             back = np.where(back > 0, np.maximum(back, 1e-3), 0.0)
             hands.T[busy, :3, 3] -= back[:, None] * way

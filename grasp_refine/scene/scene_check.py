@@ -208,7 +208,7 @@ def _distances(
 
 
 def _lift(body: Body, environment: Environment, at: int) -> float:
-    """Return the way up in metres on which the object leaves a body.
+    """Return the distance up in metres over which the object leaves a body.
 
     Pieces that overlap by a depth do so until they have moved by that depth at least, in whatever direction.
     """
@@ -228,10 +228,10 @@ def _is_supported(body: Body, environment: Environment) -> bool:
 
 
 def _gap_below(body: Body, environment: Environment) -> float:
-    """Return the way down in metres, up to `FAR_M`, on which the object meets a body."""
+    """Return the distance down in metres, up to `FAR_M`, at which the object meets a body."""
 
-    def meets(way: float) -> bool:
-        down = -way * environment.up
+    def meets(distance: float) -> bool:
+        down = -distance * environment.up
         moved = replace(body, pieces=tuple(swept(piece, down) for piece in body.pieces))
         return bool((_distances(moved, environment)[beside] <= 0.0).any())
 

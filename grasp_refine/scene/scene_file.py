@@ -31,7 +31,7 @@ SHAPES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
 """Shape of a body -> number of its lengths in metres: sides; radius; radius and height; radius and length."""
 
 SOURCES = (*SHAPES, "object", "mesh", "pieces")
-"""Keys that say what a body is, of which it has one."""
+"""Keys for the shape of a body, exactly one each."""
 
 COMMON_KEYS = ("name", *POSE_KEYS, "margin", "movable", "mass", "density")
 """Keys of every body."""

@@ -225,7 +225,7 @@ def sample_touching(
 
 
 def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
-    """Return almost right grasps of `obj`, of which the first and the third lose it in simulation.
+    """Return almost right grasps of `obj`; the first and the third lose it in simulation.
 
     Raises:
         RuntimeError: no disturbance of an approach given here is accepted.

@@ -88,7 +88,7 @@ class Plan:
     refused: tuple[Refused, ...]
     """Jobs that cannot be done."""
     files: tuple[Path, ...]
-    """All input files and folders, none of which may be overwritten."""
+    """All input files and folders; none may be overwritten."""
     results: int
     """Number of files found that are results of a batch, and so not refined."""
 

@@ -173,7 +173,7 @@ class View:
     def _load(
         self, inputs: Inputs, say: Callable[[str], None], wait: Callable[[str], None], *, shown: bool = True
     ) -> Collection:
-        """Load grasps; of the objects, all of which are read and checked, only that of the shown grasp is cut."""
+        """Load grasps; all objects are read and checked, only the shown one is decomposed."""
         from grasp_refine_apps.viewer.model.collection import Collection
 
         # A suspected convention is seen best.

@@ -110,19 +110,19 @@ def simulation_notes(hand: Hand) -> tuple[str, ...]:
 
 def _contacts(hand: Hand) -> tuple[str, ...]:
     above = {joint.child: joint for joint in hand.joints}
-    ways: dict[str, list[Joint]] = {}
+    joints_to: dict[str, list[Joint]] = {}
     for contact in hand.contacts:
-        link, way = contact.link, []
+        link, chain = contact.link, []
         while link in above:
-            way.append(above[link])
+            chain.append(above[link])
             link = above[link].parent
-        ways[contact.link] = [joint for joint in way if joint.movable]
-    moves = Counter(joint.name for way in ways.values() for joint in way)
+        joints_to[contact.link] = [joint for joint in chain if joint.movable]
+    moves = Counter(joint.name for chain in joints_to.values() for joint in chain)
     lines = []
     for contact in hand.contacts:
         # The topmost joint that moves no other contact link.
-        own = [joint.name for joint in ways[contact.link] if moves[joint.name] == 1]
-        own = own or [joint.name for joint in ways[contact.link][:1]] or ["none"]
+        own = [joint.name for joint in joints_to[contact.link] if moves[joint.name] == 1]
+        own = own or [joint.name for joint in joints_to[contact.link][:1]] or ["none"]
         guess = f"the outermost solid link of the branch that joint '{own[-1]}' moves"
         why = guess if hand.contacts_guessed else "named in hand.toml"
         finger = "" if contact.group == contact.link else f", finger '{contact.group}'"

@@ -78,7 +78,7 @@ class DexGraspNet:
 def named_grasps(
     source: Source, qpos: Sequence[Mapping[Any, Any]], scale: Sequence[float], name: str, hand: Hand | None
 ) -> GraspSet:
-    """Return grasps of which each has named values of joints, position and angles.
+    """Return grasps with named values of joints, position and angles.
 
     Args:
         source: File that has them.

@@ -58,7 +58,7 @@ def reading(
         format: Its format; None: recognised by its contents.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
         on_file: Called with the number of files read and that of all files.
-        within: Folder outside of which nothing is read; a file may name another that describes its scene.
+        within: Folder that limits reading; a file may name another that describes its scene.
 
     Raises:
         GraspFileError: no such file, none in a folder, of no format or of several, or something in it is invalid.

@@ -33,7 +33,7 @@ class Source:
     content: Any
     """Its contents, as `load_content` returns them."""
     within: Path | None = None
-    """Folder outside of which no file that this one names is read; None: any folder above may hold it."""
+    """Folder that files named by this one must be in; None: any folder above may hold them."""
 
     def error(self, message: str) -> GraspFileError:
         """Return the error with `message` about this file."""

@@ -83,7 +83,7 @@ def stack(rows: Iterable[tuple[float, LinkRows | JointRows]], count: int, chain:
     """Return all rows of `count` grasps, weighted by their squares, in root twist and joint values; links' rows first.
 
     Args:
-        rows: Weights with the rows of which they multiply the squares.
+        rows: Weights with their rows; a weight multiplies the squares.
         count: Number of grasps.
         chain: Kinematics of the links.
         frames: Poses of the links.

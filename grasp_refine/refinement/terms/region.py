@@ -16,7 +16,7 @@ from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 
 INSIDE_M = 3e-3
 """Distance in metres from the border of the regions at which contacts are inside: about the reach of the patch of a
-fingertip, of which this term moves one point."""
+fingertip; this term moves one point of it."""
 
 
 class InRegion(Term):

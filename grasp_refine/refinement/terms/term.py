@@ -78,7 +78,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Givens of a refinement, of which terms are made."""
+    """Givens of a refinement, from which terms are made."""
 
     scene: Scene
     goal: Goal

@@ -8,7 +8,7 @@ for half a second in each of six directions, and an object that is lost once it 
 half of the trials is a success. The text of the paper was not available.
 
 Differences: there, the pushes of an axis follow each other, a trial succeeds if the object stays along any of three
-axes, and trials repeat; here the trials are the six pushes, each from the same state, of which three must be held.
+axes, and trials repeat; here the trials are the six pushes, each from the same state; three must be held.
 PhysX has another contact model, and no torsional friction: it is that of DexGraspBench here, as are the motion of the
 hand, the contacts and the largest penetration. No rotation is a failure, as there; checks are 0.1 instead of 0.33 s
 apart.

@@ -33,7 +33,7 @@ MAX_NODE_REFERENCES = 16
 """Maximum references to further nodes in a Collada file, which multiply when nested."""
 
 UNSUPPORTED_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
-"""Compressions of meshes in a GLB, none of which is supported."""
+"""Unsupported compressions of meshes in a GLB."""
 ADVICE = "simplify it first (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 
 

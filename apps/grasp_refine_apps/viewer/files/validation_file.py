@@ -79,7 +79,7 @@ class ValidationFile:
         """Return the simulation results of the open grasps by number.
 
         Results of `validate` are of the file that was validated. Results of `run` are, before refinement, of the file
-        that it read, and after it of the files that it wrote, of which each has the grasps of one object.
+        that it read, and after it of the files that it wrote, each with the grasps of one object.
 
         Raises:
             GraspFileError: the document is about other grasps.

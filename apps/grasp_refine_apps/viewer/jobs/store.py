@@ -155,7 +155,7 @@ class Store:
                 self._control.step()
 
     def checked(self, make: Callable[[], Made]) -> Made | None:
-        """Return what `make` returns; None where it refuses, of which the user is notified."""
+        """Return the result of `make`; None where it refuses, and the user is notified."""
         try:
             return make()
         except GraspRefineError as error:

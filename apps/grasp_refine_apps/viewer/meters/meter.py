@@ -21,7 +21,7 @@ from grasp_refine_apps.viewer.model.work import Work
 
 
 class ContactMeter:
-    """Contacts of the shown grasp, for the scene and for all texts: one definition of which links count.
+    """Contacts of the shown grasp, for the scene and for all texts: one selection of links that count.
 
     They are the contact links of the grasp as it was opened (`contact_gaps`), also if it was moved since; after a
     refinement, the links of its result. An iteration has the links that it closes.
@@ -60,7 +60,7 @@ class ContactMeter:
             return self._counted(state, self._of(state.scene))
 
     def near(self, scene: Scene, pose: Pose) -> Counted | None:
-        """Return the contact links of a grasp of which none are recorded, without targets; None: there are none."""
+        """Return the contact links of a grasp without recorded ones, by proximity; None: there are none."""
         with self._lock:
             return _near(self._of(scene), scene, pose)
 
@@ -119,7 +119,7 @@ def title_of(state: State) -> str:
 
 
 def _near(prepared: HandObject, scene: Scene, pose: Pose) -> Counted | None:
-    """Return the contact links of a grasp of which none are recorded, without targets; None: there are none."""
+    """Return the contact links of a grasp without recorded ones, by proximity; None: there are none."""
     alone = posed_scene(scene, pose)
     T = prepared.chain(alone.T_world_root, alone.q).T_world_link
     cutoff = ContactSelection().cutoff(prepared.hand, prepared.chain.links)

@@ -33,7 +33,7 @@ class Listing:
     mark: str = ""
     """Mark of the grasps; `NO_MARK`: none."""
     ranges: tuple[tuple[str, float, float], ...] = ()
-    """Measures with lowest and highest value, SI units; grasps of which one is not known are not listed."""
+    """Measures with lowest and highest value, SI units; grasps with an unknown one are not listed."""
 
     def numbers(self, collection: Collection) -> Int[np.ndarray, " M"]:
         """Numbers of the M grasps that are listed, in order; unknown values come last."""

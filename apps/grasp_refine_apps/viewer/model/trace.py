@@ -56,9 +56,9 @@ class Trace(Recording):
 
 @dataclass(frozen=True, eq=False)
 class _Iteration:
-    """One iteration of one way; measures are NaN where it was not followed."""
+    """One iteration of one run; measures are NaN where it was not followed."""
 
-    way: int
+    run: int
     pose: Pose
     gap: Float[np.ndarray, " L"]
     loss: float
@@ -70,8 +70,8 @@ class _Iteration:
 class Recorder:
     """Builder of the trace of the one grasp of a scene while it is refined.
 
-    A refinement may try several starts, one after the other and at once. A trace shows one way at a time, from the
-    input grasp on: while it runs, that of the first start that is not done; in the end, that which led to the result.
+    A refinement may try several starts, one after the other and at once. A trace shows one run at a time, from the
+    input grasp on: while it refines, the first start that is not done; in the end, the run that led to the result.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Recorder:
         self._prepared, self._start, self._targets = prepared, start, targets
         self._margin, self._counted = margin, counted
         self._iterations: list[_Iteration] = []
-        self._ways: dict[tuple[int, int], int] = {}
+        self._runs: dict[tuple[int, int], int] = {}
         self._attempt, self._stage, self._followed = 0, "", 0
 
     def add(self, state: IterationState) -> None:
@@ -104,13 +104,13 @@ class Recorder:
         self._stage = state.stage
         first = int(state.member.min())
         for i, member in enumerate(state.member.tolist()):
-            way = self._ways.setdefault((self._attempt, member), len(self._ways))
-            label = state.stage if way == 0 else f"{state.stage}, try {way + 1}"
+            run = self._runs.setdefault((self._attempt, member), len(self._runs))
+            label = state.stage if run == 0 else f"{state.stage}, try {run + 1}"
             pose = Pose(state.point.T[i].copy(), state.point.q[i].copy())
             gap = np.where(state.touching[i], self._margin, np.nan)
-            iteration = _Iteration(way, pose, gap, float(state.loss[i]), label)
+            iteration = _Iteration(run, pose, gap, float(state.loss[i]), label)
             if member == first:
-                self._followed, iteration = way, self._measured(iteration)
+                self._followed, iteration = run, self._measured(iteration)
             self._iterations.append(iteration)
 
     def _measured(self, iteration: _Iteration) -> _Iteration:
@@ -126,11 +126,11 @@ class Recorder:
         return replace(iteration, remaining=found.contact_error, penetration=found.penetration)
 
     def trace(self) -> Trace | None:
-        """Return the way that is followed so far; None: there is no iteration yet."""
-        return self._trace([one for one in self._iterations if one.way == self._followed])
+        """Return the run that is followed so far; None: there is no iteration yet."""
+        return self._trace([one for one in self._iterations if one.run == self._followed])
 
     def result(self, end: Pose, gap: np.ndarray, loss: float) -> Trace:
-        """Return the way that led to the result, whose measures are not known yet in part."""
+        """Return the run that led to the result; some measures are not known yet."""
 
         def distance(one: _Iteration) -> float:
             moved = one.pose.T_object_root - end.T_object_root
@@ -138,8 +138,8 @@ class Recorder:
 
         last = _Iteration(-1, end, gap, loss, "the best of all")
         known = [one for one in self._iterations if one.pose.finite]
-        way = min(known, key=distance).way if known else 0
-        found = self._trace([*(one for one in self._iterations if one.way == way), self._measured(last)])
+        run = min(known, key=distance).run if known else 0
+        found = self._trace([*(one for one in self._iterations if one.run == run), self._measured(last)])
         assert found is not None
         return found
 
@@ -151,7 +151,7 @@ class Recorder:
         if not np.allclose(first.pose.T_object_root, self._start.T_object_root) or not np.allclose(
             first.pose.q, self._start.q
         ):
-            start = _Iteration(first.way, self._start, first.gap, np.nan, "the input grasp")
+            start = _Iteration(first.run, self._start, first.gap, np.nan, "the input grasp")
             iterations = [self._measured(start), *iterations]
         return Trace.of(
             np.stack([one.pose.T_object_root for one in iterations]),

@@ -31,7 +31,7 @@ class Actuation:
         rest: float = 0.0,
         armature: float = 0.0,
     ) -> int:
-        """Add an actuator of a joint, of which there may be several; return its number among the set points.
+        """Add an actuator of a joint, which may have several; return its number among the set points.
 
         Args:
             joint: The joint.

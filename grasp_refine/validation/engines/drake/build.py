@@ -51,7 +51,7 @@ ROOT_LAG_S = 0.038
 """Time by which the root follows a moving set point: that of MuJoCo's weld, 2 x 0.95 x 0.02 s."""
 
 POLYNOMIAL_TERMS = 5
-"""Number of coefficients of a coupling of joints in MuJoCo, of which Drake has the first two."""
+"""Number of coefficients of a coupling of joints in MuJoCo; Drake has the first two."""
 
 
 def build_plant(world: World, parameters: Parameters) -> Plant:

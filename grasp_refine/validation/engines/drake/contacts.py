@@ -71,7 +71,7 @@ def shape_of(model: mujoco.MjModel, geom: int) -> Shape:
 def touching_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that MuJoCo lets collide.
 
-    These are pairs of which one has a bit in `contype` that the other has in `conaffinity`, unless their bodies are
+    In these pairs one geom has a bit in `contype` that the other has in `conaffinity`, unless their bodies are
     welded together, or are child and parent, or are excluded; and pairs of the model's own list.
     """
     excluded = set(model.exclude_signature.tolist())

@@ -74,7 +74,7 @@ class Workspace:
 
 
 class Workspaces:
-    """Plant with its workspaces, of which each thread borrows one at a time."""
+    """Plant with its workspaces; each thread borrows one at a time."""
 
     def __init__(self, plant: Plant) -> None:
         """Begin without any."""

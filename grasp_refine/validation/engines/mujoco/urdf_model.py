@@ -31,7 +31,7 @@ MAX_GYRATION_SHARE = 2.0
 reach farther."""
 
 DEFAULT_INERTIA = Inertia(1e-3, np.zeros(3), 1e-6 * np.eye(3))
-"""Inertia of a moving part of which the URDF gives neither mass nor geometry: 1 g."""
+"""Inertia of a moving part without mass and geometry in the URDF: 1 g."""
 
 MIMIC_SOLVER_PARAMETERS = {"solref": [0.01, 1.0], "solimp": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
 """Solver parameters of mimic joints: as stiff as steps of 4 ms allow."""
