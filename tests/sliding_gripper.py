@@ -15,6 +15,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from made_hands import joint, link, made_hand, slide, solid
 
 RADII = {"base": 0.02, "left": 0.012, "right": 0.011, "thumb": 0.016}
@@ -59,7 +60,7 @@ def around_object(hand: Hand, count: int, seed: int, source: str = OBJECTS["sphe
     q = rng.uniform(hand.lower, hand.upper, (count, len(hand.lower)))
     candidates = len(hand.links_by_name[hand.contacts[0].link].body.candidates.points)
     plane = Plane((0.0, 0.6, 0.8), -0.01) if table else None
-    return Scene(hand, load_object(source, candidates=candidates), T, q, table=plane)
+    return Scene(hand, load_object(source, candidates=candidates), T, q, task=Task(table=plane))
 
 
 def shallow(scene: Scene, count: int, depth: float, *, itself: bool = False) -> Scene:

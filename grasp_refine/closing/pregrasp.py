@@ -40,7 +40,9 @@ def open_hand(
     """
     prepared = prepared or HandObject.of(scene)
     goal = Goal.nothing(len(scene.q), len(scene.links))
-    scene = replace(scene, target_link=None, target_object=None, direction=None, regions=None)
+    scene = replace(
+        scene, target_link=None, target_object=None, direction=None, task=replace(scene.task, touch=(), avoid=())
+    )
     problem = GraspProblem(scene, goal, Config(solver=SOLVER), prepared.padded)
     start = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     posed = scene.posed

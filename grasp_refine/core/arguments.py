@@ -19,7 +19,7 @@ SOURCES = MappingProxyType(
         "Body": "load_object({}).body",
         "GraspSet": "load_grasps({})",
         "HandModel": "model_of(hand)",
-        "World": "build_world(model_of(hand), obj, protocol)",
+        "World": "build_world(model_of(hand), obj, task)",
         "Motion": "closing_motion(scene)",
         "Witness": "query(pairs, T_world_a, T_world_b)",
     }

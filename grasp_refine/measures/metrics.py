@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -16,10 +17,10 @@ from grasp_refine.measures.formulas import MeasuredGrasps
 from grasp_refine.measures.geometry import contact_errors, measure
 from grasp_refine.measures.measures import VALIDATED, Measure
 from grasp_refine.objects.object import Object
-from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_links import contact_gaps
-from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import as_task
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,8 +72,7 @@ def metrics(
     obj: Object,
     T_world_root: np.ndarray,
     q: np.ndarray,
-    environment: Environment | None = None,
-    regions: ContactRegions | None = None,
+    task: Task | str | Path | None = None,
 ) -> Metrics:
     """Measure penetration, gaps, contacts, limits, wrench residual and quality of grasps on one object at the origin.
 
@@ -81,8 +81,7 @@ def metrics(
         obj: The object.
         T_world_root: Poses (N, 4, 4) of the base link in the object's frame; otherwise as in `Scene`.
         q: Joint values (N, n).
-        environment: Bodies around the object.
-        regions: Regions of the object in which links should touch it.
+        task: What the grasps must do, and where, as of `load_task`.
 
     Returns:
         Measures, NaN for invalid poses (`Scene.posed`).
@@ -90,7 +89,7 @@ def metrics(
     Raises:
         GraspRefineError: an argument of another type or shape.
     """
-    return metrics_of(Scene(hand, obj, T_world_root, q, environment=environment, regions=regions))
+    return metrics_of(Scene(hand, obj, T_world_root, q, task=as_task(task)))
 
 
 def metrics_of(scene: Scene) -> Metrics:

@@ -12,7 +12,7 @@ from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text, first_of
 from grasp_refine.core.rpy_poses import read_pose
-from grasp_refine.core.se3 import inverse, transform_from_pose
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.on_arm import ROOM_M, ArmClearance, on_arm
 from grasp_refine.hands.chain import Chain
@@ -24,10 +24,9 @@ from grasp_refine.hands.self_collision import self_penetration
 from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.spec import SourceSpec
-from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.surroundings import Surroundings, scene_depths
+from grasp_refine.scene.task import Task
 
 BLOCK_ARMS = 64
 """Number of arms that are measured at a time, which bounds the memory."""
@@ -72,36 +71,34 @@ def whole_hand(
     return mount(load_arm(spec.arm), hand, spec.mount, pose)
 
 
-def check_base(problem: Problem, spec: SourceSpec) -> None:
+def check_base(problem: Problem) -> None:
     """Refuse grasps of the hand alone on an arm without a place.
 
     Raises:
         GraspRefineError: names the option.
     """
     hand = problem.hand
-    if spec.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
+    if problem.task.base is None and any(group.grasps.base_link != hand.base_link for group in problem.groups):
         raise GraspRefineError(
             f"where the base of the arm, its link '{hand.base_link}', stands is needed, in the frame of the object or "
             "the world of the scene: `base` x,y,z,roll,pitch,yaw (metres, degrees), as in `base='-0.5,0,0,0,0,0'`"
         )
 
 
-def problem_on_arm(problem: Problem, spec: SourceSpec, *, seed: int = 0) -> Problem:
+def problem_on_arm(problem: Problem, *, seed: int = 0) -> Problem:
     """Return the grasps of a hand as grasps of the hand on an arm, solved by inverse kinematics.
 
     Args:
         problem: The hand on its arm, and grasps of the hand alone, or such as begin at the base of the arm already;
             without an arm, the problem is returned as it is.
-        spec: Pose of the base.
         seed: Seed of the starts of the inverse kinematics.
     """
     hand = problem.hand
     if hand.arm is None:
         return problem
-    T_base = np.eye(4) if spec.base is None else read_pose(spec.base, "`base`")
     groups, notes, beyond, count = [], [*hand.notes], 0, 0
     for group in problem.groups:
-        placed, some_notes = group_on_arm(group, hand, T_base, seed=seed)
+        placed, some_notes = group_on_arm(group, hand, seed=seed)
         notes += some_notes
         groups.append(placed)
         beyond, count = beyond + int(placed.scene.out_of_reach.sum()), count + len(placed.rows)
@@ -111,26 +108,14 @@ def problem_on_arm(problem: Problem, spec: SourceSpec, *, seed: int = 0) -> Prob
     return replace(problem, groups=tuple(groups), notes=tuple(dict.fromkeys((*problem.notes, *notes))))
 
 
-def group_on_arm(
-    group: Group, hand: Hand, T_object_base: Float[np.ndarray, "4 4"], *, seed: int = 0
-) -> tuple[Group, tuple[str, ...]]:
+def group_on_arm(group: Group, hand: Hand, *, seed: int = 0) -> tuple[Group, tuple[str, ...]]:
     """Return the grasps of a group on an arm, and notes."""
-    scene = group.scene
-    if scene.environment is not None:
-        T_object_base = inverse(scene.environment.T_world_object) @ T_object_base
-    clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
+    scene, T_object_base = group.scene, group.scene.task.T_object_base
+    clearance = arm_clearance(hand, scene.object, scene.task)
     grasps, notes = on_arm(group.grasps, hand, T_object_base, clearance=clearance, seed=seed)
     notes = (*notes, *_sunk_notes(hand, T_object_base, scene))
     columns = [grasps.joint_names.index(name) for name in hand.joint_names]
-    moved = scene_of(
-        hand,
-        scene.object,
-        grasps,
-        grasps.q[:, columns],
-        table=scene.table,
-        environment=scene.environment,
-        regions=scene.regions,
-    )
+    moved = scene_of(hand, scene.object, grasps, grasps.q[:, columns], scene.task)
     return replace(group, scene=moved, grasps=grasps), notes
 
 
@@ -223,31 +208,26 @@ def _why_out_of_reach(scene: Scene, T_base: np.ndarray, q: np.ndarray, T_palm: n
     )
 
 
-def reach_of(
-    problem: Problem, spec: SourceSpec, seed: int = 0
-) -> Callable[[GraspSet, Scene], Bool[np.ndarray, " N"]] | None:
+def reach_of(problem: Problem, seed: int = 0) -> Callable[[GraspSet, Scene], Bool[np.ndarray, " N"]] | None:
     """Return a mask (N,) of grasps of the hand alone, in a scene, that the hand on its arm reaches; None: it has none.
 
     Args:
         problem: The hand on its arm.
-        spec: Pose of the base.
         seed: Seed of the starts of the inverse kinematics.
     """
     hand = problem.hand
-    if hand.arm is None or spec.base is None:
+    if hand.arm is None or problem.task.base is None:
         return None
-    T_base = read_pose(spec.base, "`base`")
 
     def reaches(grasps: GraspSet, scene: Scene) -> Bool[np.ndarray, " N"]:
-        at = T_base if scene.environment is None else inverse(scene.environment.T_world_object) @ T_base
-        clearance = arm_clearance(hand, scene.object, scene.table, scene.environment)
-        placed, _ = on_arm(grasps, hand, at, clearance=clearance, seed=seed)
+        clearance = arm_clearance(hand, scene.object, scene.task)
+        placed, _ = on_arm(grasps, hand, scene.task.T_object_base, clearance=clearance, seed=seed)
         return np.isfinite(placed.q).all(axis=1)
 
     return reaches
 
 
-def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Environment | None = None) -> ArmClearance:
+def arm_clearance(hand: Hand, obj: Object, task: Task) -> ArmClearance:
     """Return the function that measures the distance of the moving arm links from object, table and other bodies."""
     arm = hand.arm
     assert arm is not None
@@ -255,7 +235,9 @@ def arm_clearance(hand: Hand, obj: Object, table: Plane | None, environment: Env
     links = tuple(link.name for link in hand.links if link.body is not None and link.name in moving)
     bodies = tuple(hand.links_by_name[name].solid for name in links)
     chain, pairs = Chain(hand, links), Pairs.against(bodies, obj.body) if links else None
-    around = None if environment is None else Surroundings.measured(environment, bodies)
+    table, around = task.plane, None
+    if task.environment is not None:
+        around = Surroundings.measured(task.environment, bodies)
 
     def clearance(T: Float[np.ndarray, "M 4 4"], q: Float[np.ndarray, "M n"]) -> Float[np.ndarray, " M"]:
         room = np.full(len(q), ROOM_M)

@@ -3,45 +3,38 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from rich.console import RenderableType
 
-from grasp_refine.core.arguments import as_numbers, check_kind
+from grasp_refine.core.arguments import check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text
-from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import inverse, is_rigid
 from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, as_object
-from grasp_refine.objects.region_spec import Regions
 from grasp_refine.problem.arms import arm_clearance
 from grasp_refine.problem.examine import examined
 from grasp_refine.problem.margins import GraspMargins, problem_margins
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.refine import Listener, refine_problem, simulate_refined
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
-from grasp_refine.scene.contact_regions import regions_of
-from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.scene.protocols.protocol_file import load_protocol
-from grasp_refine.scene.protocols.registry import default_protocol
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import as_task
 from grasp_refine.validation.engine_choice import EngineName
-from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.margins.factors import Factors
-from grasp_refine.validation.validate import Validated, model_of, validate
+from grasp_refine.validation.validate import Validated, validate
 
 if TYPE_CHECKING:
     from grasp_refine.objects.object import Mesh
@@ -55,11 +48,7 @@ def problem_of(
     obj: Object | Mesh,
     grasps: GraspSet,
     *,
-    table: float | None = None,
-    scene: Environment | None = None,
-    base: ArrayLike | None = None,
-    touch: Regions = (),
-    avoid: Regions = (),
+    task: Task | str | Path | None = None,
     as_is: bool = False,
 ) -> Problem:
     """Return grasps of a hand on an object as a problem, in memory.
@@ -68,14 +57,8 @@ def problem_of(
         hand: The hand.
         obj: The object, or its mesh as for `load_object`, in metres; scales of the grasps apply to its mesh.
         grasps: Grasps on this object alone, joint values by name.
-        table: Height (metres) of a table in the object's frame, z up; None: there is none.
-        scene: Bodies around the object, as of `load_scene`; None: there are none.
-        base: Pose (4, 4) of the base of a hand's arm in the object's frame, or in the world of the scene; or x, y, z in
-            metres, roll, pitch, yaw in degrees. Needed for grasps that give poses of its palm, which inverse kinematics
-            reaches.
-        touch: Regions of the object in which links should touch it, or their specifications (`contact_regions`); none:
-            the scene's, else everywhere.
-        avoid: Regions in which they should not touch it.
+        task: What the grasps must do, and where: a `Task`, or its name or file, as of `load_task`. Its `base` is needed
+            for a hand on an arm and grasps that give poses of its palm, which inverse kinematics reaches.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames than the arguments of
             `GraspSet`, such as joint values in degrees; they are then warned about, not refused.
 
@@ -94,14 +77,12 @@ def problem_of(
             f"the grasps are on several objects or scales: {listing}; choose the grasps on {obj.name} with "
             "grasps.select(...), or give the file to load_problem"
         )
-    plane = None if table is None else Plane(offset=table)
+    task = as_task(task)
     notes: tuple[str, ...] = ()
     if hand.arm is not None and grasps.base_link == hand.palm != hand.base_link:
-        if base is None:
-            raise GraspRefineError(f"{hand.name} needs the pose of its base in the object's frame: base=[x, y, z, ...]")
-        clearance = arm_clearance(hand, obj, plane, scene)
-        T_base = base_pose(base) if scene is None else inverse(scene.T_world_object) @ base_pose(base)
-        grasps, notes = on_arm(grasps, hand, T_base, clearance=clearance)
+        if task.base is None:
+            raise GraspRefineError(f"{hand.name} needs the pose of its base: task=Task(base=[x, y, z, ...])")
+        grasps, notes = on_arm(grasps, hand, task.T_object_base, clearance=arm_clearance(hand, obj, task))
     if grasps.base_link != hand.base_link:
         raise GraspRefineError(
             f"the grasps give poses of link '{grasps.base_link}', the hand begins at '{hand.base_link}': "
@@ -109,8 +90,7 @@ def problem_of(
         )
     q, matched = match_joints(grasps, hand)
     rows = np.arange(len(grasps))
-    regions = regions_of(obj, touch, avoid, scene)
-    made = scene_of(hand, obj, grasps, q, table=plane, environment=scene, regions=regions)
+    made = scene_of(hand, obj, grasps, q, task)
     name, scale = (names[0], float(grasps.scale[0])) if names else (obj.name, 1.0)
     group = Group(name, scale, made, grasps, rows, rows, rows)
     problem = examined(Problem(hand, (), (group,), (*hand.notes, *notes, *matched)), as_is=as_is)
@@ -125,11 +105,7 @@ def refine(
     grasps: GraspSet | None = None,
     config: Config | None = None,
     *,
-    table: float | None = None,
-    scene: Environment | None = None,
-    base: ArrayLike | None = None,
-    touch: Regions = (),
-    avoid: Regions = (),
+    task: Task | str | Path | None = None,
     as_is: bool = False,
     listener: Listener | None = None,
 ) -> RefinedGrasps:
@@ -140,11 +116,7 @@ def refine(
         object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it.
         config: Settings; the defaults when None.
-        table: Height (metres) of a table in the object's frame, z up, that no link may go through.
-        scene: Bodies around the object that no link may go into, as of `load_scene`.
-        base: Pose of the base of an arm, as of `problem_of`.
-        touch: Regions of the object to touch, such as "box:0.04,-0.02,0,0.08,0.02,0.09", as of `problem_of`.
-        avoid: Regions not to touch, such as "above:z=0.08", as of `problem_of`.
+        task: What the grasps must do, and where: a `Task`, or its name or file, as of `load_task`.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
 
@@ -152,79 +124,62 @@ def refine(
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
     check_kind("config", config, Config | None)
-    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid, as_is=as_is)
+    problem = _problem(hand, object, grasps, task, as_is=as_is)
     return refine_problem(problem, config, listener=listener)
 
 
 def simulate(
     refined: RefinedGrasps,
-    protocol: str | Path | Protocol | None = None,
+    task: Task | str | Path | None = None,
     *,
     engine: EngineName = "mujoco",
     listener: Listener | None = None,
 ) -> SimulatedGrasps:
-    """Simulate refined grasps, before and after their refinement.
+    """Simulate the task of refined grasps with them, before and after their refinement.
 
     Args:
         refined: Result of `refine`.
-        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None:
-            dexgraspbench, or, in a scene, scene.
+        task: Another task, as of `load_task`, which counts where it names something. None: that of the refinement,
+            whose protocol, where it names none, is `scene` in a scene, else `dexgraspbench`.
         engine: "mujoco", or "drake", which needs the extra `drake`.
         listener: Callbacks of the progress.
 
     Raises:
-        GraspRefineError: there is no such protocol or engine, or MuJoCo cannot compile the hand or the world.
+        GraspRefineError: there is no such task or engine, or MuJoCo cannot compile the hand or the world.
     """
     check_kind("refined", refined, RefinedGrasps)
-    in_scene = refined.problem.groups[0].scene.environment is not None
-    chosen = default_protocol(in_scene=in_scene) if protocol is None else _protocol(protocol)
-    return simulate_refined(refined, chosen, listener=listener, engine=engine)
+    return simulate_refined(replace(refined, problem=refined.problem.for_task(task)), listener=listener, engine=engine)
 
 
 def evaluate(
     hand: Hand | Problem,
     object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
-    protocol: str | Path | Protocol | None = None,
+    task: Task | str | Path | None = None,
     *,
-    table: float | None = None,
-    scene: Environment | None = None,
-    base: ArrayLike | None = None,
-    touch: Regions = (),
-    avoid: Regions = (),
     as_is: bool = False,
 ) -> Evaluation:
-    """Measure grasps as they are, refined or not, and, with a protocol, simulate them.
+    """Measure grasps as they are, refined or not, and, for a task with a protocol, simulate them.
 
     Args:
         hand: The hand; or a problem of `load_problem`.
         object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
-        protocol: Name of a protocol of `refine-grasp validate`, a TOML file, or a value of your own; None: nothing is
-            simulated.
-        table: Height (metres) of a table in the object's frame, z up.
-        scene: Bodies around the object, as of `load_scene`.
-        base: Pose of the base of an arm, as of `problem_of`.
-        touch: Regions of the object to touch, as of `problem_of`.
-        avoid: Regions not to touch, as of `problem_of`.
+        task: What the grasps must do, and where, as of `load_task`. Without a protocol, nothing is simulated.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects.
     """
-    problem = _problem(hand, object, grasps, table, scene, base, touch, avoid, as_is=as_is)
-    chosen = None if protocol is None else _protocol(protocol).for_contacts(problem.hand.patches)
-    model = None if chosen is None else model_of(problem.hand)
+    problem = _problem(hand, object, grasps, task, as_is=as_is)
+    simulated = problem.task.protocol is not None
+    worlds = worlds_of(problem) if simulated else [None] * len(problem.groups)
     parts = []
-    for group in problem.groups:
-        of_group, world, motion = group.scene, None, None
-        if chosen is not None and model is not None:
-            world, motion = (
-                build_world(model, of_group.object, chosen, of_group.table, of_group.environment),
-                group.motion(),
-            )
+    for group, world in zip(problem.groups, worlds, strict=True):
         labels: dict[str, Any] = {"name": group.object, "scale": group.scale, "rows": group.rows, "index": group.index}
-        parts.append(validate(of_group, **labels, world=world, motion=motion))
+        motion = None if world is None else group.motion()
+        parts.append(validate(group.scene, **labels, world=world, motion=motion))
+    chosen = problem.task.test(patches=problem.hand.patches) if simulated else None
     return Evaluation(problem, chosen, Validated.join(parts).select(problem.order))
 
 
@@ -232,7 +187,7 @@ def margins(
     hand: Hand | Problem,
     object: Object | Mesh | None = None,
     grasps: GraspSet | None = None,
-    protocol: str | Protocol = "dexgraspbench",
+    task: Task | str | Path | None = None,
     *,
     factors: Factors | None = None,
     draws: int = 32,
@@ -241,13 +196,14 @@ def margins(
     as_is: bool = False,
     listener: Listener | None = None,
 ) -> GraspMargins:
-    """Simulate each grasp in drawn worlds that differ from the protocol's, and search what it holds at most.
+    """Simulate each grasp in drawn worlds that differ from that of a task, and search what it holds at most.
 
     Args:
         hand: The hand; or a problem of `load_problem`.
         object: The object, or its mesh as for `load_object`, in metres.
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
-        protocol: Name of a protocol that pushes, or one of your own, for everything that is not drawn.
+        task: What the grasps must do, and where, as of `load_task`, for everything that is not drawn. Its protocol, by
+            default `dexgraspbench`, pushes.
         factors: Ranges of what is drawn; the defaults when None.
         draws: Number of drawn worlds, the same for all grasps.
         seed: Seed of the draws: with the same one, results of other grasps are compared in the same worlds.
@@ -259,9 +215,8 @@ def margins(
         GraspRefineError: an argument of another type, grasps of another hand, or a protocol that lifts.
     """
     check_kind("factors", factors, Factors | None)
-    problem = _problem(hand, object, grasps, None, None, None, as_is=as_is)
-    chosen = _protocol(protocol).for_contacts(problem.hand.patches)
-    return problem_margins(problem, chosen, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
+    problem = _problem(hand, object, grasps, task, as_is=as_is)
+    return problem_margins(problem, factors, draws=draws, seed=seed, with_limits=with_limits, listener=listener)
 
 
 def view(grasps: RefinedGrasps | Problem) -> Any:
@@ -308,7 +263,7 @@ class Evaluation:
             GraspRefineError: they were not simulated.
         """
         if self.protocol is None:
-            raise GraspRefineError("the grasps were not simulated: evaluate(..., protocol='dexgraspbench')")
+            raise GraspRefineError("the grasps were not simulated: evaluate(..., task='dexgraspbench')")
         return self.validated.success
 
     def table(self, *, verbose: bool = False) -> RenderableType:
@@ -326,40 +281,18 @@ class Evaluation:
         return html_of(self.table())
 
 
-def base_pose(base: ArrayLike) -> np.ndarray:
-    """Return the pose (4, 4) of a base that is given as a transform, or as x, y, z (m), roll, pitch, yaw (degrees).
-
-    Raises:
-        GraspRefineError: it is neither.
-    """
-    pose = as_numbers("base", base)
-    if pose.shape == (4, 4) and is_rigid(pose):
-        return pose
-    if pose.shape not in ((3,), (6,)):
-        raise GraspRefineError("base must be a rigid transform (4, 4), or x, y, z (m), roll, pitch, yaw (degrees)")
-    return transform_from_rpy(pose.tolist())
-
-
 def _problem(
     hand: Hand | Problem,
     obj: Object | Mesh | None,
     grasps: GraspSet | None,
-    table: float | None,
-    scene: Environment | None,
-    base: ArrayLike | None,
-    touch: Regions = (),
-    avoid: Regions = (),
+    task: Task | str | Path | None,
     *,
-    as_is: bool = False,
+    as_is: bool,
 ) -> Problem:
     if isinstance(hand, Problem):
-        if any(given is not None for given in (obj, grasps, table, scene, base)) or touch or avoid:
-            raise GraspRefineError("a problem has its object, grasps, table, scene, base and regions: give it alone")
-        return hand
+        if obj is not None or grasps is not None:
+            raise GraspRefineError("a problem has its object and grasps: give it alone")
+        return hand.for_task(task)
     if obj is None or grasps is None:
         raise GraspRefineError("a hand, an object and grasps are needed, or a problem of load_problem")
-    return problem_of(hand, obj, grasps, table=table, scene=scene, base=base, touch=touch, avoid=avoid, as_is=as_is)
-
-
-def _protocol(protocol: str | Path | Protocol) -> Protocol:
-    return protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
+    return problem_of(hand, obj, grasps, task=task, as_is=as_is)

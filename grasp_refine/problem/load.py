@@ -33,10 +33,10 @@ from grasp_refine.problem.named_inputs import in_scene, on_disk, other_urdf, wit
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
-from grasp_refine.problem.spec import AUTO, NEAREST, NO_SCENE, SAMPLE, ProblemSpec
-from grasp_refine.scene.contact_regions import regions_of
+from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.scene_file import load_scene
+from grasp_refine.scene.task_spec import NO_SCENE
 
 
 def _ignore(message: str) -> None:
@@ -87,12 +87,12 @@ class Loader:
     """Cache of files, hands and objects for the next problem."""
 
     def __post_init__(self) -> None:
-        """Take the object of the scene where none is specified.
+        """Take the fields of a named task, and the object of the scene, where none are specified.
 
         Raises:
             GraspRefineError: there is no such scene, or it has another object than the specification.
         """
-        object.__setattr__(self, "spec", in_scene(self.spec))
+        object.__setattr__(self, "spec", in_scene(self.spec.with_named_task()))
 
     @stage("loading")
     def problem(self) -> Problem:
@@ -129,11 +129,11 @@ class Loader:
         prepare((group.scene.object for group in groups), progress=self.on_message)
         if problem.sampled:
             seed = (self.seed, draw) if draw else self.seed
-            reaches = reach_of(problem, self.spec, self.seed)
+            reaches = reach_of(problem, self.seed)
             problem = with_samples(problem, self.spec.index, seed, self.on_wait, reaches)
         else:
             problem = examined(problem, as_is=self.spec.as_is)
-        return problem_on_arm(problem, self.spec, seed=self.seed)
+        return problem_on_arm(problem, seed=self.seed)
 
     def grasp_path(self) -> Path:
         """Return the path of the grasp file, fetched where it is an asset."""
@@ -151,9 +151,9 @@ class Loader:
         if not (spec.touch or spec.avoid):
             touch, avoid, regions_notes = recorded.regions()
             spec = replace(spec, touch=touch, avoid=avoid)
-        environment = self.environment()
+        task = spec.read_task(self._scene)
         if of_files is not None and spec.scene != NO_SCENE:
-            of_files.check(environment, other=spec.other_object)
+            of_files.check(task.environment, other=spec.other_object)
         grasps = read.grasps
         names = self._names(grasps, path)
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
@@ -180,14 +180,11 @@ class Loader:
                 at = np.flatnonzero(scales == scale)
                 some, obj = grasps.select(rows[at]), self.read_object(sources[name], float(scale))
                 notes += tuple(f"{name}: {note}" for note in obj.repairs)
-                regions = regions_of(obj, spec.touch, spec.avoid, environment)
-                scene = scene_of(
-                    hand, obj, some, q[rows[at]], table=spec.plane, environment=environment, regions=regions
-                )
+                scene = scene_of(hand, obj, some, q[rows[at]], task)
                 groups.append(Group(name, spec.metres(scale), scene, some, rows[at], index[at], place[at]))
         notes += recorded.check_objects(groups, other=spec.other_object)
         problem = Problem(whole, self._files(path, read), tuple(groups), tuple(dict.fromkeys(notes)))
-        check_base(problem, spec)
+        check_base(problem)
         return problem
 
     def to_sample(self, count: int) -> Problem:
@@ -204,13 +201,12 @@ class Loader:
         whole = self._whole(spec.hand, hand)
         source = chosen_object(spec.object, self.on_message)
         scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
-        obj, environment = self.read_object(source, scale), self.environment()
+        obj = self.read_object(source, scale)
         none = GraspSet.of(hand, np.zeros((0, 7)), np.zeros((0, len(hand.joint_names))), object=obj.name)
-        regions = regions_of(obj, spec.touch, spec.avoid, environment)
-        scene = scene_of(hand, obj, none, none.q, table=spec.plane, environment=environment, regions=regions)
+        scene = scene_of(hand, obj, none, none.q, spec.read_task(self._scene))
         group = Group(obj.name, spec.metres(scale), scene, none, *(np.zeros(0, dtype=np.int64),) * 3)
         problem = Problem(whole, (hand.urdf,), (group,), hand.notes, f"{SAMPLE}{count}")
-        check_base(problem, spec)
+        check_base(problem)
         return problem
 
     def read(self, path: Path) -> Reading:
@@ -286,8 +282,10 @@ class Loader:
             GraspRefineError: the scene cannot be read or used.
         """
         source = self.spec.scene
-        if source in (None, NO_SCENE):
-            return None
+        return None if source == NO_SCENE else self._scene(source) if isinstance(source, str) else source
+
+    def _scene(self, source: str) -> Environment:
+        """Return the bodies of a scene."""
         return self.cache.get("scene", source, lambda: load_scene(source, on_message=self.on_message))
 
     def _read_file(self, path: Path) -> Reading:

@@ -13,7 +13,8 @@ from grasp_refine.problem.refine import Listener
 from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.margins_table import margins_table
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.validation.engines.mujoco.world import build_world
+from grasp_refine.scene.protocols.registry import DEFAULT, PROTOCOLS
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.margins.draws import Draws, draw
 from grasp_refine.validation.margins.factors import JOINT, Factors
 from grasp_refine.validation.margins.margins import Margins, Worlds, check_pushes, margins, other_model_of
@@ -62,7 +63,6 @@ class GraspMargins:
 
 def problem_margins(
     problem: Problem,
-    protocol: Protocol,
     factors: Factors | None = None,
     *,
     draws: int = 32,
@@ -74,8 +74,8 @@ def problem_margins(
     """Return the margins of all grasps of a problem.
 
     Args:
-        problem: Hand, objects and grasps.
-        protocol: Protocol that holds for everything that is not drawn; it pushes.
+        problem: Hand, objects, grasps and task; its protocol, by default `dexgraspbench`, pushes, and holds for
+            everything that is not drawn.
         factors: Ranges of the factors; the defaults when None.
         draws: Number of drawn worlds.
         seed: Seed of the draws.
@@ -86,12 +86,15 @@ def problem_margins(
     Raises:
         GraspRefineError: a protocol that lifts, or MuJoCo cannot compile the hand or a world.
     """
+    if problem.task.protocol is None:
+        problem = problem.for_task(Task(PROTOCOLS[DEFAULT]))
+    protocol = problem.task.test(patches=problem.hand.patches)
     check_pushes(protocol)
     drawn, listener = draw(factors or Factors(), draws, seed), listener or Listener()
     model, other = model_of(problem.hand), other_model_of(problem.hand)
     parts = []
     for group in problem.groups:
-        worlds = Worlds.of(build_world(model, group.scene.object, protocol), group.scene.object, other)
+        worlds = Worlds.of(model, group.scene.object, group.scene.task.for_simulation, other)
         parts.append(
             margins(
                 worlds,

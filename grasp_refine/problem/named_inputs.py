@@ -11,16 +11,15 @@ from grasp_refine.assets.names import find_asset
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import exists
 from grasp_refine.hands.hand import Hand
-from grasp_refine.problem.spec import NO_SCENE, ProblemSpec
+from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.results.result_files import fingerprint, recorded_urdf
-from grasp_refine.scene.scene_file import scene_object
 
 
 def in_scene(spec: ProblemSpec) -> ProblemSpec:
     """Return a specification with the object of its scene, where it has none itself."""
-    if spec.scene in (None, NO_SCENE) or spec.objects is not None:
+    if spec.objects is not None:
         return spec
-    obj, scale = scene_object(spec.scene)
+    obj, scale = spec.scene_object()
     if obj is None or obj == spec.object:
         return spec
     if spec.object is not None:

@@ -10,15 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.closing.motion import Motion, closing_motion, motion_of
-from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet, Targets
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.objects.region import ContactRegions
-from grasp_refine.scene.environment import Environment
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import as_task
 
 StageSource = Literal["auto", "file", "own"]
 """Source of pregrasps and squeezes."""
@@ -106,9 +105,23 @@ class Problem:
         return any(group.scene.target_link is not None for group in self.groups)
 
     @property
-    def environment(self) -> Environment | None:
-        """Bodies around the objects; None: there are none."""
-        return next((group.scene.environment for group in self.groups), None)
+    def task(self) -> Task:
+        """What the grasps must do, and where; regions are those of the first object."""
+        return next((group.scene.task for group in self.groups), Task())
+
+    def for_task(self, task: Task | str | Path | None) -> Problem:
+        """Return the problem for another task, which counts where it names something.
+
+        Raises:
+            GraspRefineError: there is no such task, or it has another base: the grasps stand on theirs already.
+        """
+        task = as_task(task)
+        if task == Task():
+            return self
+        if task.base is not None:
+            raise GraspRefineError("a problem has the base of its arm: give `base` where it is loaded")
+        groups = [replace(g, scene=replace(g.scene, task=task.over(g.scene.task))) for g in self.groups]
+        return replace(self, groups=tuple(groups))
 
     def closing(self, source: StageSource = "auto") -> dict[str, str]:
         """Return the source of pregrasps and squeezes of `Group.motion`: stage -> "file" or "own"."""
@@ -127,10 +140,7 @@ def scene_of(
     obj: Object,
     grasps: GraspSet,
     q: Float[np.ndarray, "N n"],
-    *,
-    table: Plane | None = None,
-    environment: Environment | None = None,
-    regions: ContactRegions | None = None,
+    task: Task,
 ) -> Scene:
     """Return the scene of grasps of one object, with the targets and contact links of their file.
 
@@ -139,9 +149,7 @@ def scene_of(
         obj: The object.
         grasps: The grasps.
         q: Their joint values (N, n) in the order of `hand.joint_names`.
-        table: As `Scene.table`.
-        environment: As `Scene.environment`.
-        regions: As `Scene.regions`.
+        task: What they must do, and where.
 
     Raises:
         GraspFileError: a link with targets is none of the hand.
@@ -153,9 +161,7 @@ def scene_of(
         q,
         *aim(hand, grasps.targets),
         contact_gap=None if grasps.contact_links is None else grasps.contact_links.on(links_of(hand)),
-        table=table,
-        environment=environment,
-        regions=regions,
+        task=task,
     )
 
 

@@ -14,10 +14,10 @@ from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.object import Object
-from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.region_spec import VERBS, is_spec, resolve_spec
+from grasp_refine.objects.region_spec import VERBS, is_spec
 from grasp_refine.problem.problem import Group
 from grasp_refine.scene.environment import Environment
+from grasp_refine.scene.task_file import TASK
 
 if TYPE_CHECKING:
     import trimesh
@@ -76,6 +76,11 @@ class Recorded:
         """
         return Recorded({file: read_provenance(file) for file in files})
 
+    def _tasks(self) -> dict[Path, Mapping[str, Any]]:
+        """Return the records of the tasks, by file; empty where a file has none."""
+        tasks = {file: recorded.get(TASK) for file, recorded in self.files.items()}
+        return {file: task if isinstance(task, Mapping) else {} for file, task in tasks.items()}
+
     def scene(self) -> RecordedScene | None:
         """Return the scene of the refinement; None: there was none.
 
@@ -83,8 +88,8 @@ class Recorded:
             GraspFileError: they were refined in different scenes.
         """
         found: RecordedScene | None = None
-        for file, recorded in self.files.items():
-            entry = recorded.get("scene")
+        for file, task in self._tasks().items():
+            entry: Any = task.get("scene")
             if not isinstance(entry, dict):
                 continue
             one = RecordedScene(file, *(entry.get(key) for key in ("name", "source", "sha256")))
@@ -103,9 +108,8 @@ class Recorded:
         Regions that cannot be read any more, or were made in Python, are left out, and all where files differ.
         """
         found: dict[str, list[str]] | None = None
-        for recorded in self.files.values():
-            entry = recorded.get("regions")
-            lists = [entry.get(verb) if isinstance(entry, dict) else None for verb in VERBS]
+        for task in self._tasks().values():
+            lists = [task.get(verb) for verb in VERBS]
             specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
             if found not in (None, specs):
                 return (
@@ -180,23 +184,6 @@ def object_entries(groups: Iterable[Group]) -> list[dict[str, Any]]:
         }
         for group in groups
     ]
-
-
-def scene_entry(environment: Environment) -> dict[str, str]:
-    """Return the entry for provenance of the bodies around the object."""
-    return {"name": environment.name, "source": environment.source, "sha256": environment.digest}
-
-
-def regions_entry(regions: ContactRegions) -> dict[str, list[str]]:
-    """Return the entry for provenance of the regions in which hands should touch an object, or not.
-
-    Files of specifications have their whole path, so that they are found from other folders, too.
-    """
-    specs = {verb: [region.spec for region in getattr(regions, verb)] for verb in VERBS}
-    return {
-        verb: [resolve_spec(spec, Path(), verb) if is_spec(spec) else spec for spec in several]
-        for verb, several in specs.items()
-    }
 
 
 def surface_digest(mesh: trimesh.Trimesh) -> str:

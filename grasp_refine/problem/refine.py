@@ -12,6 +12,7 @@ from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.refinement.config import Config
@@ -21,7 +22,6 @@ from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.engine_choice import EngineName
 from grasp_refine.validation.trials import Trials
 
@@ -47,21 +47,21 @@ class Listener:
 def refine_problem(
     problem: Problem,
     config: Config | None = None,
-    protocol: Protocol | None = None,
     *,
+    simulate: bool = False,
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
     on_refined: Callable[[RefinedGrasps], None] = lambda refined: None,
 ) -> RefinedGrasps:
-    """Refine and measure all grasps of a problem, and simulate them before and after.
+    """Refine and measure all grasps of a problem, and, on request, simulate its task with them before and after.
 
     Simulated worlds are built first, so that a hand that MuJoCo refuses costs no refinement.
 
     Args:
-        problem: Hand, objects and grasps.
+        problem: Hand, objects, grasps and task.
         config: All settings of the refinement; the defaults when None.
-        protocol: Protocol of the simulation; None: nothing is simulated.
+        simulate: Whether they are simulated.
         listener: Callbacks of the progress.
         cache: Keeps prepared hands and objects for the next problem.
         threads: CPU threads of the simulation; by default as many as there are.
@@ -75,7 +75,7 @@ def refine_problem(
     def prepared(group: Group) -> HandObject:
         return cache.get("prepared", (problem.hand, group.scene.object), partial(HandObject.of, group.scene))
 
-    worlds = None if protocol is None else _worlds(problem, protocol, listener, cache)
+    worlds = worlds_of(problem, cache=cache, on_note=listener.note) if simulate else None
     parts = [
         refine_group(group, config, prepared=prepared(group), progress=listener.refining(group), on_note=listener.note)
         for group in problem.groups
@@ -85,9 +85,9 @@ def refine_problem(
         listener.note(ignored)
     refined = RefinedGrasps(problem, config, outcome)
     on_refined(refined)
-    if protocol is None or worlds is None:
+    if worlds is None:
         return refined
-    return replace(refined, simulated=_simulate(problem, parts, protocol, worlds, listener, threads))
+    return replace(refined, simulated=_simulate(problem, parts, worlds, listener, threads))
 
 
 def refine_group(
@@ -136,44 +136,28 @@ def refine_group(
 
 def simulate_refined(
     refined: RefinedGrasps,
-    protocol: Protocol,
     *,
     listener: Listener | None = None,
     cache: InputCache | None = None,
     threads: int | None = None,
     engine: EngineName = "mujoco",
 ) -> SimulatedGrasps:
-    """Simulate refined grasps as they were given and as they are now; arguments as of `refine_problem`.
+    """Simulate the task of refined grasps with them as they were given and as they are now.
+
+    Arguments are those of `refine_problem`.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.
     """
     problem, listener = refined.problem, listener or Listener()
-    worlds = _worlds(problem, protocol, listener, cache or NoCache())
+    worlds = worlds_of(problem, cache=cache, on_note=listener.note)
     parts = [refined.outcome.select(group.place) for group in problem.groups]
-    return _simulate(problem, parts, protocol, worlds, listener, threads, engine)
-
-
-def _worlds(problem: Problem, protocol: Protocol, listener: Listener, cache: InputCache) -> list[World]:
-    """Build the simulated world of each group."""
-    from grasp_refine.validation.engines.mujoco.world import build_world
-    from grasp_refine.validation.validate import model_of
-
-    hand = problem.hand
-    model = cache.get("model", hand, partial(model_of, hand))
-    for note in model.notes:
-        listener.note(note)
-    worlds = []
-    for group in problem.groups:
-        given = group.scene.object, protocol, group.scene.table, group.scene.environment
-        worlds.append(cache.get("world", (hand, *given), partial(build_world, model, *given)))
-    return worlds
+    return _simulate(problem, parts, worlds, listener, threads, engine)
 
 
 def _simulate(
     problem: Problem,
     parts: Sequence[Outcome],
-    protocol: Protocol,
     worlds: Sequence[World],
     listener: Listener,
     threads: int | None,
@@ -184,7 +168,6 @@ def _simulate(
     from grasp_refine.validation.robustness import judge
     from grasp_refine.validation.set_points import clipping_note
 
-    protocol = protocol.for_contacts(problem.hand.patches)
     before: list[Trials] = []
     after: list[Trials] = []
     motions: list[Motion] = []
@@ -201,6 +184,7 @@ def _simulate(
     if clipped := clipping_note(worlds, motions):
         listener.note(clipped)
     order = problem.order
+    protocol = problem.task.test(patches=problem.hand.patches)
     return SimulatedGrasps(
         protocol, Trials.join(before).select(order), problem.closing(), Trials.join(after).select(order)
     )

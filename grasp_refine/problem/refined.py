@@ -20,7 +20,7 @@ from grasp_refine.core.versions import versions
 from grasp_refine.forces.squeeze_forces import ContactForces
 from grasp_refine.grasps.grasp_set import GraspSet, Stage
 from grasp_refine.problem.problem import Problem, aim
-from grasp_refine.problem.recorded_objects import object_entries, regions_entry, scene_entry
+from grasp_refine.problem.recorded_objects import object_entries
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.console import html_of, text_of
@@ -30,6 +30,8 @@ from grasp_refine.results.result_files import fingerprint, refined_set, result_p
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
 from grasp_refine.results.validation_document import TABLE_SUFFIXES, check_table, save_table
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import TASK, task_entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,11 @@ class RefinedGrasps:
     def __len__(self) -> int:
         """Return the number of grasps."""
         return len(self.outcome)
+
+    @property
+    def task(self) -> Task:
+        """What the grasps were refined for: what they must do, and where."""
+        return self.problem.task
 
     @property
     def status(self) -> np.ndarray:
@@ -178,11 +185,8 @@ class RefinedGrasps:
             "config": {"refine": settings(self.config)},
             "source": source,
             "urdf": fingerprint(problem.hand.urdf),
+            TASK: task_entry(problem.task),
         }
-        environment = problem.groups[0].scene.environment
-        common |= {} if environment is None else {"scene": scene_entry(environment)}
-        regions = problem.groups[0].scene.regions
-        common |= {} if regions is None else {"regions": regions_entry(regions)}
         for name, path in paths.items():
             rows = np.flatnonzero(self.outcome.object == name)
             of_object = common | {"objects": object_entries(group for group in problem.groups if group.object == name)}

@@ -14,7 +14,6 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.rows import choose_rows
-from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import check_object_name
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import AUTO, NEAREST, SAMPLE, ProblemSpec
@@ -71,20 +70,10 @@ def with_samples(
     hand, obj = empty.hand, empty.object
     began = time.perf_counter()
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
-    where = empty.regions or ContactRegions()
 
     def draw(number: int) -> GraspSet:
         given = seed if number == 0 else (*(seed if isinstance(seed, tuple) else (seed, 0)), number)
-        return sample_grasps(
-            hand,
-            obj,
-            count,
-            seed=given,
-            table=empty.table,
-            environment=empty.environment,
-            touch=where.touch,
-            avoid=where.avoid,
-        )
+        return sample_grasps(hand, obj, count, task=empty.task, seed=given)
 
     def posed(grasps: GraspSet) -> Scene:
         return replace(empty, T_world_root=transform_from_pose(grasps.hand_pose), q=grasps.q)

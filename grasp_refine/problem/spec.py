@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,14 +15,10 @@ from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import Holes
 from grasp_refine.geometry.units import UNITS, Unit
 from grasp_refine.hands.files.link_geometry import HULL_LIMIT
-from grasp_refine.objects.region_spec import check_specs
-from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.task_spec import TaskSpec
 
 AUTO, NEAREST = "auto", "nearest"
 """Values of `targets`: targets of the grasp file, if any; or the points where links are nearest to the object."""
-
-NO_SCENE = "none"
-"""Value of `scene` for no scene."""
 
 SAMPLE = "sample:"
 """Prefix of `grasps` for sampled grasps instead of a file, as in sample:32."""
@@ -30,13 +26,13 @@ SAMPLE = "sample:"
 PATHS = ("urdf", "mjcf", "objects", "grasps")
 """Fields that are kept as `Path`."""
 
-NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "scene")
+NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "task", "protocol", "scene")
 """Fields that are names, or paths if they cannot be names; kept as text."""
 
 
 @dataclass(frozen=True)
-class SourceSpec:
-    """Hand and objects of grasps whose file is given elsewhere."""
+class SourceSpec(TaskSpec):
+    """Hand, objects and task of grasps whose file is given elsewhere."""
 
     hand: str | None = None
     """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
@@ -62,9 +58,6 @@ class SourceSpec:
     mount_pose: str | None = None
     """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default that of the hand's
     hand.toml (flange), else the same frame."""
-    base: str | None = None
-    """Pose of the arm's base link in the object's frame, or in the world of `scene`: x,y,z,roll,pitch,yaw (metres,
-    degrees)."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
     folder of convex pieces, or an asset such as ycb/011_banana. By default that of the grasp file."""
@@ -84,17 +77,6 @@ class SourceSpec:
     default it is detected."""
     index: tuple[int, ...] = ()
     """Numbers of the grasps of each object; 0 is its first one in the file. By default all."""
-    table: float | None = None
-    """Height (metres) of a table in the object's frame, z up, that no link may go through."""
-    scene: str | None = None
-    """Scene in which the object is grasped: a name that `refine-grasp scenes` lists, or a TOML file; none: the object
-    alone, also for results that were refined in a scene."""
-    touch: tuple[str, ...] = ()
-    """Region of the object that links should touch, in its frame and metres; again for several: box:x0,y0,z0,x1,y1,z1,
-    above:z=0.05, below:z=0.05, plane:x,y,z,nx,ny,nz (the side to which the normal points), faces:FILE (numbers of faces
-    of the mesh), color:#ff0000 (of its faces or vertices). By default that of the scene, else everywhere."""
-    avoid: tuple[str, ...] = ()
-    """Region of the object that no link should touch, as `touch`."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
@@ -122,30 +104,28 @@ class SourceSpec:
         check_fields(self)
 
     def check(self) -> None:
-        """Refuse an invalid scale, table, hull limit or pose, and fields of an arm that have no meaning alone.
+        """Refuse an invalid scale, hull limit, pose or task, and fields of an arm that have no meaning alone.
 
         Raises:
             GraspRefineError: names the field.
         """
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise GraspRefineError(f"`scale` must be positive and finite, got {self.scale:g}")
-        if self.table is not None and not np.isfinite(self.table):
-            raise GraspRefineError(f"`table` must be a height in metres, got {self.table:g}")
-        if self.table is not None and self.scene not in (None, NO_SCENE):
-            raise GraspRefineError("`table` and `scene` exclude each other: a scene has its own tables")
         check_hull_limit(self.hull_limit)
-        check_specs(self.touch, self.avoid)
+        self.check_task()
         for name, value in (("mount", self.mount), ("mount_pose", self.mount_pose)):
             if value is not None and self.arm is None:
                 raise GraspRefineError(f"`{name}='{value}'`: needs the arm that carries the hand, `arm`")
-        for name, value in (("base", self.base), ("mount_pose", self.mount_pose)):
-            if value is not None:
-                read_pose(value, f"`{name}`")
+        if self.mount_pose is not None:
+            read_pose(self.mount_pose, "`mount_pose`")
 
-    @property
-    def plane(self) -> Plane | None:
-        """Plane of the table, if there is one."""
-        return None if self.table is None else Plane(offset=self.table)
+    def with_named_task(self) -> Any:
+        """Return the specification with the fields of its `task`, as a `SourceSpec` or `ProblemSpec` itself.
+
+        Subclasses with options may have other types of fields.
+        """
+        kind = ProblemSpec if isinstance(self, ProblemSpec) else SourceSpec
+        return TaskSpec.with_named_task(kind(**{one.name: getattr(self, one.name) for one in fields(kind)}))
 
     @property
     def stands(self) -> bool:

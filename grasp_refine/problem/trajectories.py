@@ -14,10 +14,10 @@ from grasp_refine.motion.plan import TrajectoryOptions, plan_motions
 from grasp_refine.motion.trajectory_files import PlannedTrajectories, join
 from grasp_refine.problem.input_cache import InputCache, NoCache
 from grasp_refine.problem.refined import RefinedGrasps
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.scene.protocols.scene import SCENE
+from grasp_refine.scene.task import Task
 
 
 def plan_trajectories(
@@ -44,7 +44,7 @@ def plan_trajectories(
 def follow_trajectories(
     refined: RefinedGrasps,
     planned: PlannedTrajectories,
-    protocol: str | Path | Protocol = SCENE,
+    task: Task | str | Path | None = None,
     *,
     cache: InputCache | None = None,
     threads: int | None = None,
@@ -54,8 +54,8 @@ def follow_trajectories(
     Args:
         refined: Result of `refine`.
         planned: Its trajectories, of `plan_trajectories`.
-        protocol: One that lifts, or its name or file: friction, masses and time step of the simulation, and when an
-            object is lost.
+        task: Another task than that of the refinement, as of `load_task`, which counts where it names something; it
+            lifts. None: that of the refinement, by protocol `scene` where its own pushes.
         cache: Keeps models and worlds.
         threads: CPU threads; by default as many as there are.
 
@@ -64,24 +64,20 @@ def follow_trajectories(
             cannot compile the hand or the world.
     """
     from grasp_refine.motion.execution import follow
-    from grasp_refine.validation.engines.mujoco.world import build_world
-    from grasp_refine.validation.validate import model_of
 
     check_kind("refined", refined, RefinedGrasps)
     check_kind("planned", planned, PlannedTrajectories)
-    protocol = protocol if isinstance(protocol, Protocol) else load_protocol(str(protocol))
-    problem, cache = refined.problem, cache or NoCache()
+    problem = refined.problem.for_task(task)
+    if task is None and not problem.task.test(patches=problem.hand.patches).tabletop:
+        problem = problem.for_task(Task(SCENE))
     if len(planned) != len(problem):
         raise GraspRefineError(f"there are {len(planned)} trajectories, and {len(problem)} grasps")
     if planned.hand.joint_names != problem.hand.joint_names:
         raise GraspRefineError(
             f"the trajectories are of hand '{planned.hand.name}', the grasps of '{problem.hand.name}'"
         )
-    model = cache.get("model", problem.hand, partial(model_of, problem.hand))
     parts = []
-    for group in problem.groups:
-        surroundings = group.scene.object, protocol, group.scene.table, group.scene.environment
-        world = cache.get("world", (problem.hand, *surroundings), partial(build_world, model, *surroundings))
+    for group, world in zip(problem.groups, worlds_of(problem, cache=cache), strict=True):
         plans = [planned.plans[place] for place in group.place.tolist()]
         parts.append(follow(world, problem.hand, plans, threads=threads))
     return replace(planned, executions=take(rows_of_all(*parts), problem.order))

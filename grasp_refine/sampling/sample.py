@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,12 +24,10 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.objects.object import Object, as_object
 from grasp_refine.objects.region import ContactRegions
-from grasp_refine.objects.region_spec import Regions
 from grasp_refine.sampling.antipodal import antipodal_pairs, close_jaws, place_jaws
 from grasp_refine.sampling.closure_frame import ClosureFrame, closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.placement import Placed, opposed_pairs, place_hands, sample_places
-from grasp_refine.scene.contact_regions import regions_of
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M, contact_misses, link_groups
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
@@ -36,6 +35,8 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
 from grasp_refine.scene.scene_check import check_object
 from grasp_refine.scene.surroundings import Surroundings
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import as_task
 
 if TYPE_CHECKING:
     from grasp_refine.objects.object import Mesh
@@ -89,11 +90,8 @@ def sample_grasps(
     obj: Object | Mesh,
     count: int,
     *,
+    task: Task | str | Path | None = None,
     seed: int | tuple[int, ...] = 0,
-    table: Plane | None = None,
-    environment: Environment | None = None,
-    touch: Regions = (),
-    avoid: Regions = (),
     prepared: HandObject | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GraspSet:
@@ -112,14 +110,11 @@ def sample_grasps(
         hand: Any hand whose joints move contact links; sampled joint values are around the rest pose, or `clear_rest`.
         obj: The object, or its mesh as for `load_object`.
         count: Number of grasps, 1 to `MAX_GRASPS`.
+        task: What the grasps must do, and where, as of `load_task`. No link goes through the table, and no hand
+            approaches from below it. Hands that are nearer to a body of the scene than its margin, open or closed, are
+            drawn anew, and up to `TRIES_AMONG_BODIES` times as many are tried. Hands are placed at the regions to
+            touch, and two groups of links at least touch in them.
         seed: The same seed gives the same grasps.
-        table: A plane that no link goes through, and no hand approaches from below.
-        environment: Bodies around the object; hands that are nearer to any than its margin, open or closed, are drawn
-            anew, and up to `TRIES_AMONG_BODIES` times as many are tried.
-        touch: Regions of the object that hands should touch, or their specifications (`contact_regions`): hands are
-            placed there, and at least two groups of links touch in them; none: the environment's, else
-            everywhere.
-        avoid: Regions that they should not touch.
         prepared: Data of this hand and object; None: built here.
         progress: Called after each batch with the number of grasps found and that of hands tried.
 
@@ -131,8 +126,9 @@ def sample_grasps(
     obj = as_object("obj", obj)
     check_kind("count", count, int)
     check_kind("seed", seed, int | tuple[int, ...])
-    check_kind("table", table, Plane | None)
-    check_kind("environment", environment, Environment | None)
+    task = as_task(task)
+    task = task if task.is_on_object else task.on(obj)
+    table, environment = task.plane, task.environment
     check_kind("prepared", prepared, HandObject | None)
     if np.min(seed, initial=0) < 0:
         raise GraspRefineError(f"seeds must be at least 0, got {seed}")
@@ -144,7 +140,7 @@ def sample_grasps(
     closure, rng = closure_frame(hand), np.random.default_rng(seed)
     prepared = prepared or HandObject(hand, obj)
     around = None if environment is None else _around(prepared, environment)
-    closing = _Closing(prepared, closure, table, around, regions_of(obj, touch, avoid, environment))
+    closing = _Closing(prepared, closure, table, around, task.regions)
     draw = _drawing(closing, hand, jaw_frame(hand, closure), rng)
     found, total, tried = [], 0, 0
     most = max(MIN_TRIES, TRIES_PER_GRASP * count) * (1 if closing.around is None else TRIES_AMONG_BODIES)

@@ -16,6 +16,7 @@ from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.task import Task
 
 MAX_MAGNITUDE = 1e6
 """Largest magnitude of poses, joint values and targets, in metres or radians: no grasp is beyond, where squares
@@ -50,12 +51,8 @@ class Scene:
     contact_gap: np.ndarray | None = None
     """Recorded contact links: the gap (N, L) in metres that each should keep from the object; NaN for other links, and
     for all links of grasps without a record. None: no grasp has one; see `contact_links`."""
-    table: Plane | None = None
-    """A plane that no link may go through."""
-    environment: Environment | None = None
-    """Bodies around the object that no link may go into."""
-    regions: ContactRegions | None = None
-    """Regions of the object in which links should touch it, or should not."""
+    task: Task = Task()
+    """What the grasps must do, and where; its regions are made for the object."""
 
     def __repr__(self) -> str:
         given = [
@@ -73,9 +70,9 @@ class Scene:
         """
         check_kind("hand", self.hand, Hand)
         check_kind("object", self.object, Object)
-        check_kind("table", self.table, Plane | None)
-        check_kind("environment", self.environment, Environment | None)
-        check_kind("regions", self.regions, ContactRegions | None)
+        check_kind("task", self.task, Task)
+        if not self.task.is_on_object:
+            object.__setattr__(self, "task", self.task.on(self.object))
         arrays: dict[str, np.ndarray] = {}
         arrays["T_world_root"], arrays["q"] = grasp_arrays(self.hand, self.T_world_root, self.q)
         count, links = len(arrays["q"]), len(self.links)
@@ -96,6 +93,21 @@ class Scene:
             raise GraspRefineError("targets need target_link and target_object together, got one of them")
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def table(self) -> Plane | None:
+        """A plane that no link may go through."""
+        return self.task.plane
+
+    @property
+    def environment(self) -> Environment | None:
+        """Bodies around the object that no link may go into."""
+        return self.task.environment
+
+    @property
+    def regions(self) -> ContactRegions | None:
+        """Regions of the object in which links should touch it, or should not."""
+        return self.task.regions
 
     @property
     def links(self) -> tuple[str, ...]:

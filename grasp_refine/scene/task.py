@@ -39,7 +39,8 @@ class Task:
     """Test in simulation: pushes or a lift, mass or density, friction, contacts, noise; or its name or TOML file. None:
     `scene` in a scene, else `dexgraspbench`."""
     table: Plane | float | None = None
-    """Plane that no link may go through; a number is its height in metres in the object's frame, z up."""
+    """Plane that no link may go through; a number is its height in metres in the object's frame, z up. In a scene, the
+    object is lifted off the bodies of the scene instead."""
     scene: Environment | str | Path | None = None
     """Bodies around the object that no link may go into; or the name or TOML file of a scene."""
     base: ArrayLike | None = None
@@ -79,8 +80,6 @@ class Task:
         check_kind("Task: protocol", self.protocol, Protocol | None)
         check_kind("Task: table", self.table, Plane | None)
         check_kind("Task: scene", self.scene, Environment | None)
-        if self.table is not None and self.scene is not None:
-            raise GraspRefineError("Task: table and scene exclude each other: a scene has its own tables")
 
     @property
     def plane(self) -> Plane | None:
@@ -135,6 +134,11 @@ class Task:
         )
         found = contact_regions(obj, touch, avoid) or ContactRegions()
         return replace(self, touch=found.touch, avoid=found.avoid)
+
+    @property
+    def for_simulation(self) -> Task:
+        """The task with the fields that a simulated world depends on, and no others."""
+        return replace(self, base=None, touch=(), avoid=())
 
     def over(self, other: Task) -> Task:
         """Return the fields that this task names, and the fields of another task where it names none."""

@@ -33,7 +33,7 @@ def load_task(source: str | Path) -> Task:
 
     Args:
         source: Name of a protocol or of a scene; a TOML file with the keys protocol, table, scene, base, touch and
-            avoid; or a result file (.npz) or JSON document, whose grasps were refined for a task.
+            avoid; or a result file (.npz), or the JSON document of `refine-grasp run`, for the task of its grasps.
 
     Raises:
         GraspRefineError: there is none, or the file has a wrong key or value: names file, key and choices.
@@ -77,8 +77,8 @@ def save_task(task: Task, path: str | Path, *, overwrite: bool = False) -> None:
         made = [spec for spec in entry.get(name, ()) if not is_spec(spec)]
         if made:
             raise GraspRefineError(f"{path}: {name} {made[0]} was made in memory: it has no specification")
-    if task.named_protocol in PROTOCOLS.values():
-        entry["protocol"] = task.named_protocol.name
+    if (protocol := task.named_protocol) is not None and protocol in PROTOCOLS.values():
+        entry["protocol"] = protocol.name
     save_text(path, _toml(entry))
 
 
@@ -99,7 +99,8 @@ def task_entry(task: Task) -> dict[str, Any]:
         entry["base"] = task.base
     for name, given in (("touch", task.touch), ("avoid", task.avoid)):
         if given is not None:
-            specs = [one.spec if isinstance(one, Region) else str(one) for one in given]
+            several = (given,) if isinstance(given, str | Region) else given
+            specs = [one.spec if isinstance(one, Region) else one for one in several]
             entry[name] = [resolve_spec(spec, Path(), name) if is_spec(spec) else spec for spec in specs]
     return entry
 
@@ -140,7 +141,7 @@ def _of_document(path: Path) -> Mapping[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise GraspRefineError(f"{path}: cannot be read as JSON ({error})") from None
-    return _recorded(found, path)
+    return _recorded(found.get("config") if isinstance(found, Mapping) else None, path)
 
 
 def _recorded(record: Any, path: Path) -> Mapping[str, Any]:
@@ -164,6 +165,8 @@ def _fields(entry: Mapping[str, Any], path: Path) -> dict[str, Any]:
     for key in entry:
         if key not in FIELDS:
             raise GraspRefineError(f"{where}no key '{key}'{did_you_mean(key, FIELDS)} there are {', '.join(FIELDS)}")
+    if "table" in entry and "scene" in entry:
+        raise GraspRefineError(f"{where}table and scene exclude each other: a scene has its own tables")
     return {key: _VALUES[key](value, path.parent, f"{where}{key}") for key, value in entry.items()}
 
 

@@ -18,6 +18,7 @@ SETUP = """
 import json, sys
 from dataclasses import replace
 import numpy as np, torch
+from grasp_refine.scene.task import Task
 from grasp_refine.hands.chain import Chain
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.refinement.config import Config
@@ -67,7 +68,8 @@ T_a[..., 0, 3] = 0.1
 t_a, t_b = tensor(T_a), tensor(T_b)
 layer, kinematics, chain = WitnessLayer(pairs, ContactKinematics()), Kinematics(hand, links), Chain(hand, links)
 protocol = Protocol(directions=("+x",), moves=1, steps_per_move=1, checks=1, steps_per_check=1)
-world, motion = build_world(model_of(hand), box, protocol), closing_motion(Scene(hand, box, T[:1], q[:1]))
+task = Task(protocol)
+world, motion = build_world(model_of(hand), box, task), closing_motion(Scene(hand, box, T[:1], q[:1]))
 long = 2 * pose[:1, [0, 1, 2, 3, 4, 5, 6]]
 large = T * [[2.0], [2.0], [2.0], [1.0]]
 
@@ -108,8 +110,8 @@ REFUSED = {
     "Kinematics(hand, 'palm')": "palm",
     'Chain("allegro", links)': 'load_hand("allegro")',
     'model_of("allegro")': 'load_hand("allegro")',
-    "build_world(hand, box, protocol)": "model_of(hand)",
-    'build_world(model_of(hand), "mug", protocol)': 'load_object("mug")',
+    "build_world(hand, box, task)": "model_of(hand)",
+    'build_world(model_of(hand), "mug", task)': 'load_object("mug")',
     "simulate(model_of(hand), motion)": "build_world",
     "simulate(world, scene)": "closing_motion(scene)",
     "closing_motion(motion)": "Scene",
@@ -163,7 +165,7 @@ REFUSED = {
     "Scene(hand, box, None, q)": "T_world_root",
     "Scene(hand, box, T, q.astype(str))": "q",
     "Scene(hand, box, T.astype(complex), q)": "complex128",
-    'Scene(hand, box, T, q, table="table")': "Plane",
+    'Task(table="table")': "Plane",
     "Plane(normal=(0, 0, 2))": "unit length",
     "load_object('mug', unit='millimetres')": "'mm'",
     "load_object('mug', scale='2')": "'2'",

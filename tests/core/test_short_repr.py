@@ -23,9 +23,9 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import compare
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
@@ -42,11 +42,11 @@ def things() -> dict[str, object]:
     grasps = load_grasps(hand.urdf.parent / "example_rounded_box.npz").select([0, 1])
     T, q = transform_from_pose(grasps.hand_pose), match_joints(grasps, hand)[0]
     T[1] = np.nan
-    scene = Scene(hand, box, T, q, table=Plane(offset=-0.1))
+    scene = Scene(hand, box, T, q, task=Task(table=-0.1))
     result = refine(scene, Config(solver=LevenbergMarquardt(iterations=2), starts=1))
     prepared = HandObject(hand, box)
     T_link = prepared.chain(T, q).T_world_link
-    world = build_world(model_of(hand), box, Protocol(moves=1, steps_per_move=1, checks=1, steps_per_check=1))
+    world = build_world(model_of(hand), box, Task(Protocol(moves=1, steps_per_move=1, checks=1, steps_per_check=1)))
     motion = closing_motion(scene, prepared)
     rows = np.arange(2)
     return {

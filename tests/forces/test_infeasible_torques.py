@@ -19,6 +19,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import refine
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene, links_of
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import close
@@ -113,7 +114,7 @@ def pressure(hand: Hand) -> float:
     """Pressure in newtons of both fingers on a box that stands between the middles of their pads, after the squeeze."""
     obj, (T, q) = load_object("box:0.05,0.03,0.01"), pinch(hand, 0.0)
     scene = Scene(hand, obj, T[None], q[None])
-    world = build_world(model_of(hand), obj, DEXGRASPBENCH, scene.table)
+    world = build_world(model_of(hand), obj, Task(DEXGRASPBENCH, table=scene.table))
     closed = close(world, closing_motion(scene), Conditions.nominal(world, 1))
     data = mujoco.MjData(world.model)
     mujoco.mj_setState(world.model, data, closed.state[0], mujoco.mjtState.mjSTATE_INTEGRATION)

@@ -17,6 +17,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import candidate_pairs, touching_pairs
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.validate import model_of
@@ -244,7 +245,7 @@ def test_messages_of_mujoco_about_its_later_versions_are_not_shown(tmp_path: Pat
     path.write_text(text.replace("<compiler", '<compiler settotalmass="0.5"', 1))
     assert path.read_text() != text
     hand = load_hand(path, candidates=16)
-    build_world(model_of(hand), load_object("sphere:0.02"), Protocol())
+    build_world(model_of(hand), load_object("sphere:0.02"), Task(Protocol()))
 
 
 def test_a_hand_toml_goes_with_an_mjcf(tmp_path: Path) -> None:

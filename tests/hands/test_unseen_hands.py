@@ -24,6 +24,7 @@ from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import simulate
@@ -170,7 +171,7 @@ def test_grasps_are_found_refined_and_hold(hand: Hand, spec: str) -> None:
     assert np.median(measured.contact_distance_m) < gap and measured.penetration_m.max() < 2e-5
     assert measured.self_penetration_m.max() < 1e-5
     motion = closing_motion(replace(scene, T_world_root=found.T_world_root, q=found.q), prepared)
-    world = build_world(urdf_model(hand), scene.object, DEXGRASPBENCH)
+    world = build_world(urdf_model(hand), scene.object, Task(DEXGRASPBENCH))
     assert simulate(world, motion, threads=1).success.sum() >= count - 1
     assert slack(hand, world, motion) < 3e-3
 

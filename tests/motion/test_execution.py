@@ -26,6 +26,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.validate import model_of
 
@@ -60,7 +61,7 @@ def timed(hand: Hand) -> Trajectory:
         placed, _ = on_arm(replace(ours, base_link=hand.palm, joint_names=hand.joint_names[-1:], q=q[:1]), hand, T_BASE)
         q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
         T = np.tile(T_BASE, (3, 1, 1))
-    scene = Scene(hand, THING, T[1], q[1], environment=Environment((TABLE,), np.eye(4)))
+    scene = Scene(hand, THING, T[1], q[1], task=Task(scene=Environment((TABLE,), np.eye(4))))
     (plan,) = plan_motions(scene, Motion(T[None], q[None]), TrajectoryOptions(approach=0.08))
     assert plan.free, plan.why
     return trajectory(hand, plan)
@@ -71,7 +72,7 @@ def followed(
 ) -> Executions:
     """Return what happens on trajectories among bodies on the table."""
     environment = Environment((TABLE, *bodies), np.eye(4))
-    return execute(build_world(model_of(hand), THING, protocol, environment=environment), hand, timed, threads=1)
+    return execute(build_world(model_of(hand), THING, Task(protocol, scene=environment)), hand, timed, threads=1)
 
 
 def test_free_trajectory_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajectory) -> None:

@@ -32,6 +32,7 @@ from grasp_refine.problem.arms import arm_clearance
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 
 T_BASE = transform_from_rpy([-0.5, 0.0, -0.06])
 OPEN_M = 0.036
@@ -74,7 +75,7 @@ def grasp(hand: Hand, thing: Object, *bodies: EnvironmentBody) -> tuple[Scene, M
         q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
         T = np.tile(T_BASE, (3, 1, 1))
     environment = Environment(bodies, np.eye(4)) if bodies else None
-    return Scene(hand, thing, T[1], q[1], environment=environment), Motion(T[None], q[None])
+    return Scene(hand, thing, T[1], q[1], task=Task(scene=environment)), Motion(T[None], q[None])
 
 
 def test_palm_of_an_arm_moves_on_a_straight_line(whole: Hand, thing: Object) -> None:
@@ -220,7 +221,7 @@ def test_plans_move_with_the_whole_scene(whole: Hand, thing: Object, blocked: bo
         thing.with_body(build_body(thing.name, [piece.transformed(D) for piece in thing.body.pieces])),
         D @ scene.T_world_root,
         scene.q,
-        environment=Environment(scene.environment.bodies, np.linalg.inv(D)),
+        task=Task(scene=Environment(scene.environment.bodies, np.linalg.inv(D))),
     )
     # The world stays, and the frame of the object moves in it.
     (first,), (second,) = plan_motions(scene, motion), plan_motions(there, Motion(D @ motion.T_world_root, motion.q))
@@ -379,7 +380,7 @@ def test_all_set_points_of_sampled_grasps_on_an_arm_are_within_limits(name: str)
     alone, box = load_hand(name, candidates=64), load_object("box:0.06,0.06,0.12")
     arm = mount(load_hand("ur5e", candidates=32), alone)
     grasps = gr.sample_grasps(alone, box, 8)
-    refined = gr.refine(arm, box, grasps, base=[-0.55, 0.0, -0.06, 0.0, 0.0, 0.0])
+    refined = gr.refine(arm, box, grasps, task=gr.Task(base=[-0.55, 0.0, -0.06, 0.0, 0.0, 0.0]))
     timed = [one.q for one in gr.plan_trajectories(refined).trajectories() if len(one)]
     assert len(timed) > 2
     check_limits(arm, np.concatenate(timed))

@@ -17,6 +17,7 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.protocol_file import load_protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, Rows
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import close, push
@@ -144,7 +145,7 @@ def test_base_of_the_arm_never_moves(refined: gr.RefinedGrasps) -> None:
 def world(refined: gr.RefinedGrasps) -> World:
     """Return the world in which the arm lifts."""
     scene = refined.problem.groups[0].scene
-    return build_world(model_of(scene.hand), scene.object, load_protocol("tabletop"), scene.table)
+    return build_world(model_of(scene.hand), scene.object, Task(load_protocol("tabletop"), table=scene.table))
 
 
 def test_arm_holds_the_grasp_and_lifts_the_box(refined: gr.RefinedGrasps, world: World) -> None:
@@ -199,13 +200,13 @@ def test_facade_places_grasps_in_memory() -> None:
     hand, box = gr.load_hand("franka_hand"), gr.load_object("box:0.05,0.06,0.12")
     grasps = gr.sample_grasps(hand, box, 2)
     whole = gr.mount(gr.load_hand("ur5e"), hand)
-    a = gr.problem_of(whole, box, grasps, base=[-0.5, 0.0, -0.1])
-    b = gr.problem_of(whole, box, grasps, base=a.groups[0].scene.T_world_root[0])
+    a = gr.problem_of(whole, box, grasps, task=gr.Task(base=[-0.5, 0.0, -0.1]))
+    b = gr.problem_of(whole, box, grasps, task=gr.Task(base=a.groups[0].scene.T_world_root[0]))
     np.testing.assert_allclose(a.groups[0].scene.q, b.groups[0].scene.q, atol=1e-9)
     with pytest.raises(GraspRefineError, match="base"):
         gr.problem_of(whole, box, grasps)
     with pytest.raises(GraspRefineError, match="base"):
-        gr.problem_of(whole, box, grasps, base=[1.0, 2.0])
+        gr.problem_of(whole, box, grasps, task=gr.Task(base=[1.0, 2.0]))
 
 
 def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:
@@ -229,7 +230,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
     """World, object, bodies, in another order, and base moved, up kept: the same grasps and trajectories, to 1e-9."""
     scene, hand = gr.load_scene("box-in-corner"), gr.load_hand("franka_hand", candidates=32)
     box, whole = gr.load_object(scene.object or ""), gr.mount(gr.load_hand("ur5e", candidates=32), hand)
-    grasps = gr.sample_grasps(hand, box, 3, environment=scene)
+    grasps = gr.sample_grasps(hand, box, 3, task=gr.Task(scene=scene))
     T_base = read_pose("0,-0.55,0.7,0,0,90", "`base`")
     G = transform_from_rpy([3.0, -2.0, 1.0, 0.0, 0.0, 130.0])
     bodies = tuple(replace(body, T_world_body=G @ body.T_world_body) for body in scene.bodies)
@@ -237,7 +238,7 @@ def test_grasps_on_an_arm_move_with_their_whole_scene() -> None:
     (first, its), (second, others) = (
         (found, gr.plan_trajectories(found))
         for found in (
-            gr.refine(whole, box, grasps, CONFIG, scene=one, base=base)
+            gr.refine(whole, box, grasps, CONFIG, task=gr.Task(scene=one, base=base))
             for one, base in ((scene, T_base), (there, G @ T_base))
         )
     )

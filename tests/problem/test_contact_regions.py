@@ -51,7 +51,7 @@ def given(hand: gr.Hand) -> gr.GraspSet:
 @pytest.fixture(scope="module")
 def refined(hand: gr.Hand, block: gr.Object, given: gr.GraspSet) -> gr.RefinedGrasps:
     """The example, refined away from the top."""
-    return gr.refine(hand, block, given, gr.Config(starts=2), avoid=AVOID)
+    return gr.refine(hand, block, given, gr.Config(starts=2), task=gr.Task(avoid=AVOID))
 
 
 def contact_heights(refined: gr.RefinedGrasps) -> np.ndarray:
@@ -75,9 +75,9 @@ def test_contacts_slide_out_of_what_they_should_avoid(refined: gr.RefinedGrasps,
 def test_every_link_that_touches_counts(refined: gr.RefinedGrasps) -> None:
     """The measure is that of all links within the contact distance, by hand and through the facade."""
     scene = refined.problem.groups[0].scene
-    found = metrics(scene.hand, scene.object, scene.T_world_root, scene.q, None, scene.regions)
+    found = metrics(scene.hand, scene.object, scene.T_world_root, scene.q, scene.task)
     np.testing.assert_allclose(found.region_miss_m, refined.outcome["region_miss_m"][:, 0])
-    evaluated = gr.evaluate(scene.hand, scene.object, refined.before, avoid=AVOID)
+    evaluated = gr.evaluate(scene.hand, scene.object, refined.before, gr.Task(avoid=AVOID))
     np.testing.assert_allclose(evaluated.validated.metrics.region_miss_m, found.region_miss_m)
     assert (evaluated.quality[found.region_miss_m > 2.5e-3] == 0.0).all()
 
@@ -86,7 +86,7 @@ def test_measured_grasps_report_where_they_should_not_be(
     hand: gr.Hand, block: gr.Object, refined: gr.RefinedGrasps
 ) -> None:
     around = gr.Environment((), np.eye(4), avoid=(AVOID,))
-    found = gr.evaluate(hand, block, refined.before, scene=around)
+    found = gr.evaluate(hand, block, refined.before, gr.Task(scene=around))
     outside = found.validated.metrics.region_miss_m > TOLERANCE_M
     assert outside.any() and not outside.all()
     assert f"touch only where they should: {(~outside).sum()} of 4; not: {np.flatnonzero(outside)[0]}" in str(found)
@@ -96,7 +96,7 @@ def test_measured_grasps_report_where_they_should_not_be(
 
 def test_grasps_that_cannot_reach_a_region_say_so(hand: gr.Hand, block: gr.Object, given: gr.GraspSet) -> None:
     still = gr.Config(starts=1, max_move=MaxMove(1e-3, 0.01, 0.01))
-    refined = gr.refine(hand, block, given, still, touch="below:z=-0.03")
+    refined = gr.refine(hand, block, given, still, task=gr.Task(touch="below:z=-0.03"))
     miss = refined.outcome["region_miss_m"][:, 1]
     assert (miss > 0.01).any() and (refined.quality[miss > 2.5e-3, 1] == 0.0).all()
     links = refined.problem.groups[0].scene.links
@@ -110,9 +110,11 @@ def test_grasps_that_cannot_reach_a_region_say_so(hand: gr.Hand, block: gr.Objec
 
 def test_sampled_hands_touch_where_they_should(hand: gr.Hand, block: gr.Object) -> None:
     around = gr.Environment((), np.eye(4), touch=("below:z=-0.01",))
-    grasps = gr.sample_grasps(hand, block, 4, environment=around)
-    found = gr.evaluate(hand, block, grasps, touch="below:z=-0.01").validated.metrics
-    anywhere = gr.evaluate(hand, block, gr.sample_grasps(hand, block, 4), touch="below:z=-0.01").validated.metrics
+    grasps = gr.sample_grasps(hand, block, 4, task=gr.Task(scene=around))
+    found = gr.evaluate(hand, block, grasps, gr.Task(touch="below:z=-0.01")).validated.metrics
+    anywhere = gr.evaluate(
+        hand, block, gr.sample_grasps(hand, block, 4), gr.Task(touch="below:z=-0.01")
+    ).validated.metrics
     assert (found.contact_number >= 2).all()
     assert np.median(found.region_miss_m) < 5e-3 < np.median(anywhere.region_miss_m)
 
@@ -121,7 +123,7 @@ def test_regions_that_hold_everything_change_no_grasp(hand: gr.Hand, block: gr.O
     everything = ContactRegions((Box("all", np.full(3, -1.0), np.full(3, 1.0)),))
     scene = gr.problem_of(hand, block, given).groups[0].scene.select(slice(0, 2))
     config = gr.Config(starts=1)
-    free, held = (refine(replace(scene, regions=regions), config) for regions in (None, everything))
+    free, held = (refine(replace(scene, task=gr.Task(touch=touch)), config) for touch in ((), everything.touch))
     np.testing.assert_allclose(held.q, free.q, atol=1e-6)
     np.testing.assert_allclose(held.T_world_root, free.T_world_root, atol=1e-6)
 
@@ -141,7 +143,7 @@ def test_files_of_regions_are_found_from_other_folders_and_missed_where_they_are
     (made / "faces.txt").write_text("0 1 2 3")
     monkeypatch.chdir(made)
     scene = refined.problem.groups[0].scene
-    problem = gr.problem_of(scene.hand, scene.object, given, touch="faces:faces.txt")
+    problem = gr.problem_of(scene.hand, scene.object, given, task=gr.Task(touch="faces:faces.txt"))
     paths = replace(refined, problem=problem).save(made / "refined.npz")
     monkeypatch.chdir(tmp_path)
     again = load_problem(gr.ProblemSpec(grasps=paths[0]))
@@ -157,7 +159,7 @@ def test_results_of_different_regions_report_that_none_counts(
     refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path
 ) -> None:
     scene = refined.problem.groups[0].scene
-    other = gr.problem_of(scene.hand, scene.object, given, avoid="above:z=0.02")
+    other = gr.problem_of(scene.hand, scene.object, given, task=gr.Task(avoid="above:z=0.02"))
     refined.save(tmp_path / "one.npz")
     replace(refined, problem=other).save(tmp_path / "two.npz")
     read = load_problem(gr.ProblemSpec(grasps=tmp_path, hand="allegro", object="rounded_box"))

@@ -103,7 +103,7 @@ def test_what_is_refined_is_measured_and_simulated_as_one(gripper: gr.Hand, refi
     # Flat jaws touch in several points in MuJoCo, and in one in Drake.
     assert in_drake.held.shape == trials.held.shape and not (in_drake.held & ~trials.held).any()
     assert (in_drake.after.closing_m != trials.after.closing_m).all()
-    with refused(gr.GraspRefineError, "protocol"):
+    with refused(gr.GraspRefineError, "task="):
         _ = gr.evaluate(gripper, box, refined.after).held
     with refused(gr.GraspRefineError, "forceclosure", "dexgraspbench", "strict", "tabletop"):
         gr.simulate(refined, "forceclosure")
@@ -232,15 +232,15 @@ def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
 
 def test_margins_are_as_in_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
     box = gr.load_object("box:0.05,0.06,0.07")
-    protocol, factors = gr.Protocol(checks=1), gr.Factors(friction=(0.5, 0.9))
-    found = gr.margins(gripper, box, refined.after, protocol, factors=factors, draws=4, seed=2, with_limits=False)
+    task, factors = gr.Task(gr.Protocol(checks=1)), gr.Factors(friction=(0.5, 0.9))
+    found = gr.margins(gripper, box, refined.after, task, factors=factors, draws=4, seed=2, with_limits=False)
     assert len(found) == 3 and found.margins.limits is None and found.margins.draws == 4
     assert found.draws.friction.min() >= 0.5 and found.draws.friction.max() <= 0.9
     np.testing.assert_array_equal(found.probability, found.margins.held["all"].mean(axis=1))
     assert "3 grasps in 4 drawn worlds" in str(found) and "friction" in found._repr_html_()
     assert "GraspMargins(3 grasps of gripper" in repr(found)
     turned = gr.margins(
-        gripper, box, refined.after.select([2, 0]), protocol, factors=factors, draws=4, seed=2, with_limits=False
+        gripper, box, refined.after.select([2, 0]), task, factors=factors, draws=4, seed=2, with_limits=False
     )
     np.testing.assert_array_equal(turned.margins.held["all"], found.margins.held["all"][[2, 0]])
     with refused(gr.GraspRefineError, "tabletop"):

@@ -15,6 +15,7 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation import robustness
 from grasp_refine.validation.engines.mujoco import world
 from grasp_refine_apps.cli import main
@@ -32,7 +33,7 @@ def test_a_hand_that_mujoco_refuses_costs_no_refinement(monkeypatch: pytest.Monk
     monkeypatch.setattr(refine, "refine_group", lambda *_, **__: pytest.fail("it was refined"))
     problem = load_problem(ProblemSpec(hand="allegro", object="rounded_box", index=(0,)))
     with pytest.raises(GraspRefineError, match="refused"):
-        refine_problem(problem, SHORT, Protocol("short"))
+        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, simulate=True)
 
 
 def test_refined_grasps_are_passed_on_before_they_are_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,7 +41,7 @@ def test_refined_grasps_are_passed_on_before_they_are_simulated(monkeypatch: pyt
     monkeypatch.setattr(robustness, "judge", lambda *_, **__: pytest.fail("simulated") if not seen else 1 / 0)
     problem = load_problem(ProblemSpec(hand="allegro", object="rounded_box", index=(0,)))
     with pytest.raises(ZeroDivisionError):
-        refine_problem(problem, SHORT, Protocol("short"), on_refined=seen.append)
+        refine_problem(problem.for_task(Task(Protocol("short"))), SHORT, simulate=True, on_refined=seen.append)
     assert len(seen) == 1 and seen[0].simulated is None and len(seen[0]) == 1
 
 

@@ -27,7 +27,7 @@ def refined() -> gr.RefinedGrasps:
     hand, scene = gr.load_hand("allegro"), gr.load_scene(NAME)
     assert scene.object is not None
     ball = gr.load_object(scene.object)
-    return gr.refine(hand, ball, gr.sample_grasps(hand, ball, 4, environment=scene), scene=scene)
+    return gr.refine(hand, ball, gr.sample_grasps(hand, ball, 4, task=gr.Task(scene=scene)), task=gr.Task(scene=scene))
 
 
 def slack(scene: Scene, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_a_hand_in_a_body_is_measured_whatever_its_margin_and_loses_its_quality(
     pose = np.eye(4)
     pose[:3, 3] = given.environment.T_world_object[:3, 3] + [0.0, 0.0, height.min() + 0.02 - up]
     raised = replace(given.environment, bodies=(replace(table, T_world_body=pose, margin=0.5),))
-    found = metrics(given.hand, given.object, T, after.q, raised)
+    found = metrics(given.hand, given.object, T, after.q, gr.Task(scene=raised))
     free = metrics(given.hand, given.object, T, after.q)
     assert found.scene_penetration_m.max() == pytest.approx(0.02, abs=1e-6)
     deepest = found.scene_penetration_m.argmax()
@@ -87,7 +87,7 @@ def test_a_scene_that_was_changed_is_another_one(refined: gr.RefinedGrasps, tmp_
     toml, path = tmp_path / "mine.toml", tmp_path / "ball.npz"
     toml.write_text('[object]\nname = "sphere:0.035"\nposition = [0, 0, 0.035]\n[table]\n')
     ball = refined.problem.groups[0].scene.object
-    problem = gr.problem_of(refined.problem.hand, ball, refined.after, scene=gr.load_scene(toml))
+    problem = gr.problem_of(refined.problem.hand, ball, refined.after, task=gr.Task(scene=toml))
     gr.RefinedGrasps(problem, refined.config, refined.outcome).save(path)
     found = load_problem(gr.ProblemSpec(grasps=path)).groups[0].scene.environment
     assert found is not None and found.source == str(toml)

@@ -19,6 +19,7 @@ from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -119,7 +120,7 @@ def test_open_jaws_hold_what_is_between_them_and_nothing_else(franka: Hand, bloc
     np.testing.assert_allclose(motion.closed_m[:2], 0.04 - WIDTH_M / 2, atol=2e-5)
     # They begin as open as they are given.
     np.testing.assert_allclose(motion.q[:2, 0], 0.04, atol=1e-3)
-    world = build_world(model_of(franka), block, replace(DEXGRASPBENCH, checks=2, multiccd=True))
+    world = build_world(model_of(franka), block, Task(replace(DEXGRASPBENCH, checks=2, multiccd=True)))
     assert simulate(world, motion).success.tolist() == [True, True, False]
 
 

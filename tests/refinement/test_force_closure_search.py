@@ -20,6 +20,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 
 CONFIG, TWO_STARTS = Config(starts=3), Config(starts=2)
 
@@ -130,7 +131,7 @@ def test_links_below_the_table_count_like_links_in_the_object(scene: Scene, prep
     score = []
     for depth in (0.0, 0.004):
         search = force_closure_search._Search(
-            replace(one, table=Plane(offset=lowest + depth)), prepared,
+            replace(one, task=Task(table=lowest + depth)), prepared,
             replace(CONFIG, solver=LevenbergMarquardt(iterations=0)), np.full(1, Status.RUNNING), None, None,
         )  # fmt: skip
         score.append(float(search.attempt(first, search.initial(first), (CLOSE,)).score[0]))

@@ -27,8 +27,8 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.refinement.variables import MAX_STEP
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.witness.pair_curvature import PairCurvatures
 from sliding_gripper import around_object, sliding_gripper
 
@@ -124,7 +124,7 @@ def every(scene: Scene) -> np.ndarray:
 
 def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(examples: Scene) -> None:
     """Those have no derivative: seen from its body, a witness point moves along its surface."""
-    scene = with_directions(replace(aimed_at(examples, 3, 6), table=Plane(offset=-0.02)), 3, 7)
+    scene = with_directions(replace(aimed_at(examples, 3, 6), task=Task(table=-0.02)), 3, 7)
     config = Config(weights=ALL, margin=2e-3, clearance=1e-3)
     goal = partly(goal_of(scene, ContactSelection()), 4)
     problem = GraspProblem(scene, goal, config)
@@ -223,7 +223,7 @@ def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
 def test_the_loss_is_that_of_the_other_solvers(examples: Scene, kind: str) -> None:
     scene = examples if kind in ("gaps", "nearest") else aimed_at(examples, 4, 8)
     if kind == "all":
-        scene = with_directions(replace(scene, table=Plane(offset=-0.02)), 6, 9)
+        scene = with_directions(replace(scene, task=Task(table=-0.02)), 6, 9)
     weights = ALL if kind == "all" else NO_FORCES
     goal = goal_of(scene, ContactSelection(), nearest=kind == "nearest")
     if kind == "all":

@@ -16,8 +16,8 @@ from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.measures.geometry import measure, movement
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from made_hands import BALL, joint, link, links, made_hand, slide
 
 
@@ -121,7 +121,7 @@ def test_hands_open_away_from_a_table(clamp: Hand) -> None:
     over = exp_se3(np.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0]))[None]
     scene = Scene(clamp, ball, over, np.zeros((1, 2)))
     free, _ = open_hand(scene)
-    T, q = open_hand(replace(scene, table=Plane(offset=-0.015)))
+    T, q = open_hand(replace(scene, task=Task(table=-0.015)))
     assert free[0, 2, 3] - 0.01 == pytest.approx(-0.01 + CLEARANCE_OTHERS - 0.0005, abs=5e-4)
     assert T[0, 2, 3] - 0.01 == pytest.approx(-0.015 + CLEARANCE, abs=2e-4)
     assert (distances(scene, T, q) >= clearances(clamp, scene.links) - 1.1e-4).all()

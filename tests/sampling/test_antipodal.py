@@ -17,6 +17,7 @@ from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.sample import CONTACT_DISTANCE_M, sample_grasps
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.task import Task
 from plate_gripper import URDF
 
 
@@ -129,7 +130,7 @@ def test_the_seed_says_which(franka: Hand, box: Object) -> None:
 
 def test_no_gripper_approaches_from_below_a_table(franka: Hand, box: Object) -> None:
     table = Plane((0.0, 0.0, 1.0), -0.05)
-    grasps = sample_grasps(franka, box, 8, table=table)
+    grasps = sample_grasps(franka, box, 8, task=Task(table=table))
     T = transform_from_pose(grasps.hand_pose)
     assert (T[:, 2, 2] < 0.05).all()
     prepared = HandObject(franka, box)

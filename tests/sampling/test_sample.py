@@ -28,6 +28,7 @@ from grasp_refine.scene.contact_selection import PALM, link_groups
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import links_of
+from grasp_refine.scene.task import Task
 from plate_gripper import PLATE, URDF
 from refusals import refused
 
@@ -147,7 +148,7 @@ def test_a_bare_urdf_will_do(shared_assets: Path, box: Object, urdf: str):
 
 def test_no_link_is_below_the_table(gripper: Hand):
     obj, table = load_object("box:0.04,0.05,0.1", candidates=256), Plane(offset=-0.05)
-    grasps = sample_grasps(gripper, obj, 8, table=table)
+    grasps = sample_grasps(gripper, obj, 8, task=Task(table=table))
     check(gripper, obj, grasps)
     prepared = HandObject(gripper, obj)
     T = prepared.chain(transform_from_pose(grasps.hand_pose), grasps.q).T_world_link

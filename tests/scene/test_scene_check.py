@@ -17,6 +17,7 @@ from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene_check import body_notes, check_object, hand_notes
 from grasp_refine.scene.scene_file import list_scenes, load_scene
+from grasp_refine.scene.task import Task
 from sliding_gripper import around_object, sliding_gripper
 
 SIDE = 0.06
@@ -138,7 +139,7 @@ def test_a_note_says_that_all_palms_are_in_the_table(tmp_path: Path) -> None:
     hand = sliding_gripper(tmp_path, "box", candidates=64)
     scene = around_object(hand, 3, 0)
     lowest = Plane().heights([hand.links_by_name[hand.palm].solid], scene.T_world_root[:, None])[0][:, 0]
-    (note,) = hand_notes(replace(scene, table=Plane(offset=float(lowest.max()) + 0.05)))
+    (note,) = hand_notes(replace(scene, task=Task(table=float(lowest.max()) + 0.05)))
     assert millimetres(note) == [pytest.approx(50.0, abs=0.6)]
-    assert hand_notes(replace(scene, table=Plane(offset=float(lowest.max()) + 0.015))) == ()
-    assert hand_notes(replace(scene, table=None)) == ()
+    assert hand_notes(replace(scene, task=Task(table=float(lowest.max()) + 0.015))) == ()
+    assert hand_notes(replace(scene, task=Task())) == ()

@@ -20,6 +20,7 @@ from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.surroundings import Surroundings, choose_bodies
+from grasp_refine.scene.task import Task
 from sliding_gripper import around_object, sliding_gripper
 
 REACH = 0.01
@@ -164,7 +165,8 @@ def test_bodies_count_whose_boxes_the_grown_box_of_the_links_meets(scene: Scene)
 
 def test_bodies_that_are_far_change_nothing_to_the_last_bit(scene: Scene) -> None:
     results = [
-        refine(replace(scene, environment=one).select(slice(2)), Config(starts=1)) for one in (None, clutter(20, 3.0))
+        refine(replace(scene, task=Task(scene=one)).select(slice(2)), Config(starts=1))
+        for one in (None, clutter(20, 3.0))
     ]
     for name in ("T_world_root", "q", "loss", "status", "queries", "iterations"):
         assert (getattr(results[0], name) == getattr(results[1], name)).all(), name
@@ -176,7 +178,7 @@ def test_refinement_clears_bodies_that_it_can_clear(scene: Scene) -> None:
     body = EnvironmentBody("floor", build_body("floor", [box([0.3, 0.3, 0.04])], candidates=16), T, margin=0.003)
     environment = Environment((body,), np.eye(4))
     depth = []
-    for one in (replace(scene, environment=environment), scene):
+    for one in (replace(scene, task=Task(scene=environment)), scene):
         found = refine(one, Config(starts=1, weights=Weights(wrench=0.0)))
         of, T_link = surroundings(replace(scene, T_world_root=found.T_world_root, q=found.q), environment)
         depth.append((0.003 - brute_force(of, T_link)).max(axis=1))

@@ -7,6 +7,7 @@ import pytest
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engine_agreement import EngineAgreement
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
@@ -15,7 +16,7 @@ from gripper import ball, gripper
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), DEXGRASPBENCH)
+    return build_world(gripper(), ball(), Task(DEXGRASPBENCH))
 
 
 def test_without_drake_its_engine_says_how_to_install_it(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, judge, noise_score
@@ -51,7 +52,7 @@ def expected(numbers: np.ndarray, lost_below: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), SHAKEN)
+    return build_world(gripper(), ball(), Task(SHAKEN))
 
 
 def test_the_label_is_the_share_of_the_offsets_at_which_plates_still_touch(world: World):
@@ -62,13 +63,13 @@ def test_the_label_is_the_share_of_the_offsets_at_which_plates_still_touch(world
     assert (trials.reason == Reason.HELD).all(), "centred, all hold"
     assert trials.label is not None
     assert (least <= trials.label).all() and (trials.label <= most).all()
-    assert judge(build_world(gripper(), ball(), DEXGRASPBENCH), above_the_edge()).label is None
+    assert judge(build_world(gripper(), ball(), Task(DEXGRASPBENCH)), above_the_edge()).label is None
 
 
 def test_the_required_label_decides(world: World):
     label = float(judge(world, above_the_edge()).label[0])
     for required in (label - 0.01, label, label + 0.01):
-        one = build_world(gripper(), ball(), replace(SHAKEN, required_label=required))
+        one = build_world(gripper(), ball(), Task(replace(SHAKEN, required_label=required)))
         assert judge(one, above_the_edge()).success.tolist() == [required <= label]
 
 
@@ -127,7 +128,7 @@ def test_offsets_stay_on_the_table_and_turn_the_object_about_its_middle(monkeypa
     middle = np.array([0.0, arm, 0.0])
     for offset, turn in ((0.01, 0.0), (0.0, 0.3)):
         protocol = replace(TABLETOP, noise=Noise(count=4, offset=offset, turn=turn))
-        judge(build_world(gripper(), thing, protocol, Plane(normal, offset=-0.05)), around(8.0))
+        judge(build_world(gripper(), thing, Task(protocol, table=Plane(normal, offset=-0.05))), around(8.0))
     shifted, turned = (conditions.T_world_object for conditions in seen)
     assert np.abs(shifted[:, :3, 3] @ normal).max() < 1e-12 and np.abs(shifted[:, :3, 3]).max() > 1e-4
     np.testing.assert_allclose(turned[:, :3, :3] @ normal, np.tile(normal, (4, 1)), atol=1e-12)

@@ -9,11 +9,12 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_spec import TaskSpec
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.commands.simulation_options import Simulation
 from gripper import RADIUS, around, ball, gripper, two_balls
 from refusals import refused
 
@@ -23,7 +24,7 @@ BOX, LARGER = "box:0.1,0.05,0.03", "box:0.2,0.1,0.06"
 
 def weighed(protocol: Protocol, name: str = BOX) -> float:
     """What MuJoCo says that the object weighs, in kg."""
-    world = build_world(gripper(), load_object(name, unit="m", candidates=16), protocol)
+    world = build_world(gripper(), load_object(name, unit="m", candidates=16), Task(protocol))
     mass = float(world.model.body_mass[world.object_body])
     assert world.mass == pytest.approx(mass, rel=1e-12)
     return mass
@@ -51,7 +52,7 @@ def test_density_falls_with_the_square_of_the_size():
 
 def test_pieces_add_up():
     """Two balls of 2 cm at 1000 kg/m^3."""
-    world = build_world(gripper(), two_balls(), replace(DEXGRASPBENCH, density=1000.0))
+    world = build_world(gripper(), two_balls(), Task(replace(DEXGRASPBENCH, density=1000.0)))
     assert world.mass == pytest.approx(2 * 1000.0 * 4 / 3 * np.pi * 0.02**3, rel=1e-6)
 
 
@@ -61,14 +62,14 @@ def test_the_force_that_holds_grows_with_density(density: float):
     protocol = replace(DEXGRASPBENCH, density=density)
     mass = density * 4 / 3 * np.pi * RADIUS**3
     limit = mass * protocol.acceleration / (2 * protocol.friction)
-    world = build_world(gripper(), ball(), protocol)
+    world = build_world(gripper(), ball(), Task(protocol))
     across = ["xyz".index(name[1]) > 0 for name in protocol.directions]
     assert (simulate(world, around(1.15 * limit)).reason[:, across] == Reason.HELD).all()
     assert (simulate(world, around(0.85 * limit)).reason[:, across] == Reason.MOVED).all()
 
 
 def test_a_replay_reports_the_force_that_acted():
-    world = build_world(gripper(), ball(), replace(DEXGRASPBENCH, density=1000.0, checks=1))
+    world = build_world(gripper(), ball(), Task(replace(DEXGRASPBENCH, density=1000.0, checks=1)))
     replay = record(world, around(8.0), "+y", name="ball", hand="gripper")
     assert replay is not None
     np.testing.assert_allclose(replay.force, [0.0, 10.0 * 1000.0 * 4 / 3 * np.pi * RADIUS**3, 0.0], rtol=1e-6)
@@ -78,7 +79,7 @@ def test_a_given_mass_replaces_a_density():
     by_density = replace(DEXGRASPBENCH, density=700.0, density_size=0.06, largest_mass=0.5)
     assert weighed(by_density.with_mass(0.2)) == pytest.approx(0.2, rel=1e-12)
     assert by_density.with_mass(None) is by_density
-    assert Simulation(mass=0.2).chosen_protocol() == replace(DEXGRASPBENCH, mass=0.2, palm="rigid")
+    assert TaskSpec(mass=0.2).chosen_protocol(in_scene=False) == replace(DEXGRASPBENCH, mass=0.2, palm="rigid")
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from grasp_refine.scene.protocols.hugs import HUGS
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.robustness import judge
@@ -57,7 +58,7 @@ def test_all_are_tested() -> None:
 def test_friction_holds_a_push_up_to_twice_its_share_of_the_force(name: str) -> None:
     """Two plates that press with N hold a push F along them as long as 2 friction N > F."""
     friction, push = PUSHED[name]
-    world = build_world(gripper(), ball(), PROTOCOLS[name])
+    world = build_world(gripper(), ball(), Task(PROTOCOLS[name]))
     across = [direction in ACROSS for direction in world.protocol.directions]
     limit = push / (2 * friction)
     for factor, reason in ((1.2, Reason.HELD), (0.85, Reason.MOVED)):
@@ -74,7 +75,7 @@ def test_pushes_last_as_long_as_published_and_end_where_the_object_is_lost(name:
         "strict": (2.0, 10.0, 0.05, 0.2),
         "graspqp": (0.5, 15.0, 0.03, 0.1),
     }[name]
-    world = build_world(gripper(), ball(), PROTOCOLS[name])
+    world = build_world(gripper(), ball(), Task(PROTOCOLS[name]))
     motion = around(0.0)
     T, q = motion.T_world_root.copy(), np.full_like(motion.q, 0.2)
     T[..., :3, 3] += 100.0
@@ -91,7 +92,7 @@ def test_the_heaviest_object_that_friction_lifts(name: str) -> None:
     limit = 2 * friction * 4.0 / gravity
     for factor, held in ((0.8, True), (1.15, False)):
         protocol = centred(PROTOCOLS[name]).with_mass(factor * limit)
-        trials = simulate(build_world(gripper(), ball(), protocol), lifted(around(4.0)))
+        trials = simulate(build_world(gripper(), ball(), Task(protocol)), lifted(around(4.0)))
         assert trials.success.tolist() == [held], factor
     assert PROTOCOLS[name].lift == lift
 
@@ -101,13 +102,13 @@ def test_torsional_friction_carries_the_torque_of_a_lever(name: str, friction: f
     """Its weight, lifted beside its middle, turns it in plates that press less than sliding and torsion need."""
     thing, arm = lever()
     limit = critical_force(friction, 0.02, 0.1 * gravity, arm)
-    world = build_world(gripper(), thing, PROTOCOLS[name].with_mass(0.1))
+    world = build_world(gripper(), thing, Task(PROTOCOLS[name].with_mass(0.1)))
     assert simulate(world, lifted(around(1.3 * limit))).success.all()
     assert (simulate(world, lifted(around(0.8 * limit))).reason == Reason.ROTATED).all()
 
 
 def weighed(protocol: Protocol, obj: Object) -> float:
-    return build_world(gripper(), obj, protocol).mass
+    return build_world(gripper(), obj, Task(protocol)).mass
 
 
 def test_hugs_weighs_by_density_and_size() -> None:
@@ -138,13 +139,15 @@ def test_hugs_closes_as_slowly_as_published() -> None:
 def test_graspqp_asks_for_half_of_the_pushes() -> None:
     """Plates too weak for friction, above a palm: three of six pushes are held, which others call a failure."""
     motion = around(0.8 * 3.0 / 2)
-    trials = simulate(build_world(gripper_with_palm(), ball(), GRASPQP), motion)
+    trials = simulate(build_world(gripper_with_palm(), ball(), Task(GRASPQP)), motion)
     held = {name for name, reason in zip(trials.directions, trials.reason[0], strict=True) if reason == Reason.HELD}
     assert held == {"+x", "-x", "-z"} and trials.success.all()
-    assert not simulate(build_world(gripper_with_palm(), ball(), replace(GRASPQP, required_share=1.0)), motion).success
-    without_palm = simulate(build_world(gripper(), ball(), GRASPQP), motion)
+    assert not simulate(
+        build_world(gripper_with_palm(), ball(), Task(replace(GRASPQP, required_share=1.0))), motion
+    ).success
+    without_palm = simulate(build_world(gripper(), ball(), Task(GRASPQP)), motion)
     assert (without_palm.reason == Reason.HELD).sum() == 2 and not without_palm.success.any()
-    as_dexgraspbench = simulate(build_world(gripper_with_palm(), ball(), DEXGRASPBENCH), around(0.8 / 1.2))
+    as_dexgraspbench = simulate(build_world(gripper_with_palm(), ball(), Task(DEXGRASPBENCH)), around(0.8 / 1.2))
     assert (as_dexgraspbench.reason == Reason.HELD).sum() == 3 and not as_dexgraspbench.success.any()
 
 
@@ -154,9 +157,9 @@ def test_graspqp_does_not_mind_how_far_the_object_turns() -> None:
     light = replace(GRASPQP, directions=("+z",), acceleration=2.0)
     limit = critical_force(1.0, 0.02, 0.2 * 2.0, arm)
     motion = around(0.8 * limit)
-    turned = simulate(build_world(gripper(), thing, light), motion)
+    turned = simulate(build_world(gripper(), thing, Task(light)), motion)
     assert turned.angle_rad[0, 0] > np.radians(15) and (turned.reason == Reason.HELD).all()
-    minded = simulate(build_world(gripper(), thing, replace(light, steepest=DEXGRASPBENCH.steepest)), motion)
+    minded = simulate(build_world(gripper(), thing, Task(replace(light, steepest=DEXGRASPBENCH.steepest))), motion)
     assert (minded.reason == Reason.ROTATED).all()
 
 
@@ -169,7 +172,7 @@ def test_get_a_grip_minds_turns_from_45_degrees_on(turn: float, reason: Reason) 
     T[:, 2, :3, 3] = T[:, 2, :3, :3] @ motion.T_world_root[0, 2, :3, 3]
     q[:, 1] = q[:, 2]
     without_table = replace(centred(GET_A_GRIP), directions=("+x",))
-    assert (simulate(build_world(gripper(), ball(), without_table), Motion(T, q)).reason == reason).all()
+    assert (simulate(build_world(gripper(), ball(), Task(without_table)), Motion(T, q)).reason == reason).all()
 
 
 EDGE, HALF_PLATE = 0.0005, 0.04
@@ -179,7 +182,7 @@ EDGE, HALF_PLATE = 0.0005, 0.04
 @pytest.fixture(scope="module")
 def slippery() -> World:
     """Get a Grip with so little friction that plates which miss the middle of the ball by 1.5 mm squeeze it out."""
-    return build_world(gripper(), ball(), GET_A_GRIP.with_friction(0.05))
+    return build_world(gripper(), ball(), Task(GET_A_GRIP.with_friction(0.05)))
 
 
 def test_get_a_grip_labels_a_grasp_that_holds_only_when_centred_below_one(slippery: World) -> None:
@@ -208,7 +211,7 @@ def palm_under_load(protocol: Protocol, hand_kg: float) -> tuple[float, float]:
 
     Shifts while it is lifted are those across the lift, on which it follows its set points a little later.
     """
-    world = build_world(weighing(hand_kg), ball(), centred(protocol))
+    world = build_world(weighing(hand_kg), ball(), Task(centred(protocol)))
     motion = around(25.0)
     motion = lifted(motion, y=0.01) if protocol.tabletop else motion
     off: list[tuple[float, float]] = []

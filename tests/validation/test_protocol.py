@@ -17,8 +17,10 @@ from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
@@ -52,7 +54,7 @@ def fallen(acceleration: float, steps: int | np.ndarray, timestep: float) -> flo
 @pytest.mark.parametrize("protocol", [*PUSHED, replace(DEXGRASPBENCH, mass=0.3, acceleration=4.0)])
 def test_a_free_object_is_pushed_along_the_named_direction(protocol: Protocol) -> None:
     """A push along -z that acted along +z once failed no test."""
-    world = build_world(gripper(), ball(), protocol)
+    world = build_world(gripper(), ball(), Task(protocol))
     count = 2
     closed = close(world, away(count), Conditions.nominal(world, count))
     paths: list[np.ndarray] = []
@@ -78,14 +80,14 @@ def test_a_heavier_object_needs_so_much_more_force() -> None:
     """The object pushes with its own mass: three times of it slip off a force that held one."""
     heavy = replace(DEXGRASPBENCH, mass=3 * DEXGRASPBENCH.mass)
     limit = heavy.mass * heavy.acceleration / (2 * heavy.friction)
-    world = build_world(gripper(), ball(), heavy)
+    world = build_world(gripper(), ball(), Task(heavy))
     across = ["xyz".index(name[1]) > 0 for name in heavy.directions]
     assert (simulate(world, around(1.15 * limit)).reason[:, across] == Reason.HELD).all()
     assert (simulate(world, around(0.85 * limit)).reason[:, across] == Reason.MOVED).all()
 
 
 def test_options_are_in_the_units_that_they_say() -> None:
-    asked = Simulation(protocol="tabletop", mass=0.25, seconds=0.6).chosen_protocol()
+    asked = Simulation(seconds=0.6).changed(TABLETOP.with_mass(0.25))
     assert (asked.mass, asked.checks * asked.steps_per_check * asked.timestep) == (0.25, pytest.approx(0.6))
     assert asked == replace(TABLETOP, mass=0.25, checks=asked.checks)
     noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
@@ -94,7 +96,7 @@ def test_options_are_in_the_units_that_they_say() -> None:
 
 
 def test_on_a_tabletop_the_object_falls_and_the_hand_does_not() -> None:
-    world = build_world(gripper(), ball(), TABLETOP, Plane(offset=-50.0))
+    world = build_world(gripper(), ball(), Task(TABLETOP, table=Plane(offset=-50.0)))
     poses: list[np.ndarray] = []
     motion = away()
     closed = close(
@@ -212,10 +214,10 @@ def test_torsional_friction_decides_in_proportion_to_the_coefficient(
     motion = pressing(hand, 1.3 * limit, 0.8 * limit)
     expected = [[Reason.HELD] * 2, [Reason.ROTATED] * 2]
     # Half of the time is enough to turn away.
-    asked = Simulation(protocol=protocol, friction=friction, seconds=1.0).chosen_protocol()
-    np.testing.assert_array_equal(turns(build_world(hand, thing, asked), motion), expected)
+    asked = Simulation(seconds=1.0).changed(load_protocol(protocol).with_friction(friction))
+    np.testing.assert_array_equal(turns(build_world(hand, thing, Task(asked)), motion), expected)
     if friction is not None:
         # `--frictions`: the same world, other rows.
-        only_turned = replace(Simulation(protocol=protocol, seconds=1.0).chosen_protocol(), directions=("+z", "-z"))
-        world = build_world(hand, thing, only_turned)
+        only_turned = replace(Simulation(seconds=1.0).changed(load_protocol(protocol)), directions=("+z", "-z"))
+        world = build_world(hand, thing, Task(only_turned))
         np.testing.assert_array_equal(holds_at(world, motion, (friction,)), [[True], [False]])

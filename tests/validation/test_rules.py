@@ -12,6 +12,7 @@ from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
@@ -35,7 +36,7 @@ def gripper_with_palm() -> HandModel:
 
 def tried(protocol: Protocol, force: float, *, first_failure: bool = False) -> Trials:
     """One grasp in which each plate presses with a force."""
-    world = build_world(gripper_with_palm(), ball(), protocol)
+    world = build_world(gripper_with_palm(), ball(), Task(protocol))
     return simulate(world, around(force), first_failure=first_failure)
 
 

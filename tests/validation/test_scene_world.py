@@ -15,6 +15,7 @@ from grasp_refine.geometry.pieces import box
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.scene import SCENE
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import simulate
@@ -51,7 +52,7 @@ def cube(x: float, y: float, *, movable: bool) -> EnvironmentBody:
 
 
 def world_of(environment: Environment) -> World:
-    return build_world(gripper(), ball(), SCENE, environment=environment)
+    return build_world(gripper(), ball(), Task(SCENE, scene=environment))
 
 
 def upside(force: float = 4.0) -> Motion:
@@ -102,8 +103,8 @@ def test_neighbours_are_pushed_and_walls_are_in_the_way(movable: bool) -> None:
 
 def test_pushes_are_in_empty_space_and_drake_refuses_scenes() -> None:
     environment = scene(cube(0.2, 0.0, movable=True))
-    empty = build_world(gripper(), ball(), DEXGRASPBENCH, environment=environment)
-    assert empty.model.nbody == build_world(gripper(), ball(), DEXGRASPBENCH).model.nbody and not empty.scene
+    empty = build_world(gripper(), ball(), Task(DEXGRASPBENCH, scene=environment))
+    assert empty.model.nbody == build_world(gripper(), ball(), Task(DEXGRASPBENCH)).model.nbody and not empty.scene
     pytest.importorskip("pydrake")
     with pytest.raises(GraspRefineError, match="scene"):
         engine_of("drake", world_of(environment))

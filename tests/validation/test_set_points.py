@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.set_points import clipping_note, set_point_excess
 from grasp_refine.validation.simulation import simulate
@@ -22,7 +23,7 @@ def world() -> World:
     """The gripper, with a range on the left plate's actuator, which is at -opening / 2."""
     reach = f'<position name="pull" joint="left" kp="{{kp}}" ctrlrange="-1 {-RADIUS + ALLOWED_N / KP}"/>'
     text = XML.replace('<position joint="left" kp="{kp}"/>', reach).format(kp=KP)
-    return build_world(replace(gripper(), spec=mujoco.MjSpec.from_string(text)), ball(), DEXGRASPBENCH)
+    return build_world(replace(gripper(), spec=mujoco.MjSpec.from_string(text)), ball(), Task(DEXGRASPBENCH))
 
 
 def test_the_excess_is_the_force_that_is_missing(world: World) -> None:
@@ -36,7 +37,7 @@ def test_clipped_set_points_are_reported_with_their_actuator_and_press_less(worl
     note = clipping_note([world, world], [strong, weak])
     assert "1 of 2 squeezes" in note and "pull" in note and "right" not in note
     assert clipping_note([world], [weak]) == "" and clipping_note([], []) == ""
-    free = build_world(gripper(), ball(), DEXGRASPBENCH)
+    free = build_world(gripper(), ball(), Task(DEXGRASPBENCH))
     # Between servos of one stiffness the object comes to rest where both press alike.
     aside = (FORCE_N - ALLOWED_N) / KP / 2
     found = [simulate(each, strong).closing_m[0] for each in (free, world)]

@@ -14,6 +14,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.replay.record import record
@@ -29,7 +30,7 @@ ACROSS = ("+y", "-y", "+z", "-z")
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), DEXGRASPBENCH)
+    return build_world(gripper(), ball(), Task(DEXGRASPBENCH))
 
 
 def holds(world: World, force: float, friction: float) -> Trials:
@@ -67,7 +68,7 @@ def test_links_that_touch_are_reported_by_stage(world: World) -> None:
 
 def test_what_is_within_a_gap_does_not_touch() -> None:
     """MuJoCo lists contacts of bodies that are apart where a model of somebody else has gaps."""
-    wide = build_world(gripper(), ball(), DEXGRASPBENCH)
+    wide = build_world(gripper(), ball(), Task(DEXGRASPBENCH))
     wide.model.geom_gap[:] = 0.02
     early = simulate(wide, around(4.0, grasp=2 * RADIUS + 0.006))
     assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
@@ -83,7 +84,7 @@ def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
 def test_the_limits_are_as_in_the_protocol() -> None:
     """Where an object may turn a tenth as far, what turned is nearer to being lost than what moved."""
     protocol = replace(DEXGRASPBENCH, steepest=DEXGRASPBENCH.steepest / 10)
-    trials = holds(build_world(gripper(), ball(), protocol), 4.0, 0.6)
+    trials = holds(build_world(gripper(), ball(), Task(protocol)), 4.0, 0.6)
     assert trials.limits == (protocol.farthest, protocol.steepest)
     peak_m, peak_rad = np.zeros(trials.reason.shape), np.zeros(trials.reason.shape)
     peak_m[:, 1], peak_rad[:, 4] = 0.8 * protocol.farthest, 0.9 * protocol.steepest
@@ -106,7 +107,7 @@ def test_a_simulation_that_diverges_is_unstable_never_a_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    wild = build_world(gripper(kp=1e13), ball(), DEXGRASPBENCH)
+    wild = build_world(gripper(kp=1e13), ball(), Task(DEXGRASPBENCH))
     trials = simulate(wild, around(2.0))
     assert (trials.reason == Reason.HAND_UNSTABLE).all()
     assert not trials.success.any()
@@ -118,19 +119,19 @@ def test_a_hand_that_diverges_is_a_fault_of_its_model_and_named_by_its_joint() -
     made = gripper(kp=20 * KP)
     for geom, joint in zip(made.spec.geoms, made.spec.joints, strict=True):
         geom.mass, joint.damping = 0.002, np.zeros(3)
-    trials = simulate(build_world(made, ball(), STRICT), around(200.0))
+    trials = simulate(build_world(made, ball(), Task(STRICT)), around(200.0))
     assert (trials.reason == Reason.HAND_UNSTABLE).all() and not trials.success.any()
     assert set(trials.runaways) <= {"left", "right"} and trials.runaways
     assert trials.runaway[0] in reason_lines(trials, STRICT)[0].plain
     # Without that it is the push that makes a simulation diverge.
-    pushed = simulate(build_world(gripper(), ball(), replace(STRICT, acceleration=1e13)), around(4.0))
+    pushed = simulate(build_world(gripper(), ball(), Task(replace(STRICT, acceleration=1e13))), around(4.0))
     assert (pushed.reason == Reason.UNSTABLE).all() and pushed.runaways == ()
 
 
 def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
     """MuJoCo's autoreset lays the object back to where it lay, which looks like an object that was held."""
     # It leaves the numbers that MuJoCo takes within some steps of the push.
-    world = build_world(gripper(), ball(), replace(DEXGRASPBENCH, acceleration=1e13))
+    world = build_world(gripper(), ball(), Task(replace(DEXGRASPBENCH, acceleration=1e13)))
     trials = simulate(world, around(4.0))
     assert (trials.closing_m < 1e-3).all(), "until the push all is well"
     assert (trials.reason == Reason.UNSTABLE).all()
@@ -173,7 +174,7 @@ def various(count: int, seed: int = 0) -> Motion:
 
 
 def test_a_batch_equals_its_grasps_one_by_one_bit_for_bit_at_any_number_of_threads() -> None:
-    world = build_world(gripper(), ball(), STRICT)
+    world = build_world(gripper(), ball(), Task(STRICT))
     motion = various(CHUNK_GRASPS + 3)
     together = simulate(world, motion, threads=2)
     again = simulate(world, motion, threads=1)
@@ -256,7 +257,7 @@ def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeyp
         return simulate(world, motion, conditions, **others)
 
     monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     up, middle, motion = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02]), lifted(around(8.0), 0.015)
     noise_score(world, motion, Noise(3), middle=middle, numbers=np.array([0]), upright=up)
     noise_score(world, motion, Noise(3, offset=0.0, turn=0.5), middle=middle, numbers=np.array([0]))
@@ -278,7 +279,7 @@ def test_noise_is_uniform_in_spheres() -> None:
 
 
 def test_an_object_is_lifted_off_a_table() -> None:
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     held, dropped = simulate(world, lifted(around(8.0), 0.015)), simulate(world, lifted(around(0.05), 0.015))
     assert held.directions == ("lift",)
     assert held.success.all() and held.displacement_m.max() < 0.02
@@ -289,7 +290,7 @@ def test_an_object_is_lifted_off_a_table() -> None:
 
 def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:
     # The plates reach 4 cm down, the ball lies on its radius of 3 cm.
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     trials = simulate(world, lifted(around(8.0), -0.005))
     assert (trials.reason == Reason.IN_TABLE).all() and np.isnan(trials.displacement_m).all()
 
@@ -338,9 +339,9 @@ def test_a_failure_says_at_which_check(world: World) -> None:
 
 def test_the_object_has_its_mass_whatever_its_pieces() -> None:
     for thing in (ball(), two_balls()):
-        world = build_world(gripper(), thing, replace(DEXGRASPBENCH, mass=0.25))
+        world = build_world(gripper(), thing, Task(replace(DEXGRASPBENCH, mass=0.25)))
         assert world.model.body_mass[world.object_body] == pytest.approx(0.25)
-    inertia = build_world(gripper(), ball(), DEXGRASPBENCH).model.body_inertia[1]
+    inertia = build_world(gripper(), ball(), Task(DEXGRASPBENCH)).model.body_inertia[1]
     np.testing.assert_allclose(inertia, 0.4 * 0.1 * RADIUS**2, rtol=1e-6)
 
 

@@ -16,6 +16,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import TABLE, build_world
@@ -35,9 +36,9 @@ def with_bits(left: tuple[int, int], right: tuple[int, int]) -> HandModel:
 @pytest.mark.parametrize("bits", [(1, 1), (0, 1), (4, 0), (2, 8), (-(2**31), 0)])
 def test_object_and_table_touch_whatever_can_touch_anything(bits: tuple[int, int]) -> None:
     """A hand with bits other than the first once closed through the object, and nothing said so."""
-    held = simulate(build_world(with_bits(bits, bits), ball(), DEXGRASPBENCH), around(4.0))
+    held = simulate(build_world(with_bits(bits, bits), ball(), Task(DEXGRASPBENCH)), around(4.0))
     assert held.success.all() and held.contacts_squeeze.all()
-    model = build_world(with_bits(bits, bits), ball(), TABLETOP).model
+    model = build_world(with_bits(bits, bits), ball(), Task(TABLETOP)).model
     data = mujoco.MjData(model)
     # The hand, upside down, in the table.
     data.qpos[model.joint("hand").qposadr[0] :][:7] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
@@ -48,7 +49,7 @@ def test_object_and_table_touch_whatever_can_touch_anything(bits: tuple[int, int
 
 
 def test_what_is_only_seen_touches_nothing() -> None:
-    world = build_world(with_bits((1, 1), (0, 0)), ball(), DEXGRASPBENCH)
+    world = build_world(with_bits((1, 1), (0, 0)), ball(), Task(DEXGRASPBENCH))
     assert world.links == ("left plate",)
     assert not simulate(world, around(4.0)).success.any()
 
@@ -63,7 +64,7 @@ def test_protocol_or_else_hand_says_in_how_many_points_pieces_touch(
     """Flat plates on a flat box: one point each, or the corners of the face."""
     box = load_object("box:0.06,0.04,0.05", unit="m", candidates=16)
     hand = replace(gripper(), patches=patches)
-    world = build_world(hand, box, replace(DEXGRASPBENCH, multiccd=multiccd))
+    world = build_world(hand, box, Task(replace(DEXGRASPBENCH, multiccd=multiccd)))
     assert world.protocol.multiccd is several
     assert ("faces touch in several points" in world.protocol.label) is several
     points: list[int] = []
@@ -81,7 +82,7 @@ def test_protocol_or_else_hand_says_in_how_many_points_pieces_touch(
 def test_a_table_is_as_steep_as_it_is_said() -> None:
     """A table with another normal than z once lay level, through the same point."""
     normal = np.array([0.6, 0.0, 0.8])
-    model = build_world(gripper(), ball(), TABLETOP, Plane(tuple(normal), offset=-0.05)).model
+    model = build_world(gripper(), ball(), Task(TABLETOP, table=Plane(tuple(normal), offset=-0.05))).model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     np.testing.assert_allclose(data.geom(TABLE).xmat.reshape(3, 3)[:, 2], normal, atol=1e-12)
@@ -90,13 +91,13 @@ def test_a_table_is_as_steep_as_it_is_said() -> None:
 
 def test_a_hand_that_cannot_touch_the_object_is_refused() -> None:
     with refused(GraspRefineError, "sphere:0.03", "conaffinity 0"):
-        build_world(with_bits((0, 0), (0, 0)), ball(), DEXGRASPBENCH)
+        build_world(with_bits((0, 0), (0, 0)), ball(), Task(DEXGRASPBENCH))
 
 
 @pytest.mark.parametrize(("radius", "mass"), [(0.03, 1e-16), (1e-9, 0.1)])
 def test_an_object_that_is_too_light_or_too_small_names_the_options(radius: float, mass: float) -> None:
     with refused(GraspRefineError, "mass and inertia of moving bodies", "`mass`", "`scale`") as caught:
-        build_world(gripper(), ball(radius), replace(DEXGRASPBENCH, mass=mass))
+        build_world(gripper(), ball(radius), Task(replace(DEXGRASPBENCH, mass=mass)))
     assert "Error:" not in str(caught.value)
 
 
@@ -104,7 +105,7 @@ def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
     hand = gripper()
     hand.spec.geoms[0].mass = 0.0
     with refused(GraspRefineError, "mass and inertia", "'hand/left'") as caught:
-        build_world(hand, ball(), DEXGRASPBENCH)
+        build_world(hand, ball(), Task(DEXGRASPBENCH))
     assert "`mass`" not in str(caught.value)
 
 
@@ -120,7 +121,7 @@ def test_warnings_of_mujoco_go_nowhere(tmp_path: Path, monkeypatch: pytest.Monke
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        build_world(hand, ball(), DEXGRASPBENCH)
+        build_world(hand, ball(), Task(DEXGRASPBENCH))
     assert not list(tmp_path.iterdir())
 
 
@@ -135,14 +136,14 @@ def test_what_was_done_with_warnings_is_done_again_afterwards() -> None:
             assert mujoco.get_mju_user_warning() != heard.append
             raise KeyError
         assert mujoco.get_mju_user_warning() == heard.append
-        simulate(build_world(gripper(kp=1e13), ball(), DEXGRASPBENCH), around(2.0), threads=2)
+        simulate(build_world(gripper(kp=1e13), ball(), Task(DEXGRASPBENCH)), around(2.0), threads=2)
         assert mujoco.get_mju_user_warning() == heard.append and not heard
     finally:
         mujoco.set_mju_user_warning(before)
 
 
 def test_moments_are_as_in_a_whole_step() -> None:
-    model = build_world(gripper(), ball(), DEXGRASPBENCH).model
+    model = build_world(gripper(), ball(), Task(DEXGRASPBENCH)).model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     dense = np.zeros((model.nu, model.nv))

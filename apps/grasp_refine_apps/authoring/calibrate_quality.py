@@ -37,6 +37,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -147,7 +148,7 @@ def samples(source: Source) -> Samples:
     geometry = replace(config, weights=replace(config.weights, wrench=0.0))
     shortcomings, held = [], []
     for group in problem.groups:
-        world = build_world(model, group.scene.object, DEXGRASPBENCH, group.scene.table)
+        world = build_world(model, group.scene.object, Task(DEXGRASPBENCH).over(group.scene.task))
         prepared = HandObject.of(group.scene)
         cases = [(group.scene, group.motion())]
         cases += [refined(group, each, prepared) for each in (geometry, replace(config, starts=1), config)]
@@ -159,7 +160,7 @@ def samples(source: Source) -> Samples:
             actuator = replace(problem.hand.actuator, force_limit=np.full(len(problem.hand.joint_names), limit))
             weak = replace(scene, hand=replace(problem.hand, actuator=actuator))
             pressing = np.concatenate([motion.q[:, :2], squeezed(weak)[:, None]], axis=1)
-            slight = build_world(model_of(weak.hand), weak.object, DEXGRASPBENCH, weak.table)
+            slight = build_world(model_of(weak.hand), weak.object, Task(DEXGRASPBENCH).over(weak.task))
             shortcomings.append(measured(weak).shortcomings)
             held.append(simulate(slight, replace(motion, q=pressing)).success)
     count = sum(map(len, held))

@@ -39,6 +39,7 @@ from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -234,7 +235,7 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
     given = hand.name == "allegro"
     bases = close_on_approaches(hand, around, EXAMPLES[obj.name]) if given else sample_touching(hand, obj, around, seed)
     jaws = jaw_frame(hand, closure_frame(hand)) is not None
-    world = build_world(model_of(hand), obj, DEXGRASPBENCH)
+    world = build_world(model_of(hand), obj, Task(DEXGRASPBENCH))
     # The object's name is part of the seed, so that the examples of an object do not depend on the other objects.
     rng = np.random.default_rng([seed, *obj.name.encode()])
     kept: list[tuple[np.ndarray, np.ndarray]] = []

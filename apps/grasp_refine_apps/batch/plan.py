@@ -27,7 +27,7 @@ from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.processes.task import message_of, traceback_of
 
-INPUT_PATHS = ("grasps", "hand", "arm", "urdf", "mjcf", "object", "objects", "targets", "scene")
+INPUT_PATHS = ("grasps", "hand", "arm", "urdf", "mjcf", "object", "objects", "targets", "task", "protocol", "scene")
 """ProblemSpec that may be files or folders."""
 
 RESERVED = ("report.html", "index.csv", "index.parquet")
@@ -38,7 +38,7 @@ MAX_NAME_BYTES = 150
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class ShardTask:
     """ProblemSpec of a shard for a worker."""
 
     batch: str
@@ -102,7 +102,7 @@ class Planner:
     size: int
     """Maximum number of grasps of a shard."""
     batch: str
-    """Value of `Task.batch`."""
+    """Value of `ShardTask.batch`."""
     depends: dict[str, Any]
     """All settings that results depend on."""
     seed: int
@@ -161,7 +161,7 @@ class Planner:
             check_known(read.grasps.hand, path)
         named = inputs.hand or read.grasps.hand
         hand, digest = digests.hand(named, inputs, loader.on_message)
-        of_job = partial(Task, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
+        of_job = partial(ShardTask, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
         for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps.object, object_name=name, index=None)
@@ -183,7 +183,7 @@ class Planner:
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
         for number, start in enumerate(range(0, count, self.size)):
             size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)
-            task = Task(
+            task = ShardTask(
                 self.batch,
                 job.name,
                 job.inputs,
@@ -199,10 +199,10 @@ class Planner:
             )
             yield self._shard(task, loader, hand, number, digests)
 
-    def _shard(self, task: Task, loader: Loader, hand: str, number: int, digests: Digests) -> Shard:
+    def _shard(self, task: ShardTask, loader: Loader, hand: str, number: int, digests: Digests) -> Shard:
         environment = loader.environment()
         stamp = digests.stamp(
-            task.inputs,
+            loader.spec,
             **self.depends,
             seed=self.seed,
             source=task.source.get("sha256", task.source),

@@ -25,9 +25,8 @@ from grasp_refine.refinement.force_closure_search import most_iterations
 from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
-from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine_apps.batch.digests import Digests
-from grasp_refine_apps.batch.plan import Task
+from grasp_refine_apps.batch.plan import ShardTask
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed, Heartbeat
 from grasp_refine_apps.processes.torch_threads import limit_torch_threads
@@ -40,8 +39,8 @@ class ShardWork:
 
     config: Config
     """Settings of the refinement."""
-    protocol: Protocol | None
-    """Protocol of the simulation; None: grasps are not simulated."""
+    simulates: bool
+    """Whether the task of each grasp is simulated."""
     described: dict[str, Any]
     """All settings, for provenance."""
     profile: bool = False
@@ -66,8 +65,8 @@ class ShardWork:
         wall, cpu = time.perf_counter(), time.process_time()
         task, cache = shard.task, cache_of(shard.task.batch)
         problem = problem_of(task, self.config.seed, cache, heartbeat)
-        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=self.protocol is not None)
-        refined = refine_problem(problem, self.config, self.protocol, listener=share, cache=cache, threads=1)
+        share = _ShardProgress(heartbeat, len(problem), self._most(), simulates=self.simulates)
+        refined = refine_problem(problem, self.config, simulate=self.simulates, listener=share, cache=cache, threads=1)
         outcome, simulated = refined.outcome, refined.simulated
         if task.sampled is None:
             # Rows of the whole file; the problem contains only some of them.
@@ -157,7 +156,7 @@ class _ShardProgress(Listener):
         self.heartbeat(what, self.share, self.refined)
 
 
-def problem_of(task: Task, seed: int, cache: InputCache, heartbeat: Heartbeat) -> Problem:
+def problem_of(task: ShardTask, seed: int, cache: InputCache, heartbeat: Heartbeat) -> Problem:
     """Load the grasps of a shard with hand and objects; rows and indices count within the shard."""
 
     def say(line: str) -> None:
@@ -200,7 +199,7 @@ def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -
     return failed
 
 
-def _check_unchanged(task: Task, loader: Loader, path: Path) -> None:
+def _check_unchanged(task: ShardTask, loader: Loader, path: Path) -> None:
     """Refuse grasps, a hand or an object that changed since the shard was planned.
 
     Raises:

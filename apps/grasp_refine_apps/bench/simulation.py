@@ -26,6 +26,7 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import AXES
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -68,7 +69,7 @@ def plain(world: World, motion: Motion) -> bool:
 def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
     """Measure CPU seconds per grasp of both ways, and the number of equal verdicts."""
     start = time.process_time()
-    world = build_world(model_of(hand), scene.object, DEXGRASPBENCH)
+    world = build_world(model_of(hand), scene.object, Task(DEXGRASPBENCH))
     built = time.process_time()
     ours = simulate(world, motion, threads=1)
     done = time.process_time()

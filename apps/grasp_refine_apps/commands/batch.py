@@ -24,11 +24,12 @@ from grasp_refine.core.machine import machine
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
-from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
+from grasp_refine.problem.spec import NEAREST, SAMPLE
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.document import settings
 from grasp_refine.results.profile import profile_entry, profile_table
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.registry import default_protocol
 from grasp_refine_apps.batch.index import IndexKind, index_path
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.lock import locked
@@ -151,7 +152,7 @@ class Batch:
         described = {
             "refine": settings(config),
             "validation": settings(self.validation),
-            "protocol": settings(protocol),
+            "protocol": settings(protocol if self.validation.validate else None),
             # Both engines agree up to rounding, but not to the last bit.
             "engine": chosen("auto"),
         }
@@ -167,7 +168,9 @@ class Batch:
                 _report_states(shards, states, progress)
             complete = {number for number, state in states.items() if state is State.COMPLETE}
             session = Session(shards, plan.refused, complete)
-            self._run_shards(ShardWork(config, protocol, described, self.output.profile), session, console)
+            self._run_shards(
+                ShardWork(config, self.validation.validate, described, self.output.profile), session, console
+            )
             with Progress(console, (), 1) as progress:
                 outputs.read(session, progress)
                 failed = session.failures()
@@ -215,8 +218,8 @@ class Batch:
         written = outputs.files or (outputs.out,)
         console.print(f"{document['totals']['wall_s']:.1f} s; wrote", *written, soft_wrap=True, markup=False)
 
-    def _read_settings(self) -> tuple[Config, Protocol | None, tuple[int, int]]:
-        """Return the settings of refinement and simulation, and the part of the batch, as (part, parts).
+    def _read_settings(self) -> tuple[Config, Protocol, tuple[int, int]]:
+        """Return the settings of refinement, the protocol of most jobs, and the part of the batch, as (part, parts).
 
         Raises:
             GraspRefineError: an invalid option.
@@ -227,7 +230,9 @@ class Batch:
             )
         part = self.sharding.part()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        return config, self.validation.chosen_protocol(in_scene=self.inputs.scene not in (None, NO_SCENE)), part
+        named = self.inputs.with_named_task()
+        named.check_task()
+        return config, named.chosen_protocol(in_scene=named.in_scene) or default_protocol(in_scene=named.in_scene), part
 
     def _plan(self, out: Path, described: dict[str, Any], seed: int, progress: Progress) -> Plan:
         """Plan the shards of all jobs; jobs that cannot be done are reported.
@@ -283,7 +288,7 @@ class Batch:
             return
         clean(todo)
         workers = self.sharding.num_workers(len(todo))
-        simulated = work.protocol is not None
+        simulated = work.simulates
         began = time.perf_counter()
         with Progress(console, todo, workers, session.skipped, simulated=simulated) as progress:
             if session.room_bytes > disk_usage(self.output.out).free:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from tyro.conf import DisallowNone, arg
 
 from grasp_refine.problem.spec import ProblemSpec, SourceSpec
+from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.scene.task_spec import TaskSpec
 from grasp_refine_apps.commands.format_names import FormatName
 from grasp_refine_apps.commands.option_rules import OptionGroup
 
@@ -20,10 +24,10 @@ OBJECT = OptionGroup(
     "The object. Its mesh must be watertight, and its size that of a thing to grasp.",
     ("object", "object_name", "objects", "scale", "unit", "holes", "threshold", "other_object"),
 )
-AROUND = OptionGroup(
-    "surroundings",
-    "What is around the object, where the arm stands, and which regions links should touch.",
-    ("scene", "table", "base", "touch", "avoid"),
+TASK = OptionGroup(
+    "task",
+    "What the grasps must do, and where: recorded in results, and simulated where that is asked for.",
+    tuple(TaskSpec.__dataclass_fields__),
 )
 OF_FILES = ("format", "index", "as_is")
 
@@ -36,9 +40,11 @@ class Sources(SourceSpec):
         OptionGroup("grasps", "What is read of the files.", OF_FILES),
         HAND,
         OBJECT,
-        AROUND,
+        TASK,
     )
     metavars: ClassVar[Mapping[str, str]] = {
+        "task": "NAME|FILE",
+        "protocol": "NAME|FILE.toml",
         "urdf": "FILE",
         "mjcf": "FILE",
         "collision": "visual",
@@ -54,6 +60,22 @@ class Sources(SourceSpec):
     }
 
     format: FormatName | None = None
+    task: str | None = None
+    protocol: Annotated[
+        DisallowNone[str | None],
+        arg(
+            metavar="NAME|FILE.toml",
+            help="Protocol of the simulation, or a TOML file of your own; by default dexgraspbench, in a scene scene. "
+            + "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
+            + ".",
+            help_behavior_hint="",
+        ),
+    ] = None
+    table: float | None = None
+    scene: str | None = None
+    base: str | None = None
+    touch: tuple[str, ...] = ()
+    avoid: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,5 +86,5 @@ class Inputs(Sources, ProblemSpec):
         OptionGroup("grasps", "The grasps to begin from.", ("grasps", "targets", *OF_FILES)),
         HAND,
         OBJECT,
-        AROUND,
+        TASK,
     )

@@ -23,7 +23,7 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.recorded_objects import pieces_digest, surface_digest
 from grasp_refine.problem.refine import refine_problem
 from grasp_refine.problem.refined import RefinedGrasps
-from grasp_refine.problem.spec import NEAREST, NO_SCENE, SAMPLE
+from grasp_refine.problem.spec import NEAREST, SAMPLE, ProblemSpec
 from grasp_refine.problem.trajectories import follow_trajectories, plan_trajectories
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import most_iterations
@@ -34,6 +34,7 @@ from grasp_refine.results.result_files import is_same_refinement, result_paths
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import links_of
+from grasp_refine.scene.task_file import TASK, task_entry
 from grasp_refine_apps.batch.digests import Digests
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.option_rules import OptionGroup
@@ -97,10 +98,10 @@ class Run:
         """
         wall, cpu = time.perf_counter(), cpu_seconds()
         config = self.settings.config(nearest=self.inputs.targets == NEAREST)
-        protocol = self.validation.chosen_protocol(in_scene=self.inputs.scene not in (None, NO_SCENE))
-        if self.inputs.table is None and config.weights.table != Weights.table:
+        named = self.inputs.with_named_task()
+        if named.table is None and config.weights.table != Weights.table:
             raise GraspRefineError("--weights.table needs a --table")
-        if self.inputs.scene in (None, NO_SCENE) and config.weights.environment != Weights.environment:
+        if not named.in_scene and config.weights.environment != Weights.environment:
             raise GraspRefineError("--weights.environment needs a --scene")
         if not self._has_regions() and config.weights.region != Weights.region:
             raise GraspRefineError("--weights.region needs a region: give --touch or --avoid")
@@ -108,7 +109,6 @@ class Run:
             "inputs": settings(self.inputs),
             "refine": settings(config),
             "validation": settings(self.validation),
-            "protocol": settings(protocol),
         }
         limit_torch_threads(config)
         watch = Stopwatch() if self.output.profile else None
@@ -119,11 +119,11 @@ class Run:
             )
             loader = Loader(self.inputs, config.seed, reporter.say, reporter.wait)
             problem = loader.problem()
-            if protocol is not None:
-                protocol = protocol.for_contacts(problem.hand.patches)
-                described["protocol"] = settings(protocol)
+            simulates = self.validation.validate
+            protocol = problem.task.test(patches=problem.hand.patches) if simulates else None
+            described |= {"protocol": settings(protocol), TASK: task_entry(problem.task)}
             self._check_applicable(problem, config)
-            stamps = self._stamps(problem, described["refine"])
+            stamps = self._stamps(problem, loader.spec, described["refine"])
             paths = self._paths(problem, stamps, protocol)
             problem = loader.prepare(problem)
             for note in problem.notes:
@@ -138,10 +138,10 @@ class Run:
                     refined.write(paths, objects)
 
             # Before the simulation, too, so that whatever happens in it loses no refined grasps.
-            refined = refine_problem(problem, config, protocol, listener=reporter, on_refined=write)
+            refined = refine_problem(problem, config, simulate=simulates, listener=reporter, on_refined=write)
             planned = None if options is None else plan_trajectories(refined, options)
             if planned is not None and protocol is not None and protocol.tabletop:
-                planned = follow_trajectories(refined, planned, protocol)
+                planned = follow_trajectories(refined, planned)
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
         profile = None if watch is None else watch.profile
         outcome = refined.outcome
@@ -184,9 +184,9 @@ class Run:
 
     def _has_regions(self) -> bool:
         """Return whether regions are given, or may be by a scene or by results of an earlier refinement."""
-        inputs = self.inputs
+        inputs = self.inputs.with_named_task()
         read = inputs.grasps is not None and not str(inputs.grasps).startswith(SAMPLE)
-        return bool(inputs.touch or inputs.avoid or read or inputs.scene not in (None, NO_SCENE))
+        return bool(inputs.touch or inputs.avoid or read or inputs.in_scene)
 
     def _trajectory_options(self) -> TrajectoryOptions | None:
         """Return the lengths of the trajectories; None where none are planned.
@@ -236,19 +236,19 @@ class Run:
         if _aimed(problem, config):
             self.settings.check_aimed()
 
-    def _stamps(self, problem: Problem, refine: Any) -> dict[str, str]:
+    def _stamps(self, problem: Problem, spec: ProblemSpec, refine: Any) -> dict[str, str]:
         """Object name -> hash of everything that its refined grasps depend on, apart from the simulation."""
         digests = Digests()
-        _, hand = digests.hand(self.inputs.hand or problem.hand.name, self.inputs, lambda line: None)
+        _, hand = digests.hand(spec.hand or problem.hand.name, spec, lambda line: None)
         source = problem.sampled or digests.file(problem.files[0])["sha256"]
-        around = problem.environment
-        regions = (*self.inputs.touch, *self.inputs.avoid, *(() if around is None else (*around.touch, *around.avoid)))
+        around = problem.task.environment
+        regions = (*spec.touch, *spec.avoid, *(() if around is None else (*around.touch, *around.avoid)))
         # Colours and the order of faces are no part of a surface.
-        reads_faces = any(map(is_of_file, regions))
+        reads_faces = any(is_of_file(str(region)) for region in regions)
 
         def stamp(groups: Iterable[Group]) -> str:
             return digests.stamp(
-                self.inputs,
+                spec,
                 refine=refine,
                 engine=chosen("auto"),
                 source=source,

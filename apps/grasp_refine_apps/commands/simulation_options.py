@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, radians
+from math import radians
 from typing import Annotated, ClassVar
 
 from tyro.conf import DisallowNone, arg
@@ -12,22 +12,9 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.problem.problem import StageSource
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.scene.protocols.protocol_file import load_protocol
-from grasp_refine.scene.protocols.registry import DEFAULT, PROTOCOLS, default_protocol
 from grasp_refine.validation.engine_choice import EngineChoice
 from grasp_refine.validation.validate import Checks
 from grasp_refine_apps.commands.option_rules import OptionGroup
-
-ProtocolOption = Annotated[
-    str,
-    arg(
-        metavar="NAME|FILE.toml",
-        help=f"Protocol, or a TOML file of your own; with --scene, {DEFAULT} becomes scene. "
-        + "; ".join(f"{name}: {protocol.summary}" for name, protocol in PROTOCOLS.items())
-        + ".",
-    ),
-]
-"""Option of a protocol; its help lists all of them."""
 
 MAX_PUSH_S = 60.0
 """Longest push, seconds."""
@@ -41,11 +28,6 @@ class Simulation:
 
     simulate: bool = True
     """Simulate the grasps, in addition to measuring their geometry."""
-    protocol: ProtocolOption = DEFAULT
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
-    """Coefficient of sliding friction; torsional friction is scaled in proportion."""
-    mass: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
-    """Mass of the object, kg."""
     seconds: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
     """Duration of each push, or of the lift, in steps of 0.2 s, or as in the protocol; 0.4 instead of 2 takes a
     third of the time."""
@@ -61,23 +43,14 @@ class Simulation:
     threads: Annotated[DisallowNone[int | None], arg(help_behavior_hint="(default: all)")] = None
     """Number of CPU threads; results do not depend on it."""
 
-    def chosen_protocol(self, *, in_scene: bool = False) -> Protocol:
-        """Return the protocol that the options define; in a scene the default one lifts the object out of it.
+    def changed(self, protocol: Protocol) -> Protocol:
+        """Return a protocol with the duration and the contacts of the options.
 
         Raises:
-            GraspRefineError: an invalid duration, or friction or mass of 0.
+            GraspRefineError: an invalid duration.
         """
-        for name, value in (("friction", self.friction), ("mass", self.mass)):
-            if value == 0:
-                raise GraspRefineError(f"--{name} must be above 0")
-        protocol = _named(self.protocol, in_scene).with_friction(self.friction).with_mass(self.mass)
         protocol = protocol.with_multiccd(self.multiccd)
         return protocol if self.seconds is None else protocol.changed(checks=_checks(protocol, self.seconds))
-
-
-def _named(name: str, in_scene: bool) -> Protocol:
-    """Return the protocol of a name or file; in a scene, the default one is that which lifts the object out of it."""
-    return default_protocol(in_scene=in_scene) if name == DEFAULT else load_protocol(name)
 
 
 def _checks(protocol: Protocol, seconds: float) -> int:
@@ -131,18 +104,3 @@ class ValidationOptions:
 
     validate: bool = False
     """Simulate the grasps before and after: does the object stay in the hand when it is pushed?"""
-    protocol: ProtocolOption = DEFAULT
-    friction: Annotated[DisallowNone[float | None], arg(help_behavior_hint="(default: that of the protocol)")] = None
-    """Coefficient of sliding friction."""
-
-    def chosen_protocol(self, *, in_scene: bool = False) -> Protocol | None:
-        """Return the protocol of the simulation, in a scene by default `scene`; None: grasps are not simulated.
-
-        Raises:
-            GraspRefineError: an option that is invalid, or has no effect.
-        """
-        if not self.validate and self != ValidationOptions():
-            raise GraspRefineError("--protocol and --friction are for --validate, which simulates the grasps")
-        if self.friction is not None and not 0 < self.friction < inf:
-            raise GraspRefineError(f"--friction must be above 0, got {self.friction:g}")
-        return _named(self.protocol, in_scene).with_friction(self.friction) if self.validate else None

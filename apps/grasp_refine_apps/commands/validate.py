@@ -19,6 +19,8 @@ from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.hands.self_collision import ignored_overlaps
 from grasp_refine.problem.load import Loader
 from grasp_refine.problem.problem import Group, Problem
+from grasp_refine.problem.spec import SourceSpec
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.closing import closing_notes
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
@@ -26,11 +28,14 @@ from grasp_refine.results.simulated import closing_line
 from grasp_refine.results.validation_document import check_table, flat_rows, save_table, validate_document
 from grasp_refine.results.validation_table import comparison_table, validation_table
 from grasp_refine.scene.protocols.protocol import Protocol
-from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.scene.protocols.registry import default_protocol
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_file import TASK, task_entry
+from grasp_refine.validation.engines.mujoco.world import World
 from grasp_refine.validation.margins.margins import Margins, Worlds, margins, other_model_of
 from grasp_refine.validation.set_points import clipping_note
 from grasp_refine.validation.trials import Trials
-from grasp_refine.validation.validate import Validated, model_of, validate
+from grasp_refine.validation.validate import Validated, validate
 from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.commands.margins_options import (
     MarginsOptions,
@@ -94,7 +99,9 @@ class Validate:
         """
         wall, cpu, started = time.perf_counter(), cpu_seconds(), time.process_time()
         check_numbers(self.simulation)
-        protocol = self.simulation.chosen_protocol() if self.simulation.simulate else None
+        named = self.sources.with_named_task()
+        named.check_task()
+        protocol = self._protocol(named, in_scene=False)
         files = self.output.compare or self.files
         self._check(protocol, files)
         with Reporter(screen(stderr=True)) as reporter:
@@ -103,10 +110,12 @@ class Validate:
             if self.output.compare is not None:
                 _check_comparable(*problems)
             self.recording.check(protocol, files, problems, overwrite=self.output.overwrite)
-            if protocol is not None and any(problem.environment is not None for problem in problems):
-                protocol = self.simulation.chosen_protocol(in_scene=True)
-            if protocol is not None and len(kinds := {problem.hand.patches for problem in problems}) == 1:
-                protocol = protocol.for_contacts(kinds.pop())
+            if protocol is not None and any(problem.task.environment is not None for problem in problems):
+                protocol = self._protocol(named, in_scene=True)
+            if protocol is not None:
+                problems = [problem.for_task(Task(protocol)) for problem in problems]
+                tests = {problem.task.test(patches=problem.hand.patches) for problem in problems}
+                protocol = tests.pop() if len(tests) == 1 else protocol
             problems = [loader.prepare(problem) for loader, problem in zip(loaders, problems, strict=True)]
             for note in dict.fromkeys(note for problem in problems for note in problem.notes):
                 reporter.note(note)
@@ -126,6 +135,15 @@ class Validate:
                     console.print(line, soft_wrap=True, markup=False)
         known = any(np.isfinite(part.metrics.penetration_m).any() for part in found)
         return 0 if known else NOTHING_USABLE
+
+    def _protocol(self, named: SourceSpec, *, in_scene: bool) -> Protocol | None:
+        """Return the protocol of the options; None: nothing is simulated.
+
+        Raises:
+            GraspRefineError: it cannot be read, or an invalid duration.
+        """
+        chosen = named.chosen_protocol(in_scene=in_scene) or default_protocol(in_scene=in_scene)
+        return self.simulation.changed(chosen) if self.simulation.simulate else None
 
     def _show(
         self,
@@ -208,24 +226,18 @@ class Validate:
 
     def _examine(self, problem: Problem, protocol: Protocol | None, reporter: Reporter) -> _Examined:
         """Validate all grasps of a file."""
-        model, compiling = None, -time.process_time()
+        compiling = -time.process_time()
+        worlds: Sequence[World | None] = [None] * len(problem.groups)
         if protocol is not None:
-            model = model_of(problem.hand)
-            for note in model.notes:
-                reporter.note(note)
+            worlds = worlds_of(problem, on_note=reporter.note)
         compiling += time.process_time()
         checks = self.robustness.checks(self.simulation.threads)
-        parts, trials, tried = [], [], []
+        parts, tried = list[Validated](), list[Margins]()
+        trials = list[tuple[Group, World, Motion, Trials]]()
         drawn = self.margins.drawn(self.robustness.seed)
         other = None if drawn is None else other_model_of(problem.hand)
-        for group in problem.groups:
-            scene = group.scene
-            world = motion = None
-            if protocol is not None and model is not None:
-                compiling -= time.process_time()
-                world = build_world(model, scene.object, protocol, scene.table, scene.environment)
-                compiling += time.process_time()
-                motion = group.motion(self.simulation.closing)
+        for group, world in zip(problem.groups, worlds, strict=True):
+            scene, motion = group.scene, None if world is None else group.motion(self.simulation.closing)
             found = validate(
                 scene,
                 name=group.object,
@@ -240,8 +252,8 @@ class Validate:
             )
             parts.append(found)
             if drawn is not None and world is not None and motion is not None:
-                worlds, progress = Worlds.of(world, scene.object, other), reporter.simulating(group)
-                tried.append(margins(worlds, motion, drawn, threads=checks.threads, progress=progress))
+                drawn_in, progress = Worlds.of(world.hand, scene.object, scene.task, other), reporter.simulating(group)
+                tried.append(margins(drawn_in, motion, drawn, threads=checks.threads, progress=progress))
             if world is not None and motion is not None and found.trials is not None:
                 trials.append((group, world, motion, found.trials))
         if clipped := clipping_note([world for _, world, *_ in trials], [motion for _, _, motion, _ in trials]):
@@ -269,7 +281,11 @@ class Validate:
         if self.output.json is not None:
             described = {
                 "files": [
-                    {**fingerprint(path), "closing": part.problem.closing(self.simulation.closing)}
+                    {
+                        **fingerprint(path),
+                        "closing": part.problem.closing(self.simulation.closing),
+                        TASK: task_entry(part.problem.task),
+                    }
                     for path, part in zip(files, examined, strict=True)
                 ],
                 "inputs": settings(self.sources),

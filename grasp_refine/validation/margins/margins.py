@@ -18,6 +18,7 @@ from grasp_refine.forces.wrench import center_of_mass
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
@@ -51,22 +52,24 @@ class Worlds:
     """Centre of mass (3,) of the object, metres."""
 
     @classmethod
-    def of(cls, usual: World, obj: Object, other: HandModel | None = None) -> Worlds:
+    def of(cls, hand: HandModel, obj: Object, task: Task, other: HandModel | None = None) -> Worlds:
         """Return the worlds of an object.
 
         Args:
-            usual: Hand, object and a protocol that pushes, which holds for everything that is not drawn.
+            hand: The hand.
             obj: The object.
+            task: Task whose protocol pushes, which holds for everything that is not drawn.
             other: The other model of the hand, see `other_model_of`; None: there is none.
 
         Raises:
             GraspRefineError: a protocol that lifts, or MuJoCo cannot compile the other model with the object.
         """
-        check_pushes(usual.protocol)
-        protocol = replace(usual.protocol, palm="rigid")
-        if protocol != usual.protocol:
-            usual = build_world(usual.hand, obj, protocol)
-        return cls(usual, None if other is None else build_world(other, obj, protocol), center_of_mass(obj))
+        # The hand decides for its other model, too.
+        protocol = task.test(patches=hand.patches)
+        check_pushes(protocol)
+        task = replace(task, protocol=replace(protocol, palm="rigid"))
+        both = build_world(hand, obj, task), None if other is None else build_world(other, obj, task)
+        return cls(*both, center_of_mass(obj))
 
     def __repr__(self) -> str:
         return f"Worlds({self.usual!r}{', and with the other model of the hand' if self.other else ''})"

@@ -18,6 +18,7 @@ from grasp_refine.measures.geometry import measure
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.refine import Scene, refine
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.validate import model_of
@@ -120,7 +121,7 @@ def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
         embedded(name),
     )
     scene = Scene(ours, obj, transform_from_pose(grasps.hand_pose), match_joints(grasps, ours)[0])
-    held = simulate(build_world(model_of(ours), obj, DEXGRASPBENCH), closing_motion(scene)).success
+    held = simulate(build_world(model_of(ours), obj, Task(DEXGRASPBENCH)), closing_motion(scene)).success
     assert not held[[0, 2]].any()
 
 

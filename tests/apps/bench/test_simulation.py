@@ -9,6 +9,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine_apps.bench.simulation import main, plain
@@ -16,7 +17,7 @@ from gripper import around, ball, gripper
 
 
 def test_a_plain_loop_and_the_batch_agree() -> None:
-    world = build_world(gripper(), ball(), DEXGRASPBENCH)
+    world = build_world(gripper(), ball(), Task(DEXGRASPBENCH))
     verdicts = []
     for force in (0.5, 3.0):
         held = simulate(world, around(force)).success[0]

@@ -319,7 +319,6 @@ def test_sampled_grasps_are_a_job(tmp_path: Path):
         (("x.npz", "--tries", "0"), ("--tries", "1", "0")),
         (("x.npz", "--patience", "1"), ("--patience", "5 s", "1")),
         (("x.npz", "--dask", "tcp://x:1", "--workers", "2"), ("--dask",)),
-        (("x.npz", "--protocol", "strict"), ("--protocol", "--friction", "--validate")),
         (("x.npz", "--validate", "--friction", "0"), ("--friction", "0")),
     ],
 )

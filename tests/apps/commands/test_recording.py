@@ -14,6 +14,7 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine.validation.simulation import simulate
@@ -28,7 +29,7 @@ FILES = (Path("grasps.npz"),)
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), replace(DEXGRASPBENCH, checks=1))
+    return build_world(gripper(), ball(), Task(replace(DEXGRASPBENCH, checks=1)))
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +156,7 @@ def test_only_directions_that_there_are_can_be_recorded(problems: list[Problem])
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     T = around(8.0, count=2).T_world_root.copy()
     # The plates reach below the ball.
     T[..., 2, 3] += 0.015

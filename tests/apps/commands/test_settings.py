@@ -7,17 +7,18 @@ import pytest
 from grasp_refine.refinement.config import Config
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.scene.task import Task
+from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.commands.options import parse
 from grasp_refine_apps.commands.run import Run
 from grasp_refine_apps.commands.settings import Settings
-from grasp_refine_apps.commands.simulation_options import Robustness, Simulation, ValidationOptions
+from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
 
 
 def test_without_options_the_settings_are_as_in_the_library():
     assert Settings().config() == Config()
-    assert Simulation().chosen_protocol() == DEXGRASPBENCH
-    assert ValidationOptions().chosen_protocol() is None
-    assert ValidationOptions(validate=True, protocol="strict").chosen_protocol() == PROTOCOLS["strict"]
+    assert Simulation().changed(DEXGRASPBENCH) == DEXGRASPBENCH and Inputs().read_task() == Task()
+    assert Inputs(protocol="strict").read_task() == Task(PROTOCOLS["strict"])
 
 
 def test_what_a_method_does_not_choose_itself_reaches_it():
@@ -33,8 +34,9 @@ def test_what_a_method_does_not_choose_itself_reaches_it():
 
 
 def test_durations_and_angles_have_the_units_of_the_library():
-    assert Simulation(seconds=0.4).chosen_protocol().checks == 2
-    assert Simulation(mass=0.5, friction=0.2).chosen_protocol().mass == 0.5
+    assert Simulation(seconds=0.4).changed(DEXGRASPBENCH).checks == 2
+    changed = Inputs(mass=0.5, friction=0.2).read_task().named_protocol
+    assert changed is not None and (changed.mass, changed.friction) == (0.5, 0.2)
     noise = Robustness(noise=3, noise_offset=0.01, noise_degrees=90.0).checks(None).noise
     assert (noise.count, noise.offset, noise.turn) == pytest.approx((3, 0.01, radians(90.0)))
 

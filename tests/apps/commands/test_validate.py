@@ -321,7 +321,6 @@ def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]
         (("validate", EXAMPLE, "--compare", EXAMPLE, EXAMPLE), "--compare", "FILE"),
         (("validate", "--compare", EXAMPLE, "other.npz"), "--compare", "objects"),
         (("validate", "--compare", EXAMPLE, "fewer.npz"), "--compare", "4", "2"),
-        (("run", "--protocol", "strict"), "--protocol", "--friction", "--validate"),
         (("run", "--validate", "--friction", "-1"), "--friction", "-1"),
     ):
         assert_names(refused(capfd, *arguments), *named)

@@ -10,6 +10,7 @@ from PIL import Image
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.replay.export import export_xml
 from grasp_refine.validation.replay.record import record
@@ -62,7 +63,7 @@ def test_an_exported_model_is_drawn_like_its_original(recorded: Recorded, tmp_pa
 
 
 def test_a_table_is_seen_from_above() -> None:
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     replay = record(world, around(8.0), "lift", name="ball 2", hand="gripper")
     assert replay is None, "the plates reach into the table"
     T = around(8.0).T_world_root.copy()

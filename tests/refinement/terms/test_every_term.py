@@ -61,7 +61,7 @@ def many(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     """Hands around an object, of spheres, boxes or meshes."""
     hand = sliding_gripper(tmp_path_factory.mktemp(request.param), request.param, candidates=1024)
     scene = around_object(hand, 600, 1, OBJECTS[request.param], table=True)
-    return replace(scene, environment=beside(0.004), regions=REGIONS)
+    return replace(scene, task=replace(scene.task, scene=beside(0.004), touch=REGIONS.touch, avoid=REGIONS.avoid))
 
 
 def beside(margin: float) -> Environment:

@@ -14,10 +14,12 @@ from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.protocol_file import load_protocol, protocol_of
 from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine.scene.task import Task
+from grasp_refine.scene.task_spec import TaskSpec
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.commands.simulation_options import Simulation, ValidationOptions
+from grasp_refine_apps.commands.simulation_options import Simulation
 from gripper import around, ball, gripper
 from readme import ROOT
 from refusals import assert_names, refused
@@ -71,14 +73,15 @@ def test_documents_keep_protocols_whole(protocol: Protocol) -> None:
 
 def test_options_override_a_file(tmp_path: Path) -> None:
     path = written(tmp_path, "friction = 0.4\ndensity = 500.0\nsteps_per_check = 25")
-    plain = Simulation(protocol=path).chosen_protocol()
+    plain = TaskSpec(protocol=path).chosen_protocol(in_scene=False)
+    assert plain is not None
     assert (plain.friction, plain.torsion, plain.density, plain.seconds) == (0.4, 0.02, 500.0, 1.0)
-    other = Simulation(protocol=path, friction=0.8, mass=0.3, seconds=0.5).chosen_protocol()
+    spec = TaskSpec(protocol=path, friction=0.8, mass=0.3)
+    other = Simulation(seconds=0.5).changed(spec.read_task().test(patches=False))
     assert (other.friction, other.torsion, other.mass, other.density) == (0.8, pytest.approx(0.04), 0.3, None)
     assert other.seconds == pytest.approx(0.5)
     with refused(GraspRefineError, "--seconds", "0.1", "0.25"):
-        Simulation(protocol=path, seconds=0.25).chosen_protocol()
-    assert ValidationOptions(validate=True, protocol=path).chosen_protocol() == plain
+        Simulation(seconds=0.25).changed(plain)
 
 
 def test_the_soft_weld_is_of_files_that_ask_for_it(tmp_path: Path) -> None:
@@ -95,7 +98,7 @@ def test_a_file_is_simulated_as_it_says(tmp_path: Path) -> None:
     """Half of the friction needs twice the force; a file once passed its checks and changed nothing."""
     at = {friction: load_protocol(written(tmp_path, f"friction = {friction}")) for friction in (0.6, 0.3)}
     for friction, held in ((0.6, True), (0.3, False)):
-        trials = simulate(build_world(gripper(), ball(), at[friction]), around(1.2))
+        trials = simulate(build_world(gripper(), ball(), Task(at[friction])), around(1.2))
         across = [name[1] != "x" for name in trials.directions]
         assert ((trials.reason[:, across] == Reason.HELD) == held).all()
 

@@ -15,6 +15,7 @@ from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import AXES, Protocol
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation import simulation
 from grasp_refine.validation.engine_choice import engine_of
 from grasp_refine.validation.engines.drake.build import build_plant
@@ -72,7 +73,7 @@ def finger(extra: str, first: str = "", palm: str = "") -> World:
         notes=(),
         actuator=Actuator(none, none, none, none, none),
     )
-    return build_world(model, ball(), DEXGRASPBENCH)
+    return build_world(model, ball(), Task(DEXGRASPBENCH))
 
 
 def one(world: World, count: int = 1) -> Rows:
@@ -95,7 +96,7 @@ def joints(rows: Rows) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(gripper(), ball(), DEXGRASPBENCH)
+    return build_world(gripper(), ball(), Task(DEXGRASPBENCH))
 
 
 def holds(world: World, force: float, friction: float, **conditions: np.ndarray) -> Trials:
@@ -159,7 +160,7 @@ def test_gain_and_force_limit_of_the_servos_press_as_much(world: World) -> None:
     spec = gripper()
     for servo in spec.spec.actuators:
         servo.forcelimited, servo.forcerange = True, [-0.9 * limit, 0.9 * limit]
-    limited = build_world(spec, ball(), DEXGRASPBENCH)
+    limited = build_world(spec, ball(), Task(DEXGRASPBENCH))
     assert not holds(limited, 4 * limit, 0.6).success.any()
     assert holds(limited, 4 * limit, 0.6, force_limit=np.array([1.2])).success.all()
 
@@ -341,7 +342,7 @@ def raised(motion: Motion, height: float) -> Motion:
 
 
 def test_an_object_is_lifted_off_a_table_or_dropped() -> None:
-    world = build_world(gripper(), ball(), TABLETOP)
+    world = build_world(gripper(), ball(), Task(TABLETOP))
     held = simulate(world, raised(around(8.0), 0.015), threads=1)
     dropped = simulate(world, raised(around(0.05), 0.015), threads=1)
     assert held.directions == ("lift",) and held.success.all() and held.displacement_m.max() < 0.02
@@ -372,7 +373,7 @@ def test_what_only_mujoco_has_is_refused(world: World) -> None:
 @pytest.mark.parametrize("protocol", [STRICT, TABLETOP])
 @pytest.mark.parametrize("hand_kg", [0.05, 5.0])
 def test_the_palm_gives_way_to_no_load_whatever_it_weighs(protocol: Protocol, hand_kg: float) -> None:
-    world = build_world(weighing(hand_kg), ball(), protocol.with_mass(1.0))
+    world = build_world(weighing(hand_kg), ball(), Task(protocol.with_mass(1.0)))
     plants, made = Plants(world), []
 
     def engine(*arguments: object) -> Rows:

@@ -12,6 +12,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.margins.draws import draw
@@ -29,7 +30,7 @@ ALONE = (PUSH, "pose", "friction", "softness", "servos", "thickness")
 
 @pytest.fixture(scope="module")
 def worlds() -> Worlds:
-    return Worlds.of(build_world(gripper(), ball(), DEXGRASPBENCH), ball())
+    return Worlds.of(gripper(), ball(), Task(DEXGRASPBENCH))
 
 
 def pressing(*forces: float) -> Motion:
@@ -133,7 +134,7 @@ def test_an_object_that_closing_loses_is_lost(worlds: Worlds) -> None:
 
 
 def test_the_other_model_is_used_in_its_draws_alone(worlds: Worlds) -> None:
-    weak = Worlds.of(worlds.usual, ball(), gripper(kp=0.05 * KP))
+    weak = Worlds.of(worlds.usual.hand, ball(), Task(DEXGRASPBENCH), gripper(kp=0.05 * KP))
     draws = draw(Factors(), 8 * ALONE_SHARE)
     found = margins(weak, pressing(4.0), draws, trials=(PUSH, "model"), with_limits=False)
     np.testing.assert_array_equal(found.held["model"][0], ~draws.other_model[:8])
@@ -179,8 +180,8 @@ def test_a_limit_held_and_the_next_step_did_not(worlds: Worlds) -> None:
 def test_a_thicker_object_is_pressed_as_one_of_larger_pieces(make: Callable[[], Object], by: float) -> None:
     obj, motion = make(), around(4.0)
     pieces = tuple(replace(piece, radius=piece.radius + by) for piece in obj.body.pieces)
-    exact = build_world(gripper(), obj.with_body(replace(obj.body, pieces=pieces)), DEXGRASPBENCH)
-    world = build_world(gripper(), obj, DEXGRASPBENCH)
+    exact = build_world(gripper(), obj.with_body(replace(obj.body, pieces=pieces)), Task(DEXGRASPBENCH))
+    world = build_world(gripper(), obj, Task(DEXGRASPBENCH))
     if make is two_balls:
         motion.q[0, 1:] -= 2 * (RADIUS - 0.02)
     found = []
@@ -199,4 +200,4 @@ def test_trials_that_are_none_are_refused(worlds: Worlds) -> None:
 
 def test_protocols_that_lift_are_refused() -> None:
     with pytest.raises(GraspRefineError, match="tabletop"):
-        Worlds.of(build_world(gripper(), ball(), TABLETOP), ball())
+        Worlds.of(gripper(), ball(), Task(TABLETOP))

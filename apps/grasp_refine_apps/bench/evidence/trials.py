@@ -18,15 +18,15 @@ from grasp_refine.grasps.formats.folders import object_folder
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.problem import Problem
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.results.document import settings
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engine_choice import EngineName, engine_of
-from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.trials import Reason, Trials
-from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.batch.digests import sha256_of
-from grasp_refine_apps.batch.plan import Task
+from grasp_refine_apps.batch.plan import ShardTask
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.work import cache_of, peak_bytes, problem_of
 from grasp_refine_apps.processes.task import Heartbeat
@@ -64,7 +64,7 @@ class Trial:
 class TrialsTask:
     """Trials of the grasps of a shard that was refined in both ways."""
 
-    task: Task
+    task: ShardTask
     """Inputs of the shard."""
     files: Mapping[str, Path]
     """Result files of the two refinements by method."""
@@ -183,13 +183,8 @@ def _motions(task: TrialsTask, problem: Problem, method: str) -> list[Motion]:
 
 def _simulated(problem: Problem, motions: Sequence[Motion], trial: Trial, cache: InputCache) -> Trials:
     """Trials of the grasps of a problem, in the requested order."""
-    hand, protocol = problem.hand, trial.protocol
-    model = cache.get("model", hand, partial(model_of, hand))
-    parts = []
-    for group, motion in zip(problem.groups, motions, strict=True):
-        obj, table = group.scene.object, group.scene.table
-        key = hand, obj, protocol, table
-        world = cache.get("world", key, partial(build_world, model, obj, protocol, table))
-        engine = cache.get("engine", (trial.engine, *key), partial(engine_of, trial.engine, world))
+    problem, parts = problem.for_task(Task(trial.protocol)), []
+    for group, motion, world in zip(problem.groups, motions, worlds_of(problem, cache=cache), strict=True):
+        engine = cache.get("engine", (trial.engine, world), partial(engine_of, trial.engine, world))
         parts.append(judge(world, motion, numbers=group.rows, threads=1, first_failure=True, engine=engine))
     return Trials.join(parts).select(problem.order)

@@ -20,6 +20,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.robustness import judge
@@ -107,7 +108,7 @@ class GroupTask:
         with one_thread():
             scene = self.scene
             worlds: dict[str, World] = {
-                name: build_world(self.model, scene.object, protocol, scene.table)
+                name: build_world(self.model, scene.object, Task(protocol).over(scene.task))
                 for name, protocol in self.protocols.items()
             }
             # Caches built once for a hand and an object are not timed.

@@ -23,6 +23,7 @@ from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene_file import list_scenes, load_scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.validate import model_of
 from grasp_refine_apps.bench.chart import Row
@@ -143,15 +144,15 @@ class SceneTask:
         whole = self.whole
         obj = load_object(self.scene.object or "", scale=self.scene.scale, unit="m")
         model = model_of(whole)
-        world = build_world(model, obj, SCENE, environment=self.scene)
+        world = build_world(model, obj, Task(SCENE, scene=self.scene))
         T_world_base = transform(np.eye(3), self.scene.T_world_object[:3, 3]) @ self.T_object_base
         rows = []
         for at, known in enumerate((True, False)):
             share = part_of(progress, at / 2, 0.5)
-            scene = self.scene if known else None
-            grasps = sample_grasps(self.hand, obj, self.count, seed=self.seed, environment=scene)
             base = T_world_base if known else np.linalg.inv(self.scene.T_world_object) @ T_world_base
-            problem = problem_of(replace(whole, actuator=model.actuator), obj, grasps, scene=scene, base=base)
+            task = Task(scene=self.scene if known else None, base=base)
+            grasps = sample_grasps(self.hand, obj, self.count, task=task, seed=self.seed)
+            problem = problem_of(replace(whole, actuator=model.actuator), obj, grasps, task=task)
             (group,) = problem.groups
             outcome = refine_group(group, Config(seed=self.seed))
             share(0.4)

@@ -17,7 +17,6 @@ from grasp_refine.grasps.grasp_set import GraspSet, match_joints
 from grasp_refine.hands.files.source import list_hands
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object, prepare
-from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.source import needs_no_file
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import Recorded
@@ -170,17 +169,7 @@ def _with_hand(upload: Upload, scene: Scene, control: Control) -> Problem:
         control.check()
         control.describe(f"sampling grasps: {found} found, of {tried} hands")
 
-    regions = scene.regions or ContactRegions()
-    grasps = sample_grasps(
-        hand,
-        obj,
-        NUM_SAMPLED_GRASPS,
-        table=scene.table,
-        environment=scene.environment,
-        touch=regions.touch,
-        avoid=regions.avoid,
-        progress=progress,
-    )
+    grasps = sample_grasps(hand, obj, NUM_SAMPLED_GRASPS, task=scene.task, progress=progress)
     grasps = replace(grasps, object=np.full(len(grasps), obj.name), scale=np.ones(len(grasps)))
     return _problem(upload, scene, hand, grasps, {(obj.name, 1.0): obj}, hand.notes, sampled=True)
 
@@ -269,15 +258,8 @@ def _problem(
         of_object = np.flatnonzero(grasps.object == name)
         rows = of_object[grasps.scale[of_object] == scale]
         some = grasps.select(rows)
-        new = scene_of(
-            hand,
-            obj,
-            some,
-            q[rows],
-            table=scene.table,
-            environment=scene.environment,
-            regions=scene.regions if obj is scene.object else None,
-        )
+        task = scene.task if obj is scene.object else replace(scene.task, touch=(), avoid=())
+        new = scene_of(hand, obj, some, q[rows], task)
         groups.append(Group(name, scale, new, some, rows, np.searchsorted(of_object, rows), rows))
     all_notes = tuple(dict.fromkeys([*upload.notes, *notes, *joint_notes]))
     return Problem(hand, (upload.source,), tuple(groups), all_notes, f"upload:{upload.name}" if sampled else "")

@@ -14,10 +14,11 @@ from grasp_refine.core.machine import machine
 from grasp_refine.core.se3 import pose_from_transform
 from grasp_refine.core.versions import versions
 from grasp_refine.grasps.formats.listing import OURS
-from grasp_refine.problem.recorded_objects import object_entries, regions_entry
+from grasp_refine.problem.recorded_objects import object_entries
 from grasp_refine.results.document import settings
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.result_files import result_entries
+from grasp_refine.scene.task_file import TASK, task_entry
 from grasp_refine_apps.viewer.files.saving import Saved
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import STATUS, numeric_columns
@@ -77,9 +78,9 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
         "index": [int(collection.group(n).index[collection.member[n]]) for n in numbers.tolist()],
         "row": collection.row[numbers],
     }
-    used = [work.refined_regions for work in works.values() if work.outcome is not None]
-    if used and used[0] is not None and all(regions is used[0] for regions in used):
-        provenance["regions"] = regions_entry(used[0])
+    used = [work.refined_for for work in works.values() if work.outcome is not None]
+    if used and used[0] is not None and all(task is used[0] for task in used):
+        provenance[TASK] = task_entry(used[0])
     return {**found, "provenance": np.array(dumps(provenance))}
 
 

@@ -39,8 +39,8 @@ class ManyGrasps:
             collection = store.state.collection
 
             def is_refined(number: int, work: Work) -> bool:
-                same_regions = work.refined_regions is collection.group(number).scene.regions
-                return same_regions and work.outcome is not None and work.config == config
+                same_task = work.refined_for is collection.group(number).scene.task
+                return same_task and work.outcome is not None and work.config == config
 
             wanted = self._without(numbers, is_refined)
             if not wanted:
@@ -56,7 +56,7 @@ class ManyGrasps:
                     scene = batch.group.scene
                     outcome = refine_batch(batch, config, self._prepare(scene.hand, scene.object), control)
                     for i, number in enumerate(batch.numbers):
-                        results = {"config": config, "refined_regions": scene.regions}
+                        results = {"config": config, "refined_for": scene.task}
                         self._keep_refined(control, number, todo[number], outcome.select(np.array([i])), results)
                     done += len(batch.numbers)
                 store.notify(f"{count_text(done, 'grasp')} refined: they are listed in Browse, and not saved yet")

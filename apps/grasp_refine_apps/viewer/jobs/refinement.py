@@ -55,7 +55,7 @@ class Refinement:
                 refined = {"pose": found.pose, "trace": found.trace, "outcome": found.outcome}
                 counted = Counted(found.outcome.contact_gap[0])
                 return lambda state: state.evolve(
-                    **refined, counted=counted, config=config, refined_regions=scene.regions, refined_at=now()
+                    **refined, counted=counted, config=config, refined_for=scene.task, refined_at=now()
                 )
 
             store.run_job("refine", "refining", work)

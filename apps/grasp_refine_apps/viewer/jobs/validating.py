@@ -14,12 +14,11 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, GraspSet
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
-from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions, StepCallback
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.replay.record import record
@@ -68,13 +67,14 @@ def world_cache() -> MakeWorld:
     make_hand = lru_cache(MAX_HANDS)(model_of)
 
     @lru_cache(MAX_WORLDS)
-    def make_world(
-        hand: Hand, obj: Object, protocol: Protocol, table: Plane | None, around: Environment | None
-    ) -> World:
-        return build_world(make_hand(hand), obj, protocol, table, around)
+    def make_world(hand: Hand, obj: Object, task: Task) -> World:
+        return build_world(make_hand(hand), obj, task)
 
+    # Pushes are those of an object in empty space.
     return lambda scene, protocol: make_world(
-        scene.hand, scene.object, protocol, *((scene.table, scene.environment) if protocol.tabletop else (None, None))
+        scene.hand,
+        scene.object,
+        Task(protocol).over(scene.task).for_simulation if protocol.tabletop else Task(protocol),
     )
 
 

@@ -135,7 +135,7 @@ class Collection:
     def with_regions(self, at: int, regions: ContactRegions) -> Collection:
         """Return the collection with other regions of the object of group `at`."""
         problem, group = self.problem, self.problem.groups[at]
-        scene = replace(group.scene, regions=regions if regions.touch or regions.avoid else None)
+        scene = replace(group.scene, task=replace(group.scene.task, touch=regions.touch, avoid=regions.avoid))
         groups = (*problem.groups[:at], replace(group, scene=scene), *problem.groups[at + 1 :])
         return replace(self, problem=replace(problem, groups=groups))
 

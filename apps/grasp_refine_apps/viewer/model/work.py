@@ -13,6 +13,7 @@ from jaxtyping import Float
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.refinement.config import Config
 from grasp_refine.results.outcome import Outcome
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.pose import Pose, Target
 from grasp_refine_apps.viewer.model.recording import Recording
@@ -40,8 +41,8 @@ class Work:
     """Outcome of the last refinement, one row, if `pose` is its result."""
     config: Config | None = None
     """Settings of that refinement."""
-    refined_regions: ContactRegions | None = None
-    """Regions of the object that the refinement respected."""
+    refined_for: Task | None = None
+    """Task of that refinement."""
     refined_at: datetime | None = None
     """Time of that refinement."""
     trial: TrialResult | None = None
@@ -88,7 +89,7 @@ class Work:
 
 
 NO_RESULTS: dict[str, Any] = dict.fromkeys(
-    ("outcome", "config", "refined_regions", "refined_at", "trial", "tested_at", "plan")
+    ("outcome", "config", "refined_for", "refined_at", "trial", "tested_at", "plan")
 )
 """Fields without results, which do not hold for another pose."""
 

@@ -25,6 +25,7 @@ from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.contact_model import Cone
 from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.geoms import add_piece
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 
@@ -115,18 +116,16 @@ class World:
 def build_world(
     hand: HandModel,
     obj: Object,
-    protocol: Protocol,
-    table: Plane | None = None,
-    environment: Environment | None = None,
+    task: Task,
 ) -> World:
-    """Return the world in which grasps of a hand on an object are simulated.
+    """Return the world in which a task is simulated with a hand and an object.
 
     Args:
         hand: The hand; it is copied.
         obj: The object, with all its convex pieces.
-        protocol: Protocol of the simulation; the world's has its `multiccd` decided.
-        table: Support of the object, where it is lifted; by default a plane under its lowest point.
-        environment: Bodies around the object, where it is lifted, in place of a table; movable ones can be pushed.
+        task: What is simulated: its protocol, whose `multiccd` the hand decides where it leaves that open. An object
+            that is lifted stands on the table, or among the bodies of the scene, of which movable ones can be pushed;
+            by default on a plane under its lowest point.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile it, with its message; or no geometry of the hand can touch the
@@ -134,12 +133,10 @@ def build_world(
     """
     check_kind("hand", hand, HandModel)
     check_kind("obj", obj, Object)
-    check_kind("protocol", protocol, Protocol)
-    check_kind("table", table, Plane | None)
-    check_kind("environment", environment, Environment | None)
-    protocol = protocol.for_contacts(hand.patches)
+    check_kind("task", task, Task)
+    protocol, table = task.test(patches=hand.patches), task.plane
     # Pushes act on an object in empty space.
-    around = environment if protocol.tabletop else None
+    around = task.environment if protocol.tabletop else None
     spec = mujoco.MjSpec()
     spec.modelname = f"{obj.name} in a hand"
     spec.compiler.degree = False

@@ -12,7 +12,7 @@ from batch_rows import made_up_rows, shard
 from grasp_refine.objects.source import ObjectSource
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.registry import PROTOCOLS
-from grasp_refine_apps.batch.plan import Task
+from grasp_refine_apps.batch.plan import ShardTask
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.bench.evidence.cases import EvidenceCase, HandCase, ObjectCase
 from grasp_refine_apps.bench.evidence.report import PICTURES_PER_REASON, failures, markdown, tables
@@ -118,7 +118,9 @@ def test_failures_of_refined_grasps_are_shown_by_reason_of_different_hands_and_o
 def test_trials_are_of_grasps_refined_in_both_ways_and_depend_on_all_settings():
     out = Path("/evidence")
 
-    task = Task("", "job", ProblemSpec(), {}, ("", ""), "", "", ObjectSource("mug"), (1.0,), np.zeros(1), np.zeros(1))
+    task = ShardTask(
+        "", "job", ProblemSpec(), {}, ("", ""), "", "", ObjectSource("mug"), (1.0,), np.zeros(1), np.zeros(1)
+    )
 
     def of(method: str, number: int, stamp: str) -> Shard:
         path = out / method.replace(" ", "-") / f"job/{number}.npz"

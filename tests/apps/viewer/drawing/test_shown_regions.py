@@ -11,6 +11,7 @@ import pytest
 from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.drawing.region_nodes import bisected
 from grasp_refine_apps.viewer.drawing.scene_nodes import Meshes
 from grasp_refine_apps.viewer.drawing.view import View
@@ -26,7 +27,9 @@ HEIGHT_M = 0.06
 @pytest.fixture
 def viewer(problem: Problem) -> Iterator[Controller]:
     regions = contact_regions(problem.groups[0].scene.object, avoid=f"above:z={HEIGHT_M}")
-    groups = tuple(replace(group, scene=replace(group.scene, regions=regions)) for group in problem.groups)
+    groups = tuple(
+        replace(group, scene=replace(group.scene, task=Task(avoid=regions.avoid))) for group in problem.groups
+    )
     made = controller(replace(problem, groups=groups))
     yield made
     made.close()

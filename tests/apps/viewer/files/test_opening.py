@@ -15,8 +15,8 @@ from grasp_refine.grasps.grasp_set import GraspSet, Targets
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.problem import Problem
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.files import opening
 from grasp_refine_apps.viewer.files.opening import MeshOptions, Opened, open_upload
 from grasp_refine_apps.viewer.files.saving import grasp_file
@@ -37,7 +37,7 @@ def present() -> tuple[Scene, Pose]:
     """The Allegro hand at a ball, on a table, moved from its pose in the scene."""
     hand = load_hand("allegro", candidates=16)
     scene = Scene(
-        hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], table=Plane(offset=-0.03)
+        hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], task=Task(table=-0.03)
     )
     return scene, Pose(T, hand.rest + 0.01)
 

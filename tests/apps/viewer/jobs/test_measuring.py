@@ -13,6 +13,7 @@ from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.jobs import measuring
 from grasp_refine_apps.viewer.jobs.measuring import measured_columns, unmeasured, with_measures
 from grasp_refine_apps.viewer.jobs.worker import Stopped
@@ -50,7 +51,7 @@ def test_measures_are_as_in_validate_each_in_its_place(collection: Collection, m
 def test_contacts_outside_of_the_regions_cost_quality(collection: Collection) -> None:
     (group,) = collection.problem.groups
     regions = contact_regions(group.scene.object, touch=f"above:z={group.scene.object.mesh.bounds[1, 2] - 1e-4:g}")
-    asked = replace(group, scene=replace(group.scene, regions=regions))
+    asked = replace(group, scene=replace(group.scene, task=Task(touch=regions.touch)))
     problem = replace(collection.problem, groups=(asked,))
     found = with_measures(replace(collection, problem=problem), ignore, ignore)
     quality = with_measures(collection, ignore, ignore).columns["quality_after"].values

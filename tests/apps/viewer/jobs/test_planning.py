@@ -21,6 +21,7 @@ from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.planning import trajectory_recording
 from grasp_refine_apps.viewer.model.recording import Recording
@@ -36,7 +37,7 @@ def grasp(*bodies: EnvironmentBody) -> tuple[Scene, Motion, HandObject]:
     T = transform_from_rpy([0.0, 0.0, 0.06 - 0.02 + 0.1034, 180.0, 0.0, 0.0])
     fingers = np.array([[0.036], [0.025], [0.025 - PRESS_M]])
     environment = Environment(bodies, np.eye(4), lift=0.0) if bodies else None
-    scene = Scene(hand, thing, T, fingers[1], environment=environment)
+    scene = Scene(hand, thing, T, fingers[1], task=Task(scene=environment))
     return scene, Motion(np.tile(T, (1, 3, 1, 1)), fingers[None]), HandObject.of(scene)
 
 

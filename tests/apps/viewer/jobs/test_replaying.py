@@ -20,6 +20,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.scene import SCENE
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.world import HAND, World, build_world
 from grasp_refine.validation.engines.mujoco.world import SCENE as SCENE_PREFIX
@@ -44,7 +45,7 @@ def moving(hand: Hand) -> Motion:
 
 def recorded(hand: Hand) -> tuple[HandModel, World, Replay]:
     model = model_of(hand)
-    world = build_world(model, load_object("sphere:0.03", candidates=16), DEXGRASPBENCH)
+    world = build_world(model, load_object("sphere:0.03", candidates=16), Task(DEXGRASPBENCH))
     replay = record(world, moving(hand), "+x", name="a ball", hand=hand.name)
     assert replay is not None
     return model, world, replay
@@ -94,7 +95,7 @@ def test_bodies_around_the_object_are_where_mujoco_has_them() -> None:
     ball = build_body("ball", [sphere(0.02)], candidates=16)
     around = Environment((EnvironmentBody("ball", ball, T, movable=True), EnvironmentBody("post", ball, far)), T)
     model, obj = model_of(hand), load_object("sphere:0.03", candidates=16)
-    world = build_world(model, obj, SCENE, None, around)
+    world = build_world(model, obj, Task(SCENE, scene=around))
     replay = record(world, moving(hand), "lift", name="a ball", hand=hand.name)
     assert replay is not None
     motion = replay_recording(hand, model, replay, world.model)
@@ -215,7 +216,7 @@ def test_a_replay_with_more_frames_is_thinned(hand: Hand, known: tuple[HandModel
 def test_contacts_are_as_in_mujoco(hand: Hand) -> None:
     """The ball is pushed against the hand, which stands in its way."""
     model = model_of(hand)
-    world = build_world(model, load_object("sphere:0.03", candidates=16), DEXGRASPBENCH)
+    world = build_world(model, load_object("sphere:0.03", candidates=16), Task(DEXGRASPBENCH))
     T = np.tile(np.eye(4), (1, 3, 1, 1))
     T[..., :3, 3] = [0.1, 0.0, 0.0]
     replay = record(world, Motion(T, np.tile(hand.rest, (1, 3, 1))), "+x", name="a ball", hand=hand.name)

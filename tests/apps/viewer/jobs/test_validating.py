@@ -21,12 +21,12 @@ from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Group
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.strict import STRICT
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
@@ -195,7 +195,7 @@ def test_what_was_compiled_is_kept(make_world: MakeWorld, scene: Scene) -> None:
     assert make_world(scene, STRICT) is not world
     assert make_world(scene, STRICT).hand is world.hand
     # Only what is lifted stands on a table.
-    low, high = (replace(scene, table=Plane(offset=offset)) for offset in (-0.05, -0.02))
+    low, high = (replace(scene, task=Task(table=offset)) for offset in (-0.05, -0.02))
     assert make_world(low, TABLETOP) is not make_world(high, TABLETOP)
     assert make_world(low, DEXGRASPBENCH) is make_world(high, DEXGRASPBENCH) is world
 

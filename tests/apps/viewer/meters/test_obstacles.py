@@ -14,7 +14,7 @@ from grasp_refine.geometry.pieces import box
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.task import Task
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.obstacles import TABLE, overlaps_text
@@ -50,11 +50,11 @@ def crowded(problem: Problem) -> Problem:
         EnvironmentBody(name, build_body(name, [box((size,) * 3)], candidates=16), T_world_object @ T_object)
         for name, T_object in (("crate", T), ("far", away))
     )
-    return with_around(problem, environment=Environment(bodies, T_world_object))
+    return with_around(problem, Task(scene=Environment(bodies, T_world_object)))
 
 
-def with_around(problem: Problem, **around: object) -> Problem:
-    groups = tuple(replace(group, scene=replace(group.scene, **around)) for group in problem.groups)
+def with_around(problem: Problem, task: Task) -> Problem:
+    groups = tuple(replace(group, scene=replace(group.scene, task=task)) for group in problem.groups)
     return replace(problem, groups=groups)
 
 
@@ -90,7 +90,7 @@ def test_a_table_is_in_the_way_as_deep_as_the_lowest_point(problem: Problem) -> 
         for k, (link, body) in enumerate(zip(prepared.chain.links, prepared.bodies, strict=True))
     }
     height = min(lowest.values()) + 0.01
-    made = controller(with_around(problem, table=Plane(offset=height)))
+    made = controller(with_around(problem, Task(table=height)))
     try:
         found = {overlap.link: overlap.depth for overlap in made.overlaps(made.state)}
         assert all(overlap.body == TABLE for overlap in made.overlaps(made.state))

@@ -197,7 +197,7 @@ def test_refinements_respect_the_regions_and_saved_results_record_them(viewer: C
     assert viewer.state.outcome["region_miss_m"][0, 1] < 5e-4 and not viewer.elsewhere(viewer.state)
     works = {0: viewer.state.work}
     recorded = json.loads(str(entries_of(viewer.state.collection, works)["provenance"]))
-    assert recorded["regions"] == {"touch": [], "avoid": ["above:z=0.06"]}
+    assert recorded["task"] == {"touch": [], "avoid": ["above:z=0.06"]}
     # With other regions it is to be refined again.
     first = viewer.state.outcome
     viewer.many.refine([0])

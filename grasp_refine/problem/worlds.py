@@ -1,0 +1,40 @@
+"""Worlds of a problem: one for each object, in which its task is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.problem import Problem
+
+if TYPE_CHECKING:
+    from grasp_refine.validation.engines.mujoco.world import World
+
+
+def worlds_of(
+    problem: Problem, *, cache: InputCache | None = None, on_note: Callable[[str], None] = lambda line: None
+) -> list[World]:
+    """Return the world of each group of a problem, with its hand, its object and its task.
+
+    Args:
+        problem: Hand, objects and task.
+        cache: Keeps models and worlds for the next problem.
+        on_note: Called with notes for the user on the model of the hand.
+
+    Raises:
+        GraspRefineError: MuJoCo cannot compile the hand or a world.
+    """
+    from grasp_refine.validation.engines.mujoco.world import build_world
+    from grasp_refine.validation.validate import model_of
+
+    hand, cache = problem.hand, cache or NoCache()
+    model = cache.get("model", hand, partial(model_of, hand))
+    for note in model.notes:
+        on_note(note)
+    worlds = []
+    for scene in (group.scene for group in problem.groups):
+        given = scene.object, scene.task.for_simulation
+        worlds.append(cache.get("world", (hand, *given), partial(build_world, model, *given)))
+    return worlds
