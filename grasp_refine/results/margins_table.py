@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from grasp_refine.core.plurals import count_text
-from grasp_refine.results.table import MAX_LISTED_GRASPS, NO_VALUE, NUM_WORST_GRASPS, plain_table
+from grasp_refine.results.table import NO_VALUE, by_object, listed, plain_table
 from grasp_refine.validation.margins.factors import JOINT, MEANING, PUSH
 from grasp_refine.validation.margins.intervals import difference_interval
 from grasp_refine.validation.margins.limits import FORCE_RANGE_N, FRICTION_RANGE, STEPS, TORQUE_RANGE_NM, Limits
@@ -75,10 +75,9 @@ def margins_table(
         hand: Name of the hand.
         verbose: Whether all grasps are listed.
     """
-    parts: list[RenderableType] = []
-    for name in dict.fromkeys(objects.tolist()):
-        rows = np.flatnonzero(objects == name)
-        parts += [_grasps(margins.select(rows), index[rows], f"{hand} on {name}", verbose), ""]
+    parts = by_object(
+        objects, lambda name, rows: _grasps(margins.select(rows), index[rows], f"{hand} on {name}", verbose)
+    )
     return Group(*parts, factors_table(margins, hand), *_limit_lines(margins))
 
 
@@ -139,11 +138,9 @@ def margins_comparison(before: Margins, after: Margins, hand: str) -> Renderable
 
 def _grasps(margins: Margins, index: np.ndarray, what: str, verbose: bool) -> Table:
     """Return the table of the grasps on one object."""
-    title, shown = f"{what}: {count_text(len(margins), 'grasp')} in drawn worlds", np.arange(len(margins))
     first = margins.probability[:, 0]
-    if len(margins) > MAX_LISTED_GRASPS and not verbose:
-        shown = np.argsort(first, kind="stable")[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
+    title = f"{what}: {count_text(len(margins), 'grasp')} in drawn worlds"
+    shown, title = listed(np.argsort(first, kind="stable"), title, verbose)
     table = plain_table(title)
     heads = ["\n grasp", f"{margins.trials[0]}\nheld", "\n[95 %]", "costs most\nfactor", "alone\nheld"]
     limits = margins.limits

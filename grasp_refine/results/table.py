@@ -67,17 +67,14 @@ def grasp_table(
         verbose: Whether all grasps are listed.
     """
     holds, held = made_to_hold(outcome, config), None if simulated is None else simulated.held
-    objects = list(dict.fromkeys(outcome.object.tolist()))
-    parts: list[RenderableType] = []
-    for name in objects:
-        rows = np.flatnonzero(outcome.object == name)
-        of_object = outcome.select(rows)
-        parts += [
-            _object_table(of_object, f"{hand} on {name}", holds, None if held is None else held[rows], verbose),
-            "",
-        ]
-    if len(objects) > 1:
-        total = _table(f"all {len(objects)} objects: {count_text(len(outcome), 'grasp')}", "", _joint_keys(outcome))
+
+    def of_object(name: str, rows: np.ndarray) -> Table:
+        part = None if held is None else held[rows]
+        return _object_table(outcome.select(rows), f"{hand} on {name}", holds, part, verbose)
+
+    parts, count = by_object(outcome.object, of_object), len(set(outcome.object.tolist()))
+    if count > 1:
+        total = _table(f"all {count} objects: {count_text(len(outcome), 'grasp')}", "", _joint_keys(outcome))
         _add_summary(total, outcome)
         parts += [total, ""]
     lines = [_converged(outcome, config), _holding(outcome, config, held)]
@@ -89,14 +86,12 @@ def grasp_table(
 
 
 def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | None, verbose: bool) -> Table:
-    shown, title = np.arange(len(outcome)), f"{what}: {count_text(len(outcome), 'grasp')}"
-    if len(outcome) > MAX_LISTED_GRASPS and not verbose:
-        # Grasps without a result come first, then grasps that did not hold, then the largest errors.
-        errors = np.fmax(outcome["contact_error_m"][:, 1], outcome["penetration_m"][:, 1])
-        badness = -outcome.quality[:, 1] if holds else errors
-        good = np.zeros(len(outcome)) if held is None else held[:, 1]
-        shown = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
+    # Of many, grasps without a result come first, then grasps that did not hold, then the largest errors.
+    errors = np.fmax(outcome["contact_error_m"][:, 1], outcome["penetration_m"][:, 1])
+    badness = -outcome.quality[:, 1] if holds else errors
+    good = np.zeros(len(outcome)) if held is None else held[:, 1]
+    worst_first = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))
+    shown, title = listed(worst_first, f"{what}: {count_text(len(outcome), 'grasp')}", verbose)
     last = " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status"
     table = _table(title, last, _joint_keys(outcome))
     columns = {key: outcome[key] for key in (*_TABLE_KEYS, *_joint_keys(outcome))}
@@ -107,6 +102,19 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
         table.add_section()
         _add_summary(table, outcome)
     return table
+
+
+def by_object(objects: np.ndarray, table_of: Callable[[str, np.ndarray], Table]) -> list[RenderableType]:
+    """Return the tables of the grasps (N,) on each object, an empty line after each, by its name and their rows."""
+    names = dict.fromkeys(objects.tolist())
+    return [part for name in names for part in (table_of(name, np.flatnonzero(objects == name)), "")]
+
+
+def listed(worst_first: np.ndarray, title: str, verbose: bool) -> tuple[np.ndarray, str]:
+    """Return the rows of a table of N grasps, of many only the worst unless `verbose`, and its title, which says so."""
+    if len(worst_first) <= MAX_LISTED_GRASPS or verbose:
+        return np.arange(len(worst_first)), title
+    return worst_first[:NUM_WORST_GRASPS], f"{title}, the worst {NUM_WORST_GRASPS} (`verbose`: all)"
 
 
 def plain_table(title: str = "", between: int = 1) -> Table:

@@ -14,8 +14,8 @@ from grasp_refine.core.plurals import count_text
 from grasp_refine.measures.formulas import COSTLY_M
 from grasp_refine.results.simulated import reason_lines
 from grasp_refine.results.table import (
-    MAX_LISTED_GRASPS,
-    NUM_WORST_GRASPS,
+    by_object,
+    listed,
     measure_text,
     number_text,
     numbers_text,
@@ -37,11 +37,11 @@ def validation_table(
     validated: Validated, hand: str, protocol: Protocol | None, frictions: Sequence[float], *, verbose: bool = False
 ) -> RenderableType:
     """Return tables of all grasps by object and a verdict; of many grasps only the worst, unless `verbose`."""
-    parts: list[RenderableType] = []
+    parts = by_object(
+        validated.object,
+        lambda name, rows: _object_table(validated.select(rows), f"{hand} on {name}", protocol, verbose),
+    )
     names = list(dict.fromkeys(validated.object.tolist()))
-    for name in names:
-        of_object = validated.select(np.flatnonzero(validated.object == name))
-        parts += [_object_table(of_object, f"{hand} on {name}", protocol, verbose), ""]
     if len(names) > 1 and protocol is not None:
         parts += [_by_object(validated, names), ""]
     return Group(*parts, *_verdict(validated, protocol, frictions), *_misplaced(validated), *_engines(validated))
@@ -90,16 +90,14 @@ def comparison_table(before: Validated, after: Validated, hand: str, protocol: P
 
 
 def _object_table(validated: Validated, what: str, protocol: Protocol | None, verbose: bool) -> Table:
-    title, shown = f"{what}: {count_text(len(validated), 'grasp')}", np.arange(len(validated))
+    title = f"{what}: {count_text(len(validated), 'grasp')}"
     if protocol is not None:
         title += ", ".join(["", protocol.name, f"friction {protocol.friction:g}", *protocol.contact_points])
         if protocol.density is not None and validated.mass is not None:
             title += f", {validated.mass[0] * 1e3:.0f} g"
         if protocol.seconds != Protocol().seconds:
             title += f", {'lift' if protocol.tabletop else 'pushes'} of {protocol.seconds:g} s"
-    if len(validated) > MAX_LISTED_GRASPS and not verbose:
-        shown = np.argsort(-_badness(validated), kind="stable")[:NUM_WORST_GRASPS]
-        title += f", the worst {NUM_WORST_GRASPS} (`verbose`: all)"
+    shown, title = listed(np.argsort(-_badness(validated), kind="stable"), title, verbose)
     table = plain_table(title, between=0)
     # Beside a simulation not all measures fit.
     columns = [
