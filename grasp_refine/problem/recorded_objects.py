@@ -89,12 +89,11 @@ class Recorded:
         """
         found: RecordedScene | None = None
         for file, task in self._tasks().items():
-            entry: Any = task.get("scene")
-            if not isinstance(entry, dict):
+            entry = task.get("scene")
+            texts = [entry.get(key) for key in ("name", "source", "sha256")] if isinstance(entry, dict) else []
+            if not texts or not all(isinstance(text, str) for text in texts):
                 continue
-            one = RecordedScene(file, *(entry.get(key) for key in ("name", "source", "sha256")))
-            if not all(isinstance(text, str) for text in (one.name, one.source, one.digest)):
-                continue
+            one = RecordedScene(file, *map(str, texts))
             if found is not None and found.digest != one.digest:
                 raise GraspFileError(
                     f"{found.file} was refined in scene '{found.name}', {file} in '{one.name}': give them one by one"

@@ -16,6 +16,7 @@ from grasp_refine.closing.motion import Motion
 from grasp_refine.core.npz_files import save_npz
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.wrench import LEVER_M, center_of_mass
+from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.results.document import run_document
 from grasp_refine.validation.engines.mujoco.world import World
@@ -228,6 +229,33 @@ def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
     assert set(gr.__all__) <= set(dir(gr))
     with pytest.raises(AttributeError, match="nonsense"):
         gr.nonsense  # noqa: B018
+
+
+def test_a_refinement_proves_the_task_that_it_was_for(gripper: gr.Hand, workplace: Path):
+    """A push along x alone; another task counts where it names something: lifted, the box is on the same table."""
+    box, push = gr.load_object("box:0.05,0.06,0.07"), gr.Protocol("push", mass=0.2, directions=("+x",), checks=1)
+    task = gr.Task(push, table=-0.0355)
+    refined = gr.refine(gripper, box, gr.sample_grasps(gripper, box, 2, task=task), gr.Config(starts=1), task=task)
+    assert (refined.task.protocol, refined.task.table) == (push, task.table)
+    own = gr.simulate(refined)
+    assert own.protocol.name == "push" and own.after.directions == ("+x",) and own.before.directions == ("+x",)
+    (pushed,), (lifted,) = (worlds_of(refined.problem.for_task(name)) for name in (None, "tabletop"))
+    assert pushed.mass == pytest.approx(0.2) and "table" not in [pushed.model.geom(i).name for i in range(2)]
+    assert lifted.model.geom("table").pos[2] == pytest.approx(-0.0355) and lifted.mass == pytest.approx(0.1)
+    refined.save("refined.npz")
+    again = gr.load_task("refined.npz")
+    assert (again.protocol, again.table) == (push, task.table)
+    with refused(gr.GraspRefineError, "base"):
+        gr.simulate(refined, gr.Task(base=[0.0, 0.0, 0.0]))
+
+
+def test_margins_stand_on_the_table_of_the_task(gripper: gr.Hand, refined: gr.RefinedGrasps):
+    """They once knew no table, so that hands opened as if there was none."""
+    box, task = gr.load_object("box:0.05,0.06,0.07"), gr.Task(gr.Protocol(checks=1), table=-0.0355)
+    alone = replace(refined.after[:1], pregrasp=None, squeeze=None)
+    found = gr.margins(gripper, box, alone, task, draws=1, with_limits=False)
+    (scene,) = (group.scene for group in found.problem.groups)
+    assert found.protocol.checks == 1 and scene.table is not None and scene.table.offset == -0.0355
 
 
 def test_margins_are_as_in_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
