@@ -11,33 +11,32 @@ from grasp_refine.hands.arm_file import load_arm
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
+from made_hands import joint, link, slide, solid, write_urdf
 
-BOX = '<collision><geometry><box size="0.05 0.05 {}"/></geometry></collision>'
-GRIPPER = f"""
-<link name="palm">{BOX.format(0.04)}</link><link name="left">{BOX.format(0.06)}</link>
-<link name="right">{BOX.format(0.06)}</link><link name="camera">{BOX.format(0.02)}</link><link name="tcp"/>
-<joint name="to_palm" type="fixed"><parent link="flange"/><child link="palm"/><origin xyz="0 0 0.03"/></joint>
-<joint name="to_camera" type="fixed"><parent link="palm"/><child link="camera"/><origin xyz="0.1 0 0"/></joint>
-<joint name="to_tcp" type="fixed"><parent link="palm"/><child link="tcp"/><origin xyz="0 0 0.1"/></joint>
-<joint name="left_slide" type="prismatic"><parent link="palm"/><child link="left"/><origin xyz="0 0 0.06"/>
-  <axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.1"/></joint>
-<joint name="right_slide" type="prismatic"><parent link="palm"/><child link="right"/><origin xyz="0 0 0.06"/>
-  <axis xyz="0 -1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.1"/><mimic joint="left_slide"/></joint>
-"""
-ARM = f"""<robot name="arm">
-<link name="stand">{BOX.format(0.1)}</link><link name="upper">{BOX.format(0.3)}</link><link name="flange"/>
-<joint name="turn" type="revolute"><parent link="stand"/><child link="upper"/><origin xyz="0 0 0.3"/>
-  <axis xyz="0 1 0"/><limit lower="-1" upper="2" effort="50" velocity="1"/></joint>
-<joint name="to_flange" type="fixed"><parent link="upper"/><child link="flange"/><origin xyz="0 0 0.3"/></joint>
-{{gripper}}</robot>"""
+
+def bar(name: str, length: float) -> str:
+    return link(name, solid(f"box 0.05 0.05 {length}"))
+
+
+OPENS = {"at": "0 0 0.06", "limits": (0, 0.04), "effort": 20, "velocity": 0.1}
+GRIPPER = (
+    bar("palm", 0.04) + bar("left", 0.06) + bar("right", 0.06) + bar("camera", 0.02) + link("tcp"),
+    joint("to_palm", "flange", "palm", "fixed", at="0 0 0.03"),
+    joint("to_camera", "palm", "camera", "fixed", at="0.1 0 0"),
+    joint("to_tcp", "palm", "tcp", "fixed", at="0 0 0.1"),
+    slide("left_slide", "palm", "left", axis="0 1 0", **OPENS),
+    slide("right_slide", "palm", "right", axis="0 -1 0", follow=("left_slide",), **OPENS),
+)
+ARM = (
+    bar("stand", 0.1) + bar("upper", 0.3) + link("flange"),
+    joint("turn", "stand", "upper", at="0 0 0.3", axis="0 1 0", limits=(-1, 2), effort=50),
+    joint("to_flange", "upper", "flange", "fixed", at="0 0 0.3"),
+)
 
 
 def files(folder: Path) -> tuple[Path, Path]:
     """Return the file of an arm with a gripper, and that of the arm alone."""
-    both = folder / "with_gripper.urdf", folder / "alone.urdf"
-    for file, gripper in zip(both, (GRIPPER, ""), strict=True):
-        file.write_text(ARM.format(gripper=gripper))
-    return both
+    return write_urdf(folder, *ARM, *GRIPPER, name="with_gripper"), write_urdf(folder, *ARM, name="alone")
 
 
 @pytest.fixture(scope="module")

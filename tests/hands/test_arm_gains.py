@@ -9,18 +9,7 @@ import pytest
 from grasp_refine.hands.arm_gains import ARMATURE, BANDWIDTH_RAD_S, moved_inertia, with_arm_gains
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount, standing
-
-ARM = """
-<robot name="arm">
-  <link name="stand"/><link name="upper"/><link name="rod">
-    <inertial><origin xyz="0.3 0 0"/><mass value="2"/>
-      <inertia ixx="0.001" iyy="0.06" izz="0.06" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="lift" type="prismatic"><parent link="stand"/><child link="upper"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="1" effort="90" velocity="0.5"/></joint>
-  <joint name="turn" type="revolute"><parent link="upper"/><child link="rod"/><origin xyz="0.1 0 0" rpy="0 0 1"/>
-    <axis xyz="0 0 1"/><limit lower="-3" upper="3" {effort}/></joint>
-</robot>
-"""
+from made_hands import inertial, joint, link, links, made_hand, slide
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +18,16 @@ def gripper() -> Hand:
     return load_hand("franka_hand", candidates=16)
 
 
-def arm(folder: Path, effort: str = 'effort="12" velocity="2.4"') -> Hand:
+def arm(folder: Path, effort: float | None = 12, velocity: float | None = 2.4) -> Hand:
     """Return an arm of a slide and a hinge."""
-    file = folder / "arm.urdf"
-    file.write_text(ARM.format(effort=effort))
-    return load_hand(file, candidates=16)
+    limits = {"limits": (-3, 3), "effort": effort, "velocity": velocity}
+    return made_hand(
+        folder,
+        links("stand", "upper") + link("rod", inertial(2, (0.001, 0.06, 0.06), "0.3 0 0")),
+        slide("lift", "stand", "upper", axis="0 0 1", limits=(0, 1), effort=90, velocity=0.5),
+        joint("turn", "upper", "rod", at="0.1 0 0", rpy="0 0 1", axis="0 0 1", **limits),
+        name="arm",
+    )
 
 
 def test_inertia_is_that_of_all_that_a_joint_moves(tmp_path: Path, gripper: Hand) -> None:
@@ -56,7 +50,7 @@ def test_damping_leaves_half_of_the_effort_at_half_speed(tmp_path: Path, gripper
     np.testing.assert_allclose(whole.actuator.damping[:2], [90 / 0.5, 12 / 2.4])
     np.testing.assert_array_equal(whole.actuator.kp[2:], gripper.actuator.kp)
     assert any("guessed" in note and "arm.toml" in note for note in whole.notes)
-    strong = mount(arm(tmp_path, ""), gripper, "rod")
+    strong = mount(arm(tmp_path, None, None), gripper, "rod")
     kp, damping = strong.actuator.kp[1], strong.actuator.damping[1]
     assert damping == pytest.approx(2 * np.sqrt(kp * (moved_inertia(strong)[1] + ARMATURE)))
 

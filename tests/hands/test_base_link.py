@@ -7,25 +7,18 @@ import pytest
 from grasp_refine.hands.files.base_link import Base, guess_base
 from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.hand import load_hand
-
-SOLID = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+from made_hands import BALL, joint, link, write_urdf
 
 
 def base_of(folder: Path, joints: dict[str, str], empty: str = "", mimic: dict[str, str] | None = None) -> Base:
     """The base of a robot whose joints are "PARENT > CHILD": kind; links named in `empty` have no geometry."""
     pairs = [[link.strip() for link in pair.split(">")] for pair in joints]
     links = dict.fromkeys(link for pair in pairs for link in pair)
-    elements = [f'<link name="{name}">{"" if name in empty.split() else SOLID}</link>' for name in links]
+    parts = [link(name, "" if name in empty.split() else BALL) for name in links]
     for (parent, child), kind in zip(pairs, joints.values(), strict=True):
-        follow = f'<mimic joint="{mimic[child]}"/>' if child in (mimic or {}) else ""
-        elements.append(
-            f'<joint name="{child}_j" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{LIMIT}{follow}'
-            '<axis xyz="0 0 1"/></joint>'
-        )
-    path = folder / "robot.urdf"
-    path.write_text(f'<robot name="r">{"".join(elements)}</robot>')
-    return guess_base(read_tree(path))
+        follow = (mimic[child],) if child in (mimic or {}) else None
+        parts.append(joint(f"{child}_j", parent, child, kind, axis="0 0 1", limits=(-1, 1), follow=follow))
+    return guess_base(read_tree(write_urdf(folder, *parts)))
 
 
 ARM = {"stand > upper": "revolute", "upper > lower": "continuous", "lower > rail": "prismatic"}
