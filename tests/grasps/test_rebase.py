@@ -9,41 +9,35 @@ import numpy as np
 import pytest
 import torch
 
+import made_hands
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_se3, pose_from_transform, transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, match_joints
 from grasp_refine.grasps.rebase import rebased
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
+from made_hands import links, solid, write_urdf
 from refusals import refused
 
 
-def link(name: str) -> str:
-    return f'<link name="{name}"><collision><geometry><box size="0.02 0.02 0.05"/></geometry></collision></link>'
-
-
-def joint(name: str, parent: str, child: str, axis: str, mimic: str = "") -> str:
-    return (
-        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="0.01 0.02 0.1" rpy="0.1 0.2 0.3"/><axis xyz="{axis}"/>'
-        f'<limit lower="-0.4" upper="1.4" effort="1" velocity="1"/>{mimic}</joint>'
-    )
+def joint(name: str, parent: str, child: str, axis: str, *follow: object) -> str:
+    place = {"at": "0.01 0.02 0.1", "rpy": "0.1 0.2 0.3", "axis": axis, "limits": (-0.4, 1.4)}
+    return made_hands.joint(name, parent, child, follow=follow or None, **place)
 
 
 @pytest.fixture(scope="module")
 def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An arm of two joints, the second of which follows nothing, with a hand of two fingers and a camera."""
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    links = "".join(map(link, ("stand", "upper", "palm", "left", "right", "camera")))
-    joints = (
-        joint("shoulder", "stand", "upper", "0 0 1")
-        + joint("wrist", "upper", "palm", "0 1 0")
-        + joint("open", "palm", "left", "1 0 0")
-        + joint("follow", "palm", "right", "1 0 0", '<mimic joint="open" multiplier="-0.2" offset="0.1"/>')
-        + joint("look", "stand", "camera", "0 0 1")
+    return write_urdf(
+        tmp_path_factory.mktemp("arm"),
+        links("stand", "upper", "palm", "left", "right", "camera", inside=solid("box 0.02 0.02 0.05")),
+        joint("shoulder", "stand", "upper", "0 0 1"),
+        joint("wrist", "upper", "palm", "0 1 0"),
+        joint("open", "palm", "left", "1 0 0"),
+        joint("follow", "palm", "right", "1 0 0", "open", -0.2, 0.1),
+        joint("look", "stand", "camera", "0 0 1"),
+        name="arm",
     )
-    path.write_text(f'<robot name="arm">{links}{joints}</robot>')
-    return path
 
 
 def places(grasps: GraspSet, stage: Stage, hand: Hand, name: str) -> np.ndarray:

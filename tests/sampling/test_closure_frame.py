@@ -5,59 +5,49 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import made_hands
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.sampling.closure_frame import closure_frame
+from made_hands import BALL, links, solid, write_urdf
 from refusals import refused
 
-PAD = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-TIP = '<collision><origin xyz="0 0 0.03"/><geometry><sphere radius="0.01"/></geometry></collision>'
+TIP = solid("sphere 0.01", "0 0 0.03")
+HINGE, SLIDE, SLIDE_BACK = (-0.2, 1.6), (-0.02, 0.05), (-0.05, 0.02)
 
 
-HINGE = '<limit lower="-0.2" upper="1.6" effort="1" velocity="1"/>'
-SLIDE = '<limit lower="-0.02" upper="0.05" effort="1" velocity="1"/>'
-SLIDE_BACK = '<limit lower="-0.05" upper="0.02" effort="1" velocity="1"/>'
-FOLLOW = '<mimic joint="l" multiplier="-1"/>'
-
-
-def link(*names: str) -> str:
-    return "".join(f'<link name="{name}">{PAD}</link>' for name in names)
-
-
-def joint(name: str, parent: str, child: str, xyz: str, axis: str, limit: str = HINGE, more: str = "") -> str:
-    kind = "prismatic" if limit in (SLIDE, SLIDE_BACK) else "revolute" if limit else "continuous"
-    return f"""<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
-      <origin xyz="{xyz}"/><axis xyz="{axis}"/>{limit}{more}</joint>"""
+def joint(name: str, parent: str, child: str, at: str, axis: str, limits: tuple | None = HINGE, *more: float) -> str:
+    kind = "prismatic" if limits in (SLIDE, SLIDE_BACK) else "revolute" if limits else "continuous"
+    follow = ("l", *more) if more else None
+    return made_hands.joint(name, parent, child, kind, at=at, axis=axis, limits=limits, follow=follow)
 
 
 CLAW = (
-    link("base", "palm", "a1", "b1")
-    + "<link name='turn'/>"
-    + f"<link name='a3'>{TIP}</link><link name='b3'>{TIP}</link>"
+    links("base", "palm", "a1", "b1", inside=BALL)
+    + links("turn")
+    + links("a3", "b3", inside=TIP)
     + joint("wrist", "base", "palm", "0 0 0.1", "1 0 0")
     + joint("spread", "palm", "turn", "0.04 0 0", "0 0 1")
     + joint("a_near", "turn", "a1", "0 0 0.02", "0 -1 0")
     + joint("a_far", "a1", "a3", "0 0 0.04", "0 -1 0")
     + joint("b_near", "palm", "b1", "-0.04 0 0.02", "0 1 0")
-    + joint("b_far", "b1", "b3", "0 0 0.04", "0 -1 0", '<limit lower="-1.6" upper="0.2" effort="1" velocity="1"/>')
+    + joint("b_far", "b1", "b3", "0 0 0.04", "0 -1 0", (-1.6, 0.2))
 )
 """Two upright fingers at both sides of a palm, at the end of a wrist; they bend towards each other, one of them about
 an axis turned round at its far joint, and one is spread as well."""
 
 
 def write(folder: Path, body: str, base_link: str | None = None) -> Hand:
-    path = folder / "hand.urdf"
-    path.write_text(f'<robot name="hand">{body}</robot>')
-    return load_hand(path, base_link=base_link, candidates=64)
+    return load_hand(write_urdf(folder, body), base_link=base_link, candidates=64)
 
 
 def jaws(folder: Path, *, mimic: bool = False) -> Hand:
     """A palm and two jaws that slide: each on its own, or the second with the first."""
     return write(
         folder,
-        link("palm", "left", "right")
+        links("palm", "left", "right", inside=BALL)
         + joint("l", "palm", "left", "0.05 0 0.08", "-1 0 0", SLIDE)
-        + joint("r", "palm", "right", "-0.05 0 0.08", "-1 0 0", SLIDE_BACK, FOLLOW if mimic else ""),
+        + joint("r", "palm", "right", "-0.05 0 0.08", "-1 0 0", SLIDE_BACK, *([-1] if mimic else [])),
     )
 
 
@@ -88,13 +78,13 @@ def test_jaws_come_together(tmp_path: Path, mimic: bool):
 
 
 def test_a_single_finger_closes_against_the_palm(tmp_path: Path):
-    body = link("palm", "jaw") + joint("l", "palm", "jaw", "0 0 0.08", "0 0 1", SLIDE)
+    body = links("palm", "jaw", inside=BALL) + joint("l", "palm", "jaw", "0 0 0.08", "0 0 1", SLIDE)
     assert closing(write(tmp_path, body)) == {"l": -1}
 
 
 def test_joints_without_limits_get_some(tmp_path: Path):
-    body = link("palm", "left", "right") + "".join(
-        joint(name, "palm", name, f"{x} 0 0.05", "0 1 0", "") for name, x in (("left", 0.05), ("right", -0.05))
+    body = links("palm", "left", "right", inside=BALL) + "".join(
+        joint(name, "palm", name, f"{x} 0 0.05", "0 1 0", None) for name, x in (("left", 0.05), ("right", -0.05))
     )
     closure = closure_frame(write(tmp_path, body))
     for value in (closure.lower, closure.upper, closure.opened):
@@ -102,7 +92,7 @@ def test_joints_without_limits_get_some(tmp_path: Path):
 
 
 def test_a_hand_that_cannot_move_cannot_grip(tmp_path: Path):
-    hand = write(tmp_path, link("palm"))
+    hand = write(tmp_path, links("palm", inside=BALL))
     with refused(HandError, "'hand'"):
         closure_frame(hand)
 

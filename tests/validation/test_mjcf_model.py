@@ -19,6 +19,7 @@ from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.linkages.servos import moments
 from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.mjcf_model import mjcf_model
+from made_hands import joint, links, made_hand, slide
 from refusals import assert_names, refused
 
 NAMES = {"shadow": "shadow", "shadow_22": "shadow", "allegro": "allegro", "leap": "leap"}
@@ -120,14 +121,6 @@ def test_the_mjcf_of_another_hand_is_refused(name: str, other: str, shared_asset
 # --- a hand of our own
 
 
-URDF = """<robot name="r"><link name="palm"/><link name="a1"/><link name="a2"/><link name="b1"/>
-  <joint name="a1_j" type="revolute"><parent link="palm"/><child link="a1"/><origin xyz="0.05 0 0.02" rpy="0 0 0.4"/>
-    <axis xyz="0 1 0"/><limit lower="-1" upper="1.5" effort="3"/></joint>
-  <joint name="a2_j" type="revolute"><parent link="a1"/><child link="a2"/><origin xyz="0 0 0.04"/>
-    <axis xyz="1 0 0"/><limit lower="-1" upper="1.5" effort="3"/>{}</joint>
-  <joint name="b1_j" type="prismatic"><parent link="palm"/><child link="b1"/><origin xyz="-0.05 0.03 0.02"/>
-    <axis xyz="1 0 0"/><limit lower="0" upper="0.03" effort="3"/></joint></robot>"""
-
 TREE = """<body name="{palm}" pos="1 2 3" euler="0 90 30">{root}
     <geom name="seen" size="0.02" contype="0" conaffinity="0" mass="0.3"/><geom size="0.01" mass="0.1"/>
     <body name="a1" pos="0.05 0 0.02" euler="0 0 22.918311805232932"><joint name="rh_a1_j" axis="0 {sign} 0"/>
@@ -142,9 +135,15 @@ SERVOS = """<actuator><position name="p1" joint="rh_a1_j" kp="3"/><position name
 
 
 def ours(folder: Path, mimic: str = "", toml: str = "") -> Hand:
-    (folder / "hand.urdf").write_text(URDF.format(mimic))
-    (folder / "hand.toml").write_text(toml)
-    return load_hand(folder, candidates=16)
+    turns = {"limits": (-1, 1.5), "effort": 3, "velocity": None}
+    return made_hand(
+        folder,
+        links("palm", "a1", "a2", "b1"),
+        joint("a1_j", "palm", "a1", at="0.05 0 0.02", rpy="0 0 0.4", axis="0 1 0", **turns),
+        joint("a2_j", "a1", "a2", "revolute", mimic, at="0 0 0.04", axis="1 0 0", **turns),
+        slide("b1_j", "palm", "b1", at="-0.05 0.03 0.02", axis="1 0 0", limits=(0, 0.03), effort=3, velocity=None),
+        toml=toml,
+    )
 
 
 def written(

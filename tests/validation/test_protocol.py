@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 
 from grasp_refine.closing.motion import Motion
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
@@ -31,6 +31,7 @@ from grasp_refine.validation.simulation import close, push, simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
 from gripper import KP, RADIUS, around, ball, gripper
+from made_hands import inertial, link, made_hand, slide, solid
 
 UNIT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 """The six directions, written out once more."""
@@ -141,22 +142,14 @@ def plates(folder: Path) -> Hand:
     """The gripper of `gripper.py` as a URDF: plates that slide together, one joint each."""
 
     def plate(name: str, side: int) -> str:
-        return f"""<link name="{name}"><inertial><mass value="0.05"/>
-          <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
-          <collision><origin xyz="{0.005 * side} {-0.02 * side} 0"/><geometry><box size="0.01 0.08 0.08"/></geometry>
-          </collision></link>
-          <joint name="{name}_j" type="prismatic"><parent link="palm"/><child link="{name}"/>
-          <origin xyz="0 {0.02 * side} 0.1"/><axis xyz="{side} 0 0"/><limit lower="-0.2" upper="0.2" effort="1000"/>
-          </joint>"""
+        place, block = (0, 0.02 * side, 0.1), solid("box 0.01 0.08 0.08", (0.005 * side, -0.02 * side, 0))
+        return link(name, inertial(0.05, (1e-4, 1e-4, 1e-4)), block) + slide(
+            f"{name}_j", "palm", name, at=place, axis=(side, 0, 0), limits=(-0.2, 0.2), effort=1000, velocity=None
+        )
 
-    path = folder / "plates.urdf"
-    path.write_text(
-        '<robot name="plates"><link name="palm"><inertial><mass value="1"/>'
-        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        f"{plate('left', -1)}{plate('right', 1)}</robot>"
-    )
-    (folder / "hand.toml").write_text(f"actuator = {{ kp = {KP}, damping = 5, frictionloss = 0 }}")
-    return load_hand(path, candidates=16)
+    toml = f"actuator = {{ kp = {KP}, damping = 5, frictionloss = 0 }}"
+    palm = link("palm", inertial(1, (0.01, 0.01, 0.01)))
+    return made_hand(folder, palm, plate("left", -1), plate("right", 1), name="plates", toml=toml)
 
 
 def plates_mjcf(folder: Path) -> HandModel:
