@@ -31,12 +31,9 @@ NAMES_OR_PATHS = ("hand", "arm", "object", "targets", "task", "protocol", "scene
 
 
 @dataclass(frozen=True)
-class SourceSpec(TaskSpec):
-    """Hand, objects and task of grasps whose file is given elsewhere."""
+class HandSpec:
+    """Reading of a hand: its files, and what is taken of them."""
 
-    hand: str | None = None
-    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
-    an asset such as hands/leap, or robot_descriptions/NAME. By default that of the grasp file."""
     urdf: Path | None = None
     """Another URDF for the hand, with the same names of joints and links; needed where a hand comes without one."""
     mjcf: Path | None = None
@@ -50,6 +47,18 @@ class SourceSpec(TaskSpec):
     base_link: str | None = None
     """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
     palm of a hand on an arm, else the root."""
+    hull_limit: float = HULL_LIMIT
+    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
+    split into its bodies, or cut. inf: hulls only."""
+
+
+@dataclass(frozen=True)
+class SourceSpec(HandSpec, TaskSpec):
+    """Hand, objects and task of grasps whose file is given elsewhere."""
+
+    hand: str | None = None
+    """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
+    an asset such as hands/leap, or robot_descriptions/NAME. By default that of the grasp file."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
     Where the hand's own file has the arm, `base` alone. By default none: the hand floats."""
@@ -77,9 +86,6 @@ class SourceSpec(TaskSpec):
     default it is detected."""
     index: tuple[int, ...] = ()
     """Numbers of the grasps of each object; 0 is its first one in the file. By default all."""
-    hull_limit: float = HULL_LIMIT
-    """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
-    split into its bodies, or cut. inf: hulls only."""
     threshold: float = Decomposition.threshold
     """Largest concavity, 0.01 to 1, of the pieces that CoACD cuts a concave object into; lower is finer."""
     other_object: bool = False

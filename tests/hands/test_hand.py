@@ -156,12 +156,12 @@ def test_the_command_hands_shows_them_with_the_users_files(
     assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
     folder = shared_assets / "hands"
     urdf = folder / "shadow/shadow_right.urdf"
-    assert Hands(("shadow",), urdf, folder / "shadow_mjcf/right_hand.xml").execute() == 0
+    assert Hands(hands=("shadow",), urdf=urdf, mjcf=folder / "shadow_mjcf/right_hand.xml").execute() == 0
     assert "24 joints" in " ".join(capsys.readouterr().out.split())
-    assert Hands(("shadow",), urdf).execute() == 0
+    assert Hands(hands=("shadow",), urdf=urdf).execute() == 0
     assert re.search(r"\binertia\b.*\bfftip\b", capsys.readouterr().out)
     with refused(HandError, "right_hand.xml", "WRJ2, "):
-        Hands(("shadow",), urdf, folder / "leap_mjcf/right_hand.xml").execute()
+        Hands(hands=("shadow",), urdf=urdf, mjcf=folder / "leap_mjcf/right_hand.xml").execute()
     with refused(GraspRefineError, "--urdf", "refine-grasp"):
         Hands(urdf=urdf).execute()
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from rich.console import Console
-from tyro.conf import DisallowNone, Positional, arg
+from tyro.conf import Positional, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.json_files import check_writable, save_text
 from grasp_refine.hands.files.hand_toml import HAND_TOML
-from grasp_refine.hands.files.link_geometry import HULL_LIMIT
 from grasp_refine.hands.hand import Hand, list_hands, load_hand, needs_urdf
-from grasp_refine.problem.spec import check_hull_limit
+from grasp_refine.problem.spec import HandSpec, check_hull_limit
+from grasp_refine_apps.commands.inputs import Sources
+from grasp_refine_apps.commands.option_rules import OptionGroup
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite
+from grasp_refine_apps.report.command_line import flag
 from grasp_refine_apps.report.hand_facts import examples, facts_without_urdf, hand_facts
 from grasp_refine_apps.report.hand_table import bullets, list_table, show_hand
 from grasp_refine_apps.report.json_document import save_document
@@ -32,61 +35,48 @@ TRIED_CANDIDATES = 1024
 OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.03", "cylinder:0.03,0.12")
 """Objects on which hands are tried: embedded ones, and two primitives."""
 
+HAND_FIELDS = tuple(one.name for one in fields(HandSpec))
+"""Fields that say how a hand is read."""
+
 NEEDS_HAND = "without a hand, by its name or URDF: refine-grasp hands HAND"
 
 
 @dataclass(frozen=True)
-class Hands:
+class Hands(HandSpec):
     """List the hands that ship with the program, show the joints and links of one, or check your own URDF or MJCF."""
+
+    groups: ClassVar[tuple[OptionGroup, ...]] = (
+        OptionGroup("hand", "Files of the hand, as for `refine-grasp run`.", ("hands", *HAND_FIELDS)),
+        OptionGroup("check", "Show how the files were read and why, and what looks wrong.", ("check", "write", "out")),
+        OptionGroup(
+            "trial",
+            "Sample grasps on some objects, refine and simulate them: a table with a row for each hand.",
+            ("tries", "objects", "protocol", "markdown", "seed"),
+        ),
+        OptionGroup("output", "Facts about the hands.", ("json", "overwrite")),
+    )
+    metavars: ClassVar[Mapping[str, str]] = Sources.metavars
 
     hands: Annotated[
         Positional[tuple[str, ...]], arg(metavar="[HAND [HAND ...]]", help_behavior_hint="(default: list all)")
     ] = ()
     """Name from the list, folder with a hand.toml or one URDF, or URDF or MJCF file; several with --check --tries."""
-    urdf: Annotated[
-        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
-    ] = None
-    """URDF of the hand, if it ships without one."""
-    mjcf: Annotated[
-        DisallowNone[Path | None], arg(metavar="FILE", help_behavior_hint="(default: that of the hand)")
-    ] = None
-    """Another MJCF file of the same hand, to check that it matches."""
-    collision: Annotated[
-        DisallowNone[Literal["visual"] | None], arg(metavar="visual", help_behavior_hint="(default: see above)")
-    ] = None
-    """Geometry with which links of a URDF collide, as for `run`: visual, the geometry that they show. By default their
-    collision geometry, or what the hand.toml says."""
-    follower_limits: Annotated[
-        DisallowNone[Literal["own", "leader"] | None], arg(help_behavior_hint="(default: see above)")
-    ] = None
-    """Limits of joints that follow others, as for `run`: their own, or leader, the ones that follow from the other
-    joint. By default what the hand.toml says, else their own."""
-    base_link: Annotated[DisallowNone[str | None], arg(metavar="LINK", help_behavior_hint="(default: see above)")] = (
-        None
-    )
-    """Base link of the hand; with the root of the file, the joints of an arm move, too. By default that of the
-    hand.toml, else the palm of a hand on an arm, else the root."""
-    hull_limit: float = HULL_LIMIT
-    """Largest distance (metres) by which the convex hull of a link's mesh may exceed the mesh, as for `run`."""
-    check: Annotated[bool, arg(help_behavior_hint="")] = False
+    check: bool = False
     """Show how the files were read and why, and what looks wrong."""
     tries: Annotated[int, arg(help_behavior_hint="(default: none)")] = 0
-    """With --check: number of grasps that are sampled on each of some objects, refined and simulated, instead of the
-    other checks; a table has a row for each hand."""
+    """With --check: number of grasps that are sampled on each object, instead of the other checks."""
     objects: Annotated[tuple[str, ...], arg(metavar="OBJECT [...]")] = OBJECTS
-    """With --tries: the objects, as for `run --object`."""
+    """Objects of --tries, as for `refine-grasp run --object`."""
     protocol: str = "dexgraspbench"
-    """With --tries: protocol of the simulation, as for `validate --protocol`."""
+    """Protocol of the simulation with --tries, as for `refine-grasp validate --protocol`."""
     markdown: OptionalFile = None
     """With --tries: write the table to this file."""
-    write: Annotated[bool, arg(help_behavior_hint="")] = False
+    write: bool = False
     """With --check: write a hand.toml to start from beside the URDF or MJCF."""
-    out: Annotated[DisallowNone[Path | None], arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = (
-        None
-    )
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: that of the URDF)")] = None
     """With --write: folder of the hand.toml."""
     seed: int = 0
-    """With --tries: random seed of the sampling."""
+    """Random seed of the sampling with --tries."""
     json: OptionalFile = None
     """Write the facts about the hands to this file."""
     overwrite: Overwrite = False
@@ -116,13 +106,8 @@ class Hands:
     def _load(self, source: str, candidates: int) -> Hand:
         return load_hand(
             source,
-            base_link=self.base_link,
-            urdf=self.urdf,
-            mjcf=self.mjcf,
-            collision=self.collision,
-            follower_limits=self.follower_limits,
             candidates=candidates,
-            hull_limit=self.hull_limit,
+            **{name: getattr(self, name) for name in HAND_FIELDS},
             progress=lambda line: screen(stderr=True).print(line, markup=False, style="dim", soft_wrap=True),
         )
 
@@ -148,16 +133,11 @@ class Hands:
         return 0 if any(row["held_after"] is not None for row in rows) else NOTHING_USABLE
 
     def _list(self) -> int:
-        given = {
-            "--urdf": self.urdf,
-            "--mjcf": self.mjcf,
-            "--collision": self.collision,
-            "--follower-limits": self.follower_limits,
-            "--base-link": self.base_link,
-            "--out": self.out,
-        }
-        named = [option for option, value in given.items() if value is not None]
-        named += ["--check"] * self.check + ["--write"] * self.write
+        named = [
+            flag(name)
+            for name in (*HAND_FIELDS, "check", "write", "out")
+            if getattr(self, name) != getattr(Hands, name)
+        ]
         if named:
             raise GraspRefineError(f"{' and '.join(named)} {NEEDS_HAND} {named[0]}")
         waiting = [name for name in list_hands() if needs_urdf(name)]

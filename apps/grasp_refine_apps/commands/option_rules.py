@@ -98,25 +98,27 @@ class OptionRules(ConstructorRegistry):
         groups: tuple[OptionGroup, ...] = getattr(kind, "groups", ())
         if not groups or not is_dataclass(kind):
             return None
+        default = info.default if isinstance(info.default, kind) else kind()
         inner = {name: _split(hint)[0] for name, hint in _hints(kind).items()}
         boxes, nested, grouped = [], [], set()
         for group in groups:
             names = group.names or tuple(one.name for one in fields(kind))
             always = not group.on_demand or group.on_demand in self._words
             shown = [name for name in names if always or self._typed(name)]
-            flat = tuple(self._spec(kind, name, info.default) for name in shown if not is_dataclass(inner[name]))
+            flat = tuple(self._spec(kind, name, default) for name in shown if not is_dataclass(inner[name]))
             boxes += [self._box(group.title, group.about or kind.__doc__, flat)] if flat else []
             nested += [name for name in shown if is_dataclass(inner[name])]
             grouped |= set(names)
         methods = [name for name in inner if is_dataclass(inner[name]) and name not in grouped]
         nested += [name for name in methods if self._typed(name) or flag(name, "") in self._words]
-        specs = [self._nested_spec(kind, name, info.default) for name in nested]
+        specs = [self._nested_spec(kind, name, default) for name in nested]
         titles = {box.name for box in boxes}
 
         def build(**values: Any) -> Any:
             flat = {name: value for title in titles for name, value in values.pop(title).items()}
             return kind(**flat, **values)
 
+        build.__doc__ = kind.__doc__
         return StructConstructorSpec(build, (*boxes, *filter(None, specs)))
 
     def _typed(self, name: str) -> bool:

@@ -80,9 +80,9 @@ class Output:
 class Run:
     """Refine grasps of a hand on an object, and compare them before and after.
 
-    Without options, the example grasps of the embedded hand on the embedded mug. Your own: run --hand leap --grasps
-    mine.npz; 16 new grasps on a mesh in millimetres: run --hand leap --object cup.stl --unit mm --grasps sample:16.
-    With --validate, grasps are simulated before and after; with --geometry-only they only move into contact.
+    Without options, the example grasps of the embedded hand on the embedded mug. Your own: `refine-grasp run --hand
+    leap --grasps mine.npz`. New ones: `refine-grasp run --hand leap --object cup.stl --unit mm --grasps sample:16`.
+    With --validate, grasps are simulated before and after; with --geometry-only, they only move into contact.
     """
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
