@@ -11,19 +11,15 @@ from jaxtyping import Bool, Float
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.plurals import count_text, first_of
-from grasp_refine.core.rpy_poses import read_pose
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.on_arm import ROOM_M, ArmClearance, on_arm
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.files.description import read_tree
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
-from grasp_refine.hands.mount import mount, standing
 from grasp_refine.hands.self_collision import self_penetration
 from grasp_refine.objects.object import Object
 from grasp_refine.problem.problem import Group, Problem, scene_of
-from grasp_refine.problem.spec import SourceSpec
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.surroundings import Surroundings, scene_depths
 from grasp_refine.scene.task import Task
@@ -37,38 +33,6 @@ MAX_REASONS = 5
 MAX_SUNK_M = 0.02
 """Depth of the base in a body of the scene, in metres, from which on it is reported: bases stand on tables, not in
 them."""
-
-
-def whole_hand(
-    spec: SourceSpec,
-    source: str,
-    hand: Hand,
-    load_hand: Callable[[str, str | None], Hand],
-    load_arm: Callable[[str], Hand],
-) -> Hand:
-    """Return a hand on the arm of a specification (`arm`) or on that of its own file; itself where there is none.
-
-    A file with both is read from the base of the arm on: `base_link`, or the root of the file.
-
-    Args:
-        spec: Names of the arm and of the link that carries the hand.
-        source: The hand, or its file.
-        hand: The hand alone.
-        load_hand: Loads a hand below a base link.
-        load_arm: Loads an arm.
-
-    Raises:
-        GraspRefineError: the arm cannot be loaded, the hand not be mounted, or its file has no arm.
-    """
-    if hand.arm is not None:
-        return hand
-    if spec.stands:
-        base = spec.base_link or read_tree(hand.urdf).root
-        return standing(load_hand(source, base), hand.base_link)
-    if spec.arm is None:
-        return hand
-    pose = None if spec.mount_pose is None else read_pose(spec.mount_pose, "`mount_pose`")
-    return mount(load_arm(spec.arm), hand, spec.mount, pose)
 
 
 def check_base(problem: Problem) -> None:

@@ -5,31 +5,25 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from grasp_refine.core.errors import GraspFileError, GraspRefineError, HandError
+from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.grasps.formats.reading import Reading, reading
 from grasp_refine.grasps.grasp_set import GraspSet, Targets, load_grasps, match_joints
-from grasp_refine.grasps.rebase import rebased
-from grasp_refine.grasps.renaming import with_prefixes
 from grasp_refine.grasps.rows import choose_rows
-from grasp_refine.hands.arm_file import load_arm
-from grasp_refine.hands.files.description import read_tree
-from grasp_refine.hands.files.source import check_known
-from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.solid_links import check_collides
 from grasp_refine.objects.object import Object, load_object, prepare
 from grasp_refine.objects.source import ObjectSource, chosen_object, is_known, named_object
-from grasp_refine.problem.arms import check_base, problem_on_arm, reach_of, whole_hand
+from grasp_refine.problem.arms import check_base, problem_on_arm, reach_of
 from grasp_refine.problem.examine import examined
 from grasp_refine.problem.example import example_grasps
+from grasp_refine.problem.hands import HandLoader
 from grasp_refine.problem.input_cache import InputCache, NoCache
-from grasp_refine.problem.named_inputs import in_scene, on_disk, other_urdf, with_actuators
+from grasp_refine.problem.named_inputs import in_scene, on_disk
 from grasp_refine.problem.problem import Group, Problem, scene_of
 from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.problem.sampled import check_sampled, with_samples
@@ -94,6 +88,11 @@ class Loader:
         """
         object.__setattr__(self, "spec", in_scene(self.spec.with_named_task()))
 
+    @property
+    def hands(self) -> HandLoader:
+        """Loader of the hand."""
+        return HandLoader(self.spec, self.cache, self.on_message)
+
     @stage("loading")
     def problem(self) -> Problem:
         """Read and check everything that the specification names; no object is decomposed yet.
@@ -104,7 +103,7 @@ class Loader:
         spec = self.spec
         if str(spec.grasps).startswith(SAMPLE):
             return self.to_sample(check_sampled(spec))
-        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec, self.load_hand)
+        path = self.grasp_path() if spec.grasps is not None else example_grasps(spec, self.hands.load)
         return self.of_grasps(self._read_file(path), path)
 
     @stage("loading")
@@ -159,8 +158,7 @@ class Loader:
         chosen = {name: choose_rows(grasps.object, object_name=name, index=spec.index or None) for name in names}
         sources = {name: self._source(name, path) for name in names}
         grasps = replace(grasps, targets=self._targets(grasps, path))
-        hand, grasps, resting = self._hand(grasps, path)
-        whole = self._whole(spec.hand or grasps.hand, hand)
+        hand, whole, grasps, resting = self.hands.of_grasps(grasps, path)
         q, notes = match_joints(grasps, hand)
         notes = (
             *read.notes,
@@ -168,7 +166,7 @@ class Loader:
             *hand.notes,
             *resting,
             *notes,
-            *other_urdf(path, hand, chosen=bool(spec.hand)),
+            *recorded.other_urdf(path, hand, chosen=bool(spec.hand)),
         )
         groups: list[Group] = []
         count = 0
@@ -196,9 +194,9 @@ class Loader:
         spec = self.spec
         spec.check()
         assert spec.hand is not None and spec.object is not None  # or `check_sampled` refuses
-        hand = self._simulated(self.load_hand(spec.hand, None if spec.stands else spec.base_link))
+        hand = self.hands.simulated(self.hands.load(spec.hand, None if spec.stands else spec.base_link))
         check_collides(hand)
-        whole = self._whole(spec.hand, hand)
+        whole = self.hands.on_arm(spec.hand, hand)
         source = chosen_object(spec.object, self.on_message)
         scale = spec.scale * (1.0 if source.asset is None else source.asset.scale)
         obj = self.read_object(source, scale)
@@ -241,19 +239,6 @@ class Loader:
             scales = np.where(np.isclose(scales, environment.scale, rtol=1e-9), 1.0, scales)
         return scales * self.spec.scale
 
-    def load_arm(self, source: str) -> Hand:
-        """Return an arm."""
-        load = partial(load_arm, source, hull_limit=self.spec.hull_limit, progress=self.on_message)
-        return self.cache.get("hand", (source, "arm", self.spec.hull_limit), load)
-
-    def load_hand(self, source: str, base_link: str | None) -> Hand:
-        """Return a hand, from the files of the specification."""
-        spec = self.spec
-        options = {name: getattr(spec, name) for name in ("urdf", "mjcf", "collision", "follower_limits", "hull_limit")}
-
-        load = partial(load_hand, source, base_link=base_link, **options, progress=self.on_message)
-        return self.cache.get("hand", (source, base_link, *options.values()), load)
-
     def read_object(self, source: ObjectSource, scale: float) -> Object:
         """Return an object of the specified size, still to be decomposed.
 
@@ -292,7 +277,7 @@ class Loader:
         """Return the grasps of a file, or of a folder, of any format."""
         spec = self.spec
         # Our files name their joints; for others the columns may follow from the hand.
-        hand = None if spec.hand is None or path.suffix == ".npz" else self.load_hand(spec.hand, None)
+        hand = None if spec.hand is None or path.suffix == ".npz" else self.hands.load(spec.hand, None)
         return reading(path, format=spec.format, hand=hand)
 
     def _files(self, path: Path, read: Reading) -> tuple[Path, ...]:
@@ -314,61 +299,6 @@ class Loader:
                 + ("" if len(other) != len(grasps) else ", of other objects")
             )
         return other.targets
-
-    def _hand(self, grasps: GraspSet, path: Path) -> tuple[Hand, GraspSet, list[str]]:
-        """Return the hand below the requested base link, the grasps expressed in its frame, and notes."""
-        spec = self.spec
-        source = spec.hand or grasps.hand
-        if spec.hand is None:
-            check_known(source, path)
-        load = cache(partial(self.load_hand, source))
-        if spec.arm is not None or spec.stands:
-            # Results begin at the base of the arm.
-            whole = self._whole(source, self._simulated(load(None if spec.stands else spec.base_link)))
-            if grasps.base_link == whole.base_link:
-                return whole, grasps, []
-        notes = []
-        try:
-            hand = load(grasps.base_link)
-        except HandError:
-            full = load(None)
-            tree = read_tree(full.urdf)
-            if grasps.base_link in tree.links:
-                raise
-            renamed = with_prefixes(grasps, tree.links, tree.joints)
-            if renamed is None:
-                raise GraspFileError(
-                    f"{path}: the grasps are for another hand ('{grasps.hand}'): their base_link '{grasps.base_link}' "
-                    f"is no link of hand '{full.name}'; its links are {', '.join(tree.links)}"
-                ) from None
-            notes.append(
-                f"{path}: base_link '{grasps.base_link}' and the joints of the grasps are found with a prefix, as "
-                f"'{renamed.base_link}', in {full.urdf.name}"
-            )
-            grasps, hand = renamed, load(renamed.base_link)
-        if spec.base_link is not None and not spec.stands:
-            moved, hand = rebased(grasps, spec.base_link, load), load(spec.base_link)
-            resting = [name for name in moved.joint_names if name not in grasps.joint_names]
-            notes += [f"joints that the grasps lack begin at rest: {', '.join(resting)}"] if resting else []
-            grasps = moved
-        if not any(link.body is not None for link in hand.links):
-            raise GraspFileError(
-                f"{path}: the grasps are for another hand ('{grasps.hand}'): from their base_link "
-                f"'{grasps.base_link}' on, no link of hand '{hand.name}' has collision geometry"
-            )
-        return self._simulated(hand), grasps, notes
-
-    def _whole(self, source: str, hand: Hand) -> Hand:
-        """Return a hand on the arm of the specification; the hand itself where there is none."""
-        spec = self.spec
-        key = (hand, spec.arm, spec.mount, spec.mount_pose, spec.stands)
-        return self.cache.get("whole", key, partial(whole_hand, spec, source, hand, self.load_hand, self.load_arm))
-
-    def _simulated(self, hand: Hand) -> Hand:
-        """Return the hand as it will be simulated."""
-        # An MJCF of the specification takes precedence.
-        hand = hand if self.spec.mjcf is None else replace(hand, collision="mjcf")
-        return self.cache.get("simulated", (hand, self.spec.mjcf), partial(with_actuators, hand))
 
     def _names(self, grasps: GraspSet, path: Path) -> list[str]:
         """Return the names of the objects whose grasps are selected, in the order of the file."""

@@ -13,9 +13,11 @@ import numpy as np
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.provenance import read_provenance
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region_spec import VERBS, is_spec
 from grasp_refine.problem.problem import Group
+from grasp_refine.results.result_files import fingerprint
 from grasp_refine.scene.environment import Environment
 from grasp_refine.scene.task_file import TASK
 
@@ -75,6 +77,23 @@ class Recorded:
             GraspFileError: a result file is damaged.
         """
         return Recorded({file: read_provenance(file) for file in files})
+
+    def other_urdf(self, path: Path, hand: Hand, *, chosen: bool) -> list[str]:
+        """Return a note if grasps were refined with another URDF than that of the hand.
+
+        Raises:
+            GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be named as ours.
+        """
+        urdf = self.files.get(path, {}).get("urdf")
+        recorded = urdf.get("sha256") if isinstance(urdf, dict) else None
+        if not isinstance(recorded, str) or recorded == fingerprint(hand.urdf)["sha256"]:
+            return []
+        other = f"{path} was made with another URDF of hand '{hand.name}' than {hand.urdf}"
+        if not chosen:
+            raise GraspFileError(
+                f"{other}: give that one with `hand` or `urdf`, or `hand='{hand.name}'` if this one is meant"
+            )
+        return [other]
 
     def _tasks(self) -> dict[Path, Mapping[str, Any]]:
         """Return the records of the tasks, by file; empty where a file has none."""

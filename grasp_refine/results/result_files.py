@@ -169,17 +169,6 @@ def fingerprint(path: Path) -> dict[str, str]:
     return {"path": str(path), "sha256": _sha256(path.read_bytes())}
 
 
-def recorded_urdf(path: Path) -> str | None:
-    """Return the sha256 of the URDF of the grasps in a result file; None for another grasp file.
-
-    Raises:
-        GraspFileError: it is damaged.
-    """
-    urdf = read_provenance(path).get("urdf")
-    found = urdf.get("sha256") if isinstance(urdf, dict) else None
-    return found if isinstance(found, str) else None
-
-
 def is_same_refinement(path: Path, stamp: str, protocol: Any) -> bool:
     """Return True if a file holds what will be written: the same grasps, refined in the same way.
 

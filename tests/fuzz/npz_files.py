@@ -17,7 +17,7 @@ from fuzz.mutations import changed_value
 from fuzz.reader import Reader, plain
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.grasps.formats.reading import reading
-from grasp_refine.results.result_files import recorded_urdf
+from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine_apps.batch.record import is_result
 from grasp_refine_apps.batch.rows import NEEDED, read_rows
 from grasp_refine_apps.batch.shard import Shard
@@ -167,8 +167,7 @@ def read(path: Path) -> Hashable:
     """The grasps as any command reads them; what a batch and a proof look up first."""
     is_result(path)
     try:
-        known = recorded_urdf(path)
-        assert known is None or isinstance(known, str)
+        known = str(read_provenance(path))
     except GraspFileError:
         known = "refused"
     try:

@@ -43,7 +43,7 @@ def test_whatever_a_hand_or_an_object_depends_on_is_in_its_key():
     hands = [("leap", None, {}), *(("allegro", base_link, change) for base_link in (None, "palm") for change in HANDS)]
     for name, base_link, change in hands:
         with pytest.raises(Noted):
-            Loader(replace(ProblemSpec(), **change), cache=cache).load_hand(name, base_link)
+            Loader(replace(ProblemSpec(), **change), cache=cache).hands.load(name, base_link)
     for name, scale, change in [(n, s, c) for n in "ab" for s in (1.0, 2.0) for c in OBJECTS]:
         with pytest.raises(Noted):
             Loader(replace(ProblemSpec(), **change), cache=cache).read_object(ObjectSource(name), scale)

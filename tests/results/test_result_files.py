@@ -12,13 +12,13 @@ from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import Stage, load_grasps
+from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.results.result_files import (
     fingerprint,
     is_same_refinement,
-    recorded_urdf,
     result_paths,
     save_results,
 )
@@ -85,12 +85,11 @@ def test_the_simulation_of_a_file_is_that_of_the_worst_direction(tmp_path: Path)
 def test_the_urdf_is_recorded_in_result_files_only(tmp_path: Path) -> None:
     results = tmp_path / "results.npz"
     np.savez(results, provenance=np.array(json.dumps({"urdf": {"path": "hand.urdf", "sha256": "abc"}})))
-    assert recorded_urdf(results) == "abc"
-    odd = json.dumps({"urdf": {"sha256": ["abc"]}})
-    for entry in ({"q": np.zeros(1)}, *({"provenance": np.array(text)} for text in ("{}", "no JSON", odd))):
+    assert read_provenance(results)["urdf"]["sha256"] == "abc"
+    for entry in ({"q": np.zeros(1)}, *({"provenance": np.array(text)} for text in ("{}", "no JSON"))):
         np.savez(results, **entry)
-        assert recorded_urdf(results) is None
-    assert recorded_urdf(tmp_path / "folder") is None
+        assert read_provenance(results) == {}
+    assert read_provenance(tmp_path / "folder") == {}
 
 
 def test_grasps_of_another_urdf_are_not_judged_with_ours_unasked(
@@ -131,12 +130,12 @@ def test_a_damaged_file_is_refused_by_name(tmp_path: Path, content: bytes) -> No
     """Whatever zipfile and NumPy raise; they left the file open, too."""
     (tmp_path / "results.npz").write_bytes(content)
     with refused(GraspFileError, tmp_path / "results.npz"):
-        recorded_urdf(tmp_path / "results.npz")
+        read_provenance(tmp_path / "results.npz")
 
 
 def test_a_record_that_is_too_deep_says_nothing(tmp_path: Path) -> None:
     np.savez(tmp_path / "results.npz", provenance=np.array("[" * 10**5))
-    assert recorded_urdf(tmp_path / "results.npz") is None
+    assert read_provenance(tmp_path / "results.npz") == {}
     np.savez(tmp_path / "results.npz", provenance=np.array([{}], dtype=object))
     with refused(GraspFileError, "results.npz", "'provenance'", "pickle"):
-        recorded_urdf(tmp_path / "results.npz")
+        read_provenance(tmp_path / "results.npz")

@@ -194,7 +194,7 @@ class View:
 
         replay = load_replay(path)
         loader = Loader(self.inputs, self.settings.seed, reporter.say)
-        hand = loader.load_hand(self.inputs.hand or replay.hand, None)
+        hand = loader.hands.load(self.inputs.hand or replay.hand, None)
         recording = replay_recording(hand, model_of(hand), replay)
         problem = loader.prepare(loader.of_grasps(_grasp_of(replay, recording, hand), path))
         # The grasp keeps the number that it had where it was simulated.
