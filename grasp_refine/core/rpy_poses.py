@@ -46,7 +46,7 @@ def read_pose(text: str, option: str) -> Float[np.ndarray, "4 4"]:
 
     Args:
         text: Three or six numbers with commas between them: metres, then degrees.
-        option: Name of what is given, for the message.
+        option: Name of the argument, for the message.
 
     Raises:
         GraspRefineError: the text is no pose.

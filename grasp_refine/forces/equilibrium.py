@@ -48,7 +48,7 @@ LOADS = np.concatenate(
 )
 """Loads (4, 6) under which forces should balance, in the axes of a grasp: pushes to the corners of a tetrahedron.
 
-Their mean is no load: what is balanced under all of them is balanced without any, too."""
+Their mean is no load: a grasp balanced under all of them is balanced without any, too."""
 
 UNSOLVED_VALUE = 1.0
 """Value of a grasp without contacts, or whose quadratic program is not solved: that of a single contact."""

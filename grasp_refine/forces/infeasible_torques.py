@@ -36,7 +36,7 @@ class InfeasibleTorques:
         """Return the infeasible torques of a hand."""
         rows = [np.zeros((0, len(hand.joint_names)))]
         for group in hand.coupled:
-            # An orthonormal basis of what is perpendicular to the ratio.
+            # An orthonormal basis perpendicular to the ratio.
             _, _, basis = np.linalg.svd(np.array(group.ratio, dtype=np.float64)[None])
             row = np.zeros((len(group.joints) - 1, len(hand.joint_names)))
             row[:, [hand.joint_names.index(name) for name in group.joints]] = basis[1:]

@@ -15,7 +15,7 @@ from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import STARTS, ArmKinematics
 
 ArmClearance = Callable[[Float[np.ndarray, "M 4 4"], Float[np.ndarray, "M n"]], Float[np.ndarray, " M"]]
-"""Returns the distances (M,) in metres of the arm from what is around it, at base poses in the object's frame and joint
+"""Returns the distances (M,) in metres of the arm from its surroundings, at base poses in the object's frame and joint
 values; at most `ROOM_M`, negative where it runs into something."""
 
 ROOM_M = 0.03
@@ -42,7 +42,7 @@ def on_arm(
         grasps: Grasps with poses of the palm, `hand.palm`, or of the arm's base.
         hand: The hand on its arm.
         T_object_base: Pose (4, 4) of the base of the arm in the object's frame.
-        clearance: Distance of the arm from what is around it; None: nothing is.
+        clearance: Distance of the arm from its surroundings; None: there are none.
         starts: Number of starts of the inverse kinematics for each grasp.
         seed: Seed of the starts.
 

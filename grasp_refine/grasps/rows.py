@@ -74,7 +74,7 @@ def rows_where(values: Mapping[str, Float[np.ndarray, " N"]], condition: str) ->
     name, sign, number = found.groups()
     if name not in values:
         there = ", ".join(values) or "none"
-        raise GraspFileError(f"the grasps have no label or measure '{name}'; what they have: {there}")
+        raise GraspFileError(f"the grasps have no label or measure '{name}'; they have: {there}")
     return np.flatnonzero(COMPARISONS[sign](values[name], float(number)))
 
 

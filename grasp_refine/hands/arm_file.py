@@ -29,7 +29,7 @@ def load_arm(
         source: Name or path, as for `load_hand`.
         candidates: Surface points per link, as there.
         hull_limit: Distance by which hulls may stand out of meshes, as there.
-        progress: Called with a line on what is fetched, as there.
+        progress: Called with a line on each download, as there.
 
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.

@@ -262,11 +262,11 @@ def load_hand(
 
     A folder holds a hand.toml, or exactly one .urdf file, or none and exactly one MJCF. The hand.toml beside a
     URDF or MJCF is used if it names that file. An MJCF is read as MuJoCo compiles it, with its couplings and actuators,
-    and is what is simulated.
+    and is simulated.
 
     Args:
         source: Name or path; a hand of ours wins over a folder of the same name, which is ./NAME.
-        base_link: The hand is what hangs from this link; by default hand.toml's base_link, else `guess_base`'s: the
+        base_link: The hand is the tree below this link; by default hand.toml's base_link, else `guess_base`'s: the
             palm of a hand on an arm, otherwise the root.
         urdf: Used instead of the URDF that hand.toml names; hands that come without a URDF have theirs fetched.
         mjcf: Used instead of the MJCF that hand.toml names; a file, or an asset. Joints that share an actuator

@@ -231,7 +231,7 @@ class ArmKinematics:
     def _attempts(
         self, T_world_base: np.ndarray, q_hand: np.ndarray, T_world_palm: np.ndarray, starts: int, seed: int
     ) -> tuple[Float[np.ndarray, "N K n"], Bool[np.ndarray, "N K"]]:
-        """Return joint values (N, K, n) from each start, and a mask (N, K) of those that reach the pose."""
+        """Return joint values (N, K, n) from each start, and a mask (N, K) of values that reach the pose."""
         count, rows = len(q_hand), np.repeat(np.arange(len(q_hand)), starts)
         q = np.empty((len(rows), len(self.hand.joint_names)))
         q[:, ~self.arm.joints], q[:, self.joints] = q_hand[rows], np.tile(self._starts(starts, seed), (count, 1))

@@ -305,7 +305,7 @@ RESERVED = frozenset(
 
 
 def _check(measure: Measure) -> None:
-    """Refuse what is no measure, and names that mean something else in files.
+    """Refuse other types, and names that mean something else in files.
 
     Raises:
         GraspRefineError: names the measure.

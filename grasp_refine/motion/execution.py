@@ -32,7 +32,7 @@ def execute(
     The set points change every `Protocol.steps_per_move` steps. A hand without an arm is pulled along by its root.
 
     Args:
-        world: Hand, object, and what is around it, under a protocol that lifts.
+        world: Hand, object and surroundings, under a protocol that lifts.
         hand: The hand of the trajectories, on its arm or not.
         trajectories: Set points over time; None: there is no way to follow.
         threads: CPU threads; by default as many as there are. The result does not depend on it.

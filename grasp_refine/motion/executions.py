@@ -61,7 +61,7 @@ class Executions:
         return self.followed & np.array([not hits for hits in self.hits], dtype=bool)
 
     def lines(self, most: int = 5, labels: Sequence[str] | None = None) -> list[str]:
-        """Return lines for people: how many held, and what was hit or pushed, in `most` of them.
+        """Return lines for people: grasps held, and bodies hit or pushed, in `most` of them.
 
         Args:
             most: Largest number of grasps that are listed.

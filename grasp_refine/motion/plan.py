@@ -124,7 +124,7 @@ def plan_motions(
     """Return the motion plan of each grasp of a scene.
 
     Args:
-        scene: Hand, object, what is around it, and the grasps.
+        scene: Hand, object, surroundings and grasps.
         motion: Pregrasps, grasps and squeezes of the same grasps.
         options: Lengths; the defaults when None.
         prepared: Geometry of this hand and object; None: built here.
@@ -153,7 +153,7 @@ def _check_start(hand: Hand, start: tuple[float, ...] | None) -> None:
     """Refuse a start that is no configuration of the arm.
 
     Raises:
-        GraspRefineError: names what is wrong, and the joints.
+        GraspRefineError: names the error, and the joints.
     """
     if start is None:
         return

@@ -25,7 +25,7 @@ SELF_TOUCHING_M = 5e-4
 """Largest allowed depth of two links in each other, which a refined grasp may leave."""
 
 Overlaps = tuple[np.ndarray, float, np.ndarray, tuple[str, ...], tuple[str, ...]]
-"""Depths (K, P) of pairs in metres, what is allowed of them, places (K, P, 3), and the names of both sides (P,)."""
+"""Depths (K, P) of pairs in metres, allowed depths, places (K, P, 3), and the names of both sides (P,)."""
 
 
 @dataclass(frozen=True)

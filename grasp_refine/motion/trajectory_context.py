@@ -1,4 +1,4 @@
-"""Context of trajectories in their files: joints with their followers and actuators, and what is around the hand."""
+"""Context of trajectories in their files: joints with their followers and actuators, and surroundings of the hand."""
 
 from __future__ import annotations
 

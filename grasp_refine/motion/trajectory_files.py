@@ -57,7 +57,7 @@ class PlannedTrajectories:
     plans: tuple[MotionPlan, ...]
     """The trajectories."""
     scenes: tuple[tuple[Scene, float], ...] = ()
-    """Scene of each grasp, and the scale of its object, N of them; none: what is around the hand is not written."""
+    """Scene of each grasp, and the scale of its object, N of them; none: surroundings of the hand are not written."""
     executions: Executions | None = None
     """The free ones as they were followed in simulation; None: they were not."""
 

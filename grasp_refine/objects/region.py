@@ -178,7 +178,7 @@ class ContactRegions:
     ) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch 3"]]:
         """Return how far (...) points (..., 3) are outside of where hands may touch, negative inside, and gradients.
 
-        It is the largest of the distances from what is wanted, of several regions the nearest, and of the depths in
+        It is the largest of the distances from the regions to touch, of several the nearest, and of the depths in
         each that is to be avoided.
 
         Args:

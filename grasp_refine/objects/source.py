@@ -74,7 +74,7 @@ def named_object(name: str, objects: Path | None, file: Path, on_message: Callab
         objects: A folder of meshes or folders of pieces, or a TOML file that names them; None: it is one of ours, a
             primitive, or an asset of exactly this name.
         file: The grasp file, for messages.
-        on_message: Called with a line on what is fetched.
+        on_message: Called with a line on each download.
 
     Raises:
         AssetError: there is no such object, or it cannot be fetched.

@@ -204,7 +204,7 @@ def margins(
         grasps: Grasps on it, with their own pregrasps and squeezes where they have some.
         task: What the grasps must do, and where, as of `load_task`, for everything that is not drawn. Its protocol, by
             default `dexgraspbench`, pushes.
-        factors: Ranges of what is drawn; the defaults when None.
+        factors: Ranges of the random factors; the defaults when None.
         draws: Number of drawn worlds, the same for all grasps.
         seed: Seed of the draws: with the same one, results of other grasps are compared in the same worlds.
         with_limits: Whether lowest friction, largest force and largest torque are searched too.

@@ -36,7 +36,7 @@ ROOM_M = 0.002
 def pinch_score(
     prepared: HandObject, frames: Frames, witness: Witness, points: ContactPoints
 ) -> Float[np.ndarray, " N"]:
-    """Return what is added to the score (N,) of grasps with two fingers, for the worse of them; 0 at best.
+    """Return the penalty (N,) on the score of grasps with two fingers, for the worse finger; 0 at best.
 
     Args:
         prepared: Geometry of the hand and the object.

@@ -123,7 +123,7 @@ def refine(
     # Contact links are chosen anew: the recorded links are of the input grasps.
     scene, closed = replace(scene.masked(sound), contact_gap=None), None
     if scene.hand.has_two_fingers and scene.target_link is None:
-        # A jaw is brought to the object by closing it; by moving the hand, what is left.
+        # Jaws first close on the object; the hand moves by the remaining gap.
         closed = close_hands(scene, prepared, gap=-JAW_DEPTH_M)
         scene = replace(scene, q=closed.q)
     if config.holds and scene.target_link is None and not config.nearest:

@@ -82,7 +82,7 @@ def margins_table(
 
 
 def factors_table(margins: Margins, hand: str) -> Table:
-    """Return a table of the mean probability under each factor, what it costs, and how many grasps it costs most."""
+    """Return a table of the mean probability under each factor, its cost, and the grasps that it costs most."""
     grasps, draws = count_text(len(margins), "grasp"), count_text(margins.draws, "drawn world")
     table = plain_table(f"{hand}: {grasps} in {draws}, mean probability of holding")
     table.add_column("", no_wrap=True)

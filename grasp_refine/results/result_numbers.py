@@ -42,7 +42,7 @@ def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
 
 
 def numbers_of(file: NpzFile, entry: str, count: int) -> Float[np.ndarray, " count"]:
-    """Return an entry of a result file of `count` grasps; verdicts are 0 or 1, and what it lacks is NaN.
+    """Return an entry of a result file of `count` grasps; verdicts are 0 or 1, missing values NaN.
 
     Raises:
         GraspFileError: it is damaged.

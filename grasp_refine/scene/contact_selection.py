@@ -29,7 +29,7 @@ class ContactSelection:
 
     reach: float = 0.01
     """Contact links (fingertips) within this signed distance of the object touch it, in metres; of links fixed to each
-    other, where the program chose them, only the nearest, and what is flush with it."""
+    other, where the program chose them, only the nearest, and links flush with it."""
     other_link_distance: float = 0.003
     """All other links within this signed distance of the object touch it, in metres; links of linkages that give way
     (`Hand.yielding`) do not, nor does the palm of a hand with two fingers, which does not press."""

@@ -80,7 +80,7 @@ class Environment:
     name: str = "scene"
     """Name in messages and results."""
     lift: float = LIFT_M
-    """Height in metres by which the object is lifted: what hangs above is out of the way of the links up to there."""
+    """Height in metres by which the object is lifted: links stay clear of bodies above up to there."""
     object: str | None = None
     """Object that is grasped, which `load_object` reads; others are refused. None: any."""
     scale: float = 1.0

@@ -187,7 +187,7 @@ def _floating(obj: Object, table: Plane | None, environment: Environment | None)
         return ()
     if gap >= FAR_M:
         return (f"nothing is below {obj.name} in scene {environment.name}: it would fall",)
-    return (f"{obj.name} floats {1e3 * gap:.1f} mm above what is below it in scene {environment.name}",)
+    return (f"{obj.name} floats {1e3 * gap:.1f} mm above the body below it in scene {environment.name}",)
 
 
 def _height(obj: Object, table: Plane) -> float:

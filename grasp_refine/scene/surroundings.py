@@ -1,4 +1,4 @@
-"""Distances of the links of hands from the bodies around the object: only what is near is queried.
+"""Distances of the links of hands from the bodies around the object: only near pairs are queried.
 
 A body is near a link where their signed distance may be below a reach. Lower bounds of all signed distances are kept
 from one evaluation to the next, less the motion of the link, which is exact: a signed distance changes by no more than
@@ -118,7 +118,7 @@ class Surroundings:
 
     @cached_property
     def _bodies(self) -> list[Body]:
-        """The bodies that count; where links keep margins, with what they must be clear of while they rise."""
+        """The bodies that count; where links keep margins, including obstacles of the lift."""
         around = self.environment
         return [around.cleared(k) if self.keeps_margins else around.bodies[k].body for k in self.chosen.tolist()]
 

@@ -52,7 +52,7 @@ class Task:
     """Regions of the object in which links should not touch it. None: the scene's."""
 
     def __post_init__(self) -> None:
-        """Load what is given by name, and refuse what is invalid.
+        """Load names, and refuse invalid values.
 
         Raises:
             GraspRefineError: names the field.

@@ -38,7 +38,7 @@ class Reason(IntEnum):
         return self.name.lower().replace("_", " ")
 
     def meaning(self, protocol: Protocol) -> str:
-        """Return a description of what happened, for people."""
+        """Return a description of the outcome, for people."""
         return {
             Reason.HELD: "the object stayed",
             Reason.MOVED: f"the object was {protocol.farthest * 1e3:g} mm or more away from its place",

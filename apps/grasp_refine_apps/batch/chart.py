@@ -98,7 +98,7 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
 
 
 def _shown(*sides: Histogram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what is drawn: shares (2,) below all bars, shares (2, bars), and the edges (bars + 1,) of the bars."""
+    """Return the drawn shares (2,) below all bars, shares (2, bars), and the edges (bars + 1,) of the bars."""
     zero, *inner, above = np.array([its.shares(BINS_PER_BAR) for its in sides]).T
     shares = np.column_stack(inner)
     shares[:, -1] += above

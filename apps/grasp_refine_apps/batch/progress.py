@@ -53,7 +53,7 @@ class Progress:
             workers: Number of workers at a time.
             skipped: Number of grasps done before.
             simulated: Count grasps that held in simulation, else grasps that should hold.
-            work: Verb for what is done with the grasps, and its past participle.
+            work: Verb for the work on the grasps, and its past participle.
             verdict: Whether the share of grasps that held, or are good, is shown.
             clock: Clock, seconds.
         """

@@ -60,7 +60,7 @@ class Session:
     """Whether the work stopped for want of room."""
 
     def __post_init__(self) -> None:
-        """Count what is complete."""
+        """Count complete shards."""
         self.skipped = sum(shard.size for shard in self.complete_shards)
 
     @property

@@ -48,7 +48,7 @@ def thumbnail(
     )
     tips = _tips(hands[-1], skeleton)
     points = _interest(hands, skeleton, obj)
-    # A model hides what is behind it, also in a group of its own.
+    # A model hides models behind it, also in a group of its own.
     side = best_side([tips, [*hands[-1], solid]], points, WIDTH / HEIGHT)
     camera = Camera.fitted(side, points, int(OVERSAMPLING * WIDTH), int(OVERSAMPLING * HEIGHT))
     return [_png(photograph([*hand, solid], camera), camera) for hand in hands]

@@ -141,7 +141,7 @@ class Batch:
         return NOTHING_USABLE if batched.document["failed"] or nothing else 0
 
     def refine(self) -> Batched:
-        """Refine what is missing and write all outputs; nothing is printed but progress.
+        """Refine missing shards and write all outputs; nothing is printed but progress.
 
         Raises:
             GraspRefineError: as for `execute`.

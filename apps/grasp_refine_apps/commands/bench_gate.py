@@ -122,7 +122,7 @@ def gate_table(verdicts: Sequence[Verdict]) -> Table:
     for one in verdicts:
         notes = " (measured twice)" if one.again else ""
         if one.ok is False and one.ratio.own:
-            notes += ", or what it is compared with got faster"
+            notes += ", or its reference got faster"
         bound = "" if one.known is None else f"{'≥' if one.ratio.higher else '≤'} {one.known.limit:.3g}"
         table.add_row(
             one.ratio.name,

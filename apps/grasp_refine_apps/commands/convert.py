@@ -165,7 +165,7 @@ class Convert:
         """Return the rows of the grasps to convert: finite, with all conditions fulfilled, the best of their object.
 
         Raises:
-            GraspRefineError: there is none, or what they are chosen by is not known of them.
+            GraspRefineError: there is none, or the selected measure is unknown.
         """
         rows = np.flatnonzero(read.grasps.finite)
         if not len(rows):

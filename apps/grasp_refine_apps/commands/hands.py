@@ -1,4 +1,4 @@
-"""`refine-grasp hands`: hands that ship with the program, what was read of one hand, or trials of several."""
+"""`refine-grasp hands`: included hands, the interpretation of one hand, or trials of several."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of `validate --margins`, its trials, and what it shows and writes."""
+"""Options of `validate --margins`, its trials and its outputs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from grasp_refine_apps.report.command_line import flag
 
 @dataclass(frozen=True)
 class MarginsOptions:
-    """Margins of the grasps: what they hold when friction, mass, pose and contacts differ."""
+    """Margins of the grasps: success when friction, mass, pose and contacts differ."""
 
     groups: ClassVar[tuple[OptionGroup, ...]] = (OptionGroup("margins"),)
 

@@ -115,7 +115,7 @@ class Recording:
             yield f"{name}: {direction} {replay.reason}, {self._save(replay, world, path)}"
 
     def _save(self, replay: Replay, world: World, path: Path) -> str:
-        """Write all files of a replay, the most important one first; return a message of what was written."""
+        """Write all files of a replay, the most important one first; return a message on the files."""
         try:
             save_replay(path, replay)
         except GraspRefineError as error:

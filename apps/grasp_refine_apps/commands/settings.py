@@ -125,7 +125,7 @@ class Settings:
         DisallowNone[float | None], arg(help_behavior_hint="(default: 0; 0.0015 where an MJCF is simulated)")
     ] = Config.clearance
     """Gap beside it that all other links which move should keep, metres: another model of the hand may be thicker
-    there, and would throw what they touch."""
+    there, and would eject objects that they touch."""
     pressure: float = Config.pressure
     """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
     heavier objects, and loses more objects in soft contacts."""

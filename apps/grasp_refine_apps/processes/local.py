@@ -114,7 +114,7 @@ class LocalPool:
             if not process.ready:
                 self._failed_starts += 1
                 self._last_fault = (
-                    ": ".join([lost.cause, *log.splitlines()[-1:]]) + "; `refine-grasp doctor` lists what is missing"
+                    ": ".join([lost.cause, *log.splitlines()[-1:]]) + "; `refine-grasp doctor` lists missing packages"
                     if ended
                     else f"took over {self._patience_s:g} s: a busy machine takes more patience"
                 )

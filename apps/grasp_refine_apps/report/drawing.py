@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BACKGROUND = (0.976, 0.98, 0.988)
 OBJECT_COLOR, LINK_COLOR, CONTACT_COLOR = (0.66, 0.78, 0.93), (0.74, 0.76, 0.80), (0.95, 0.72, 0.40)
 INK, GREY, BAD, GOOD = "#1b2430", "#5b6675", "#c62828", "#1b8a3a"
-"""Colours of text, of lesser text, of what failed, and of what is good."""
+"""Colours of text, of lesser text, of failure, and of success."""
 LIGHT_OFFSET = (0.5, 0.35)
 """Offsets of the light from the camera to the right and up, in units of the camera's distance."""
 SIDES = tuple(

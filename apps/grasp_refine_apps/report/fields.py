@@ -1,4 +1,4 @@
-"""Fields of dataclasses, which options and widgets are made of: their docstrings, and those that are none."""
+"""Fields of dataclasses, which options and widgets are made of: their docstrings, and fields that are no options."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def check_agreement(before: GraspSet, after: GraspSet, load: Load) -> float:
 
 
 def check_same(before: GraspSet, after: GraspSet) -> float:
-    """Return the largest distance in metres or rad of the poses and joints in a written file from what they were.
+    """Return the largest distance in metres or rad between the original poses and joints and a written file.
 
     It replaces `check_agreement` where the hand is unknown.
 
@@ -61,7 +61,7 @@ def check_same(before: GraspSet, after: GraspSet) -> float:
         differences += [(T_one - T_other).ravel(), (one.q - other.q[:, columns]).ravel()]
     worst = float(np.abs(np.nan_to_num(np.concatenate(differences), nan=np.inf)).max())
     if worst > MAX_DIFFERENCE_M:
-        raise DisagreementError(f"read again, poses or joints are {worst:.3g} from what they were")
+        raise DisagreementError(f"read again, poses or joints are {worst:.3g} from the original")
     return worst
 
 

@@ -74,7 +74,7 @@ class Format(Protocol):
         ...
 
     def write(self, grasps: GraspSet, load: Load) -> tuple[Sequence[Part], Sequence[str]]:
-        """The files that hold some grasps, and notes on what they cannot hold; `load` returns the hand below a link.
+        """The files of some grasps, and notes on data without a place in them; `load` returns the hand below a link.
 
         Raises:
             GraspFileError: grasps that this format cannot hold at all, or it is read only.
@@ -86,10 +86,10 @@ MEMBERS = ("name", "what", "named_by_path", "mismatch", "read", "write")
 
 
 def check_format(value: Format) -> None:
-    """Refuse what is no format.
+    """Refuse other objects than formats.
 
     Raises:
-        GraspRefineError: names what is missing or of another type.
+        GraspRefineError: names the missing or mistyped attribute.
     """
     if isinstance(value, type):
         raise GraspRefineError(f"a format is needed, got the class {value.__name__} itself: {value.__name__}()")

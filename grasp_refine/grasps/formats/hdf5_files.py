@@ -150,7 +150,7 @@ def dump_hdf5(content: dict[str, Any]) -> bytes:
 
 
 def main() -> int:
-    """Read a file from the standard input, and write what is in it as a pickle; return the exit code."""
+    """Read a file from the standard input, and write its contents as a pickle; return the exit code."""
     try:
         content = parse_hdf5(sys.stdin.buffer.read())
     except Refused as error:

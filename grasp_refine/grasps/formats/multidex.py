@@ -183,7 +183,7 @@ def parts_of_entries(
     name: str,
     columns: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[Sequence[Part], Sequence[str]]:
-    """One .pt file with `info` and `metadata`, in single precision, and notes on what it cannot hold.
+    """One .pt file with `info` and `metadata`, in single precision, and notes on data without a place in it.
 
     Raises:
         GraspFileError: a hand that is not known.

@@ -45,7 +45,7 @@ DAMAGED = (pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError,
 
 
 class Refused(Exception):
-    """A pickle that is damaged, or holds what is not read; the message follows the path of the file."""
+    """A pickle that is damaged, or has refused contents; the message follows the path of the file."""
 
 
 class Damaged(Refused):
@@ -70,7 +70,7 @@ class Budget:
         elif isinstance(value, str | bytes | list | tuple):
             self.size -= len(value) * (1 if isinstance(value, str | bytes) else MIN_VALUE_BYTES)
         if min(self.size, self.values) < 0:
-            raise Refused("is a pickle bomb: what it holds is far larger than the file")
+            raise Refused("is a pickle bomb: its contents are far larger than the file")
 
 
 @dataclass(eq=False)
@@ -262,7 +262,7 @@ class Unpickler(pickle._Unpickler):
         return STAND_INS[full]
 
     def load_reduce(self) -> None:
-        """Call a stand-in; what it copies counts, because a pickle can name one part many times."""
+        """Call a stand-in; its copies count, because a pickle can name one part many times."""
         arguments, called = self.stack.pop(), self.stack.pop()
         self._spend(arguments)
         self.append(called(*arguments))

@@ -1,4 +1,4 @@
-"""Grasps from a file or a folder of any format, recognised by what is in it."""
+"""Grasps from a file or a folder of any format, recognised by content."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def load_grasps(path: str | Path, *, format: str | None = None, hand: Hand | Non
 
     Args:
         path: A file, or a folder whose files are all of one format.
-        format: Name of the format, such as "dexgraspbench"; None: recognised by what is in the file.
+        format: Name of the format, such as "dexgraspbench"; None: recognised by content.
         hand: The hand of the grasps; needed where a file has no joint names and fits several hands.
 
     Returns:
@@ -235,7 +235,7 @@ def _no_format(file: Path, content: Any) -> str:
 
 
 def _join(files: Sequence[Path], sets: Sequence[GraspSet]) -> tuple[GraspSet, list[str]]:
-    """All grasps as one set, and notes on what was lost."""
+    """All grasps as one set, and notes on lost data."""
     first = sets[0]
     if len(sets) == 1:
         return first, []

@@ -26,7 +26,7 @@ def guess_base(tree: Tree) -> Base:
     """Return the base link of the hand in `tree`, and the reason for it.
 
     Links that fixed joints connect are one part. From the root on, the first part with several moving branches that
-    carry collision geometry is the palm's; what is fixed to an arm, such as a camera, is no branch. Where no movable
+    carry collision geometry is the palm's; links fixed to an arm, such as a camera, are no branch. Where no movable
     joint is above that part, the root is the base. Otherwise the base is the lowest link of the part above all these
     branches that something solid is fixed to. A robot that is one chain has no palm and begins at its root; so does
     one with a joint below the palm that mimics one above it.

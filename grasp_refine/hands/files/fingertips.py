@@ -19,7 +19,7 @@ BAR_NAMES = r"knuckle|coupler|crank|rocker"
 def branch_ends(solid: Collection[str], joints: Sequence[Joint]) -> list[str]:
     """Return the last solid link of each branch, in the order of `solid`.
 
-    What is fixed to the base is no branch, and what is fixed to a link with moving ones further on, such as a sensor on
+    Links fixed to the base are no branch, and links fixed to one with moving ones further on, such as a sensor on
     a phalanx, ends none.
 
     Args:

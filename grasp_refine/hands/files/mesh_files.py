@@ -57,7 +57,7 @@ def resolve_mesh(filename: str, urdf: Path) -> Path:
     the URDF's folder and in every folder above it, nearest first. `file://PATH` is PATH.
 
     Raises:
-        HandError: there is no such file (lists what was tried), or the address is of another kind.
+        HandError: there is no such file (lists the tried paths), or the address is of another kind.
     """
     scheme, _, rest = filename.rpartition("://")
     folder = urdf.absolute().parent

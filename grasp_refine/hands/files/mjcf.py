@@ -24,10 +24,10 @@ MAX_RADIANS = 2 * math.pi
 def read_mjcf(path: Path) -> tuple[mujoco.MjSpec, str, list[str]]:
     """Return the hand in the MJCF file `path`, with the bodies of the file; all bodies and joints have names.
 
-    Everything else is left out: what is beside it, its free joint, cameras, lights, sensors, keyframes and textures.
+    Everything else is left out: bodies beside it, its free joint, cameras, lights, sensors, keyframes and textures.
 
     Returns:
-        The hand, the name of its root body, and notes on what is left out, or looks wrong.
+        The hand, the name of its root body, and notes on left-out parts, and on suspected errors.
 
     Raises:
         HandError: it is missing, no MJCF, holds what no hand may have, no hand, or several.

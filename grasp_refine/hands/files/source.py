@@ -62,7 +62,7 @@ def hand_files(
             files, and what our hand.toml of that name adds to them; or robot_descriptions/NAME.
         urdf: Used instead of the URDF that hand.toml names. Where neither gives one, that of the asset is used.
         mjcf: Used instead of the MJCF that hand.toml names: a file, or an asset such as shadow_mjcf.
-        on_message: Called with a line on what is fetched.
+        on_message: Called with a line on each download.
 
     Raises:
         AssetError: no such name, or an asset that cannot be fetched.

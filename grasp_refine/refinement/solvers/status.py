@@ -31,7 +31,7 @@ _ADVICE = {
     Status.RUNNING: "",
     Status.CONVERGED: "",
     Status.STALLED: "the loss no longer falls: contacts or targets, penetration and joint limits contradict each "
-    "other, or what is left is tiny",
+    "other, or the remaining error is tiny",
     Status.BUDGET: "the iterations ran out while the loss still fell: raise `iterations`",
     Status.NO_TARGET: "no contact link is near the object: start closer, raise `reach`, or name `contacts`",
     Status.NOT_FINITE: "the grasp holds NaN or infinite numbers, or a query failed: check the input",

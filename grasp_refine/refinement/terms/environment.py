@@ -27,7 +27,7 @@ class Clearance(Term):
         return setup.surroundings is not None
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
-        """Return the state with what is near, given what was near a state nearby."""
+        """Return the state with its near bodies, given the near bodies of a nearby state."""
         T = state.T_link if isinstance(state.T_link, np.ndarray) else state.T_link.detach().double().cpu().numpy()
         return replace(state, nearby=self._surroundings.near(T, NEAR_DISTANCE_M, state.nearby, rejected))
 

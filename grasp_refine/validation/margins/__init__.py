@@ -1,1 +1,1 @@
-"""Margins of grasps: how probably they hold in worlds that differ from the protocol's, and what they hold at most."""
+"""Margins of grasps: probability of holding in worlds that differ from the protocol's, and largest load."""

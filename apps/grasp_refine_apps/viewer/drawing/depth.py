@@ -112,7 +112,7 @@ def near_triangles(
         T_body_shape: Its pose in the frame of the body.
         field: Depth in the body.
         reach: Distance from the body in metres up to which triangles count.
-        edge_m: Longest edge in metres of what is returned.
+        edge_m: Longest edge in metres of the returned triangles.
 
     Returns:
         Vertices (V, 3) in the frame of the shape, triangles (F, 3), and the depths (V,) of the vertices in metres.
@@ -124,7 +124,7 @@ def near_triangles(
         depth = field(transform_points(T_body_shape, vertices))
         corners = vertices[faces]
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        # Where all edges are short, only what is near is left.
+        # Where all edges are short, only near triangles are left.
         fine = not len(edge) or edge.max() <= edge_m or len(faces) > MAX_FACES
         near = depth[faces].max(axis=1) > (-reach if fine else -reach - edge)
         long = edge[near] > edge_m

@@ -20,7 +20,7 @@ FIXED_COLOR, MOVABLE_COLOR = (200, 190, 175), (176, 198, 160)
 """Colours of fixed bodies, and of bodies that a simulation may push."""
 
 OPACITY = 0.55
-"""Opacity of what stands beside the object, so that bins and shelves do not hide the hand."""
+"""Opacity of bodies beside the object, so that bins and shelves do not hide the hand."""
 
 BASE_M = 0.005
 """Height in metres above the lowest point of the object up to which pieces of bodies are below it: they are opaque."""
@@ -39,7 +39,7 @@ class EnvironmentNodes:
         self.frames: list[viser.FrameHandle] = []
         """Frame of each body."""
         self.meshes: list[Meshes] = []
-        """Meshes of each body: of what is below the object, and of what stands beside it."""
+        """Meshes of each body: below the object, and beside it."""
         self._opaque: list[list[Any]] = []
         for k, (body, T) in enumerate(zip(environment.bodies, environment.T_object_body, strict=True)):
             below: list[Piece] = []

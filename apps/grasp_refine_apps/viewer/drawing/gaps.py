@@ -1,4 +1,4 @@
-"""Signed distance of a link's surface from an object, as a coloured patch over what is near."""
+"""Signed distance of a link's surface from an object, as a coloured patch over near surface."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class RegionNodes:
         vertices = self._surface.vertices.astype(float)
         edge = EDGE_SHARE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
         vertices, faces = bisected(vertices, self._surface.faces.astype(np.int64), edge)
-        # Walls are drawn before what is behind them, which does not shine through some of their triangles then.
+        # Walls are drawn before objects behind them, which does not shine through some of their triangles then.
         away = np.linalg.norm(vertices[faces].mean(axis=1) - vertices.mean(axis=0), axis=1)
         return vertices, faces[np.argsort(-away)]
 

@@ -45,7 +45,7 @@ MAX_FACES = 20_000
 """Maximum faces of a drawn mesh; larger ones are decimated."""
 
 LIFT_M = 1.5e-4
-"""Height in metres over a surface at which what is drawn on it is in front of it."""
+"""Height in metres over a surface at which a drawing on it is in front of it."""
 
 CELL_GROWTH = 1.25
 """Factor from one size of the cells of decimation to the next."""

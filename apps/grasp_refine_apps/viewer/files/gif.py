@@ -39,13 +39,13 @@ def recorded_gif(
     settle: Callable[[float], None],
     control: Control,
 ) -> bytes:
-    """Show each frame, take its picture in a browser, and return the GIF; what was shown before is shown again.
+    """Show each frame, take its picture in a browser, and return the GIF; the previous view is restored.
 
     Args:
         controller: Shows the frames.
         client: The browser.
         size: Height and width of its scene in pixels.
-        settle: Waits until what is shown is drawn, for some seconds at most.
+        settle: Waits until the view is drawn, for some seconds at most.
         control: Progress, and interruption.
 
     Raises:

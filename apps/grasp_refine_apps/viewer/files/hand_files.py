@@ -96,7 +96,7 @@ def _meshes(name: str, folder: Path, path: Path) -> set[Path]:
 
 
 def _named_by_mjcf(name: str, folder: Path, path: Path) -> list[Path]:
-    """Return an MJCF and the files of the upload that it names: what it includes, and meshes."""
+    """Return an MJCF and the files of the upload that it names: includes and meshes."""
     files, meshes, places = [path], [], {""}
     for file in files:
         data = file.read_bytes()

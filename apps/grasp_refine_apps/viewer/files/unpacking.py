@@ -96,7 +96,7 @@ def _check_sizes(name: str, entries: list[zipfile.ZipInfo], size: int) -> None:
     total = sum(entry.file_size for entry in entries)
     if total > MAX_UNPACKED_BYTES:
         raise UploadError(
-            f"{name}: would unpack to {_mib(total)}, more than {_mib(MAX_UNPACKED_BYTES)}; leave out what is not needed"
+            f"{name}: would unpack to {_mib(total)}, more than {_mib(MAX_UNPACKED_BYTES)}; leave out unneeded files"
         )
     if total > max(UNLIMITED_RATIO_BYTES, MAX_COMPRESSION_RATIO * size):
         raise UploadError(

@@ -22,7 +22,7 @@ from grasp_refine_apps.viewer.model.pose import Pose, posed_scene
 from grasp_refine_apps.viewer.model.work import Work
 
 BATCH_SIZE = 8
-"""Number of grasps that are refined together; what was refined before a stop is kept."""
+"""Number of grasps that are refined together; results before a stop are kept."""
 
 
 @dataclass(frozen=True, eq=False)

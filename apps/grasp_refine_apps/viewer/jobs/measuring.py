@@ -36,7 +36,7 @@ def with_measures(
     Args:
         collection: Grasps.
         report: Called with the completed share, 0 to 1, and a description.
-        check: Called often; what it raises ends the measuring.
+        check: Called often; an exception ends the measuring.
         keep: Called with the collection as measured so far, also when measuring ends early.
     """
     todo = unmeasured(collection)

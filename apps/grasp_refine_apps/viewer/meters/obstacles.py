@@ -1,4 +1,4 @@
-"""Links of a hand that are in what is around an object: in bodies of its scene, or below its table."""
+"""Links of a hand in obstacles: in bodies of the scene, or below the table."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ class ObstacleMeter:
 
 @dataclass(frozen=True, eq=False)
 class _Around:
-    """Hand and object, with what is around them."""
+    """Hand and object, with their surroundings."""
 
     prepared: HandObject
     environment: Environment | None
     table: Plane | None
     bodies: Surroundings | None
     counts: np.ndarray
-    """Mask (L,) of the links that count: not what stands still, such as the base of an arm."""
+    """Mask (L,) of the links that count: not fixed ones, such as the base of an arm."""
 
     @staticmethod
     def of(prepared: HandObject, environment: Environment | None, table: Plane | None) -> _Around:

@@ -196,7 +196,7 @@ class Collection:
         return None if gap is None or np.isnan(gap).all() else Counted(gap)
 
     def T_world_object(self, number: int) -> Float[np.ndarray, "4 4"]:
-        """Return the pose (4, 4) in which the object is shown at first: what is up in a scene is up in the picture."""
+        """Return the pose (4, 4) in which the object is shown at first: up in a scene is up in the picture."""
         T, environment = np.eye(4), self.group(number).scene.environment
         if environment is not None:
             T[:3, :3] = environment.T_world_object[:3, :3]

@@ -18,7 +18,7 @@ EDITED = "edited"
 
 
 def present(state: State) -> Collection:
-    """Return the open grasps with columns of what was made of them; the collection itself if nothing was."""
+    """Return the open grasps with columns of their work; the collection itself if there is none."""
     collection, made = state.collection, _made(state.works)
     if not made:
         return collection
@@ -39,7 +39,7 @@ def signature(state: State) -> Hashable:
 
 
 def here_text(work: Work) -> str:
-    """Return text on what was done here with a grasp, and when; empty: nothing."""
+    """Return text on the work done here on a grasp, with times; empty: none."""
     parts = []
     if work.outcome is not None and work.refined_at is not None:
         parts.append(f"refined {work.refined_at:%H:%M}")

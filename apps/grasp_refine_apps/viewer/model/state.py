@@ -80,7 +80,7 @@ class DisplayOptions:
     frames: bool = False
     """Axes of the base link and of the object: x red, y green, z blue."""
     surroundings: bool = True
-    """The table and other bodies around the object, where there are any; what is in the way is red."""
+    """The table and other bodies around the object, where there are any; obstacles are red."""
     regions: bool = True
     """Whether regions, if there are any, are tinted: green where links may touch the object, red where they may not."""
     ground: bool = True
@@ -93,7 +93,7 @@ _OF_WORK = frozenset(field.name for field in fields(Work))
 
 @dataclass(frozen=True, eq=False)
 class Shelved:
-    """Grasps that were open before, with what was made of them."""
+    """Grasps that were open before, with their work."""
 
     collection: Collection
     """The grasps, as in their files."""
@@ -112,7 +112,7 @@ class Shelved:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of the viewer: the open grasps, what was made of each, and all that is shown of one of them."""
+    """State of the viewer: the open grasps with their work, and the display of one of them."""
 
     collection: Collection
     """Open grasps, as in their files."""

@@ -1,4 +1,4 @@
-"""One grasp as it is now, with what was made of it: kept for every grasp while its file is open."""
+"""Current state of one grasp with its results: kept for every grasp while its file is open."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ NO_RESULTS: dict[str, Any] = dict.fromkeys(
 """Fields without results, which do not hold for another pose."""
 
 Works = Mapping[int, Work]
-"""Number of a grasp -> what was made of it; grasps that were never shown or refined have none."""
+"""Number of a grasp -> its work; grasps that were never shown or refined have none."""
 
 
 def now() -> datetime:

@@ -67,7 +67,7 @@ class BrowsePanel:
         self._lock = threading.RLock()
         self._listing, self._page = Listing(), 0
         self._collection: Collection | None = None
-        """Grasps as they are now, with what was made of them."""
+        """Current grasps with their work."""
         self._signature: Hashable = None
         self._work: Work | None = None
         self._number, self._last_click = -1, ""
@@ -103,7 +103,7 @@ class BrowsePanel:
             self.test = gui.add_button("Test", hint="Simulate them, by the protocol of Validate")
             self.bar: Any = gui.add_progress_bar(0.0, visible=False)
             self.doing = gui.add_markdown("", visible=False)
-            self.stop = gui.add_button("Stop", visible=False, hint="Stop after this; what is done is kept")
+            self.stop = gui.add_button("Stop", visible=False, hint="Stop after this grasp; finished results are kept")
         with gui.add_folder("Sort and filter", expand_by_default=False):
             self.measure_of: Any = gui.add_dropdown("Histogram", ("-",), hint="Measure whose histogram is drawn below")
             self.histogram = gui.add_html("")

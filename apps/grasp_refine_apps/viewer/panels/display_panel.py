@@ -50,7 +50,7 @@ class DisplayPanel:
 def _legend() -> str:
     rows = [
         ((242, 184, 102), "links that are meant to touch"),
-        ((220, 90, 80), "links inside the object or touching elsewhere, and what is in the way"),
+        ((220, 90, 80), "links inside the object or touching elsewhere, and obstacles"),
         (GHOST_COLOR, "the input hand"),
         (COMPARED_COLOR, "the hand in the grasp that is compared"),
         (TARGET_COLOR, "target: where a link should touch"),

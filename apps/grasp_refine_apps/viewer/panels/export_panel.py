@@ -143,7 +143,7 @@ class ExportPanel:
         self.shelf.value = titles[0]
 
     def close(self) -> None:
-        """Delete what was uploaded."""
+        """Delete the uploads."""
         self.uploads.close()
 
     # uploads

@@ -46,7 +46,7 @@ class Entry:
     """Conversion from the widget's value to the field's.
 
     Raises:
-        ValueError: the value is invalid; the message names what is needed.
+        ValueError: the value is invalid; the message names the requirement.
     """
     write: Callable[[Any], Any]
     """Conversion from the field's value to the widget's."""

@@ -40,7 +40,7 @@ ALIASES = {"Ctrl+Shift+z": "redo"}
 
 
 class Habits:
-    """Listener to what pages send, and teller of what they need."""
+    """Exchange of habits with pages: received, and sent on request."""
 
     def __init__(
         self,

@@ -109,7 +109,7 @@ class PlayBar:
     def _run(self, stop: Event) -> None:
         """Show one frame after the other, at real speed."""
         source, frame = self._shown()
-        # Not those that were drawn last, which may be older.
+        # Not the last drawn ones, which may be older.
         times = np.zeros(1) if source is None else source.time - source.time[0]
         frame = frame if frame < len(times) - 1 else 0
         began = time.monotonic() - times[frame]

@@ -157,7 +157,7 @@ class ValidatePanel:
         self.watch.visible = trial is not None and trial.watchable
 
     def _draw_trajectory(self, plan: Recording | None) -> None:
-        """Show what is known of the trajectory."""
+        """Show the trajectory as far as it is known."""
         self.trajectory.visible = plan is not None
         if plan is not None:
             self.trajectory.content = motion_html(_sentence(plan.summary), lost=not plan.succeeds)

@@ -1,6 +1,6 @@
 """Private parts of viser 1.1 that the viewer uses, each with the reason; nothing else touches any but page_head.html.
 
-page_head.html is the half that runs in the page: keys, links, placeholders, and what is drawn over everything.
+page_head.html is the half that runs in the page: keys, links, placeholders, and overlays.
 
 The upper bound of the version in pyproject.toml is there for them. In the page, viser keeps `window.__viserMutable`
 and `window.__viserSceneTree` for its own tests.
@@ -65,7 +65,7 @@ def event_loop(handle: Any) -> asyncio.AbstractEventLoop:
 
 
 def click_script(handle: Any) -> str:
-    """Return a script that sends the attribute data-do of what is clicked as the value of a text widget.
+    """Return a script that sends the attribute data-do of a clicked element as the value of a text widget.
 
     viser has no events of HTML. A number makes each value new, since equal ones are not sent on.
     """

@@ -141,7 +141,7 @@ def _drop_joints(spec: mujoco.MjSpec, kept: set[str], notes: list[str]) -> None:
 
 
 def _drop_visuals(spec: mujoco.MjSpec, path: Path) -> None:
-    """Delete what is only seen, after writing its mass into its body."""
+    """Delete visual geometry, after writing its mass into its body."""
     model = compile_mjcf(spec, path)
     for body in spec.bodies[1:]:
         compiled = model.body(body.name)
