@@ -41,8 +41,8 @@ def check_kind(name: str, value: object, kind: Any) -> None:
     """
     if not _is_kind(value, kind):
         source = SOURCES.get(getattr(next(iter(get_args(kind)), kind), "__name__", ""))
-        given = f'"{value}"' if isinstance(value, str) else "..."
-        advice = f"; {source.format(given)} returns one" if source else ""
+        shown = f'"{value}"' if isinstance(value, str) else "..."
+        advice = f"; {source.format(shown)} returns one" if source else ""
         raise GraspRefineError(f"{name} must be {_describe(kind)}, got {describe_value(value)}{advice}")
 
 

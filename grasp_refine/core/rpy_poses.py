@@ -22,8 +22,10 @@ def transform_from_rpy(values: Sequence[float]) -> Float[np.ndarray, "4 4"]:
     """
     numbers = [float(value) for value in values]
     if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
-        given = ", ".join(f"{value:g}" for value in numbers)
-        raise GraspRefineError(f"a pose has 3 or 6 finite numbers, x y z in metres, roll pitch yaw in degrees: {given}")
+        listed = ", ".join(f"{value:g}" for value in numbers)
+        raise GraspRefineError(
+            f"a pose has 3 or 6 finite numbers, x y z in metres, roll pitch yaw in degrees: {listed}"
+        )
     if np.abs(numbers[:3]).max() > MAX_DISTANCE_M:
         raise GraspRefineError(f"a pose is in metres, {max(numbers[:3], key=abs):g} is farther than {MAX_DISTANCE_M:g}")
     roll, pitch, yaw = np.deg2rad([*numbers[3:], 0.0, 0.0, 0.0][:3])

@@ -313,7 +313,9 @@ class GraspSet:
             targets = _checked_targets(self.targets, count)
             check_kind("contact_links", self.contact_links, ContactLinks | None)
             check_kind("labels", self.labels, Mapping)
-            numbers = {str(name): as_numbers(f"labels[{name!r}]", its, count) for name, its in self.labels.items()}
+            numbers = {
+                str(name): as_numbers(f"labels[{name!r}]", values, count) for name, values in self.labels.items()
+            }
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
         arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q, "labels": numbers}
@@ -477,8 +479,8 @@ def match_joints(grasps: GraspSet, hand: Hand) -> tuple[Float[np.ndarray, "N n"]
 
 def _name_notes(grasps: GraspSet, hand: Hand) -> list[str]:
     """Note that grasps name another hand than the given one, unless one name is a part of the other."""
-    named, given = (name.casefold() for name in (grasps.hand, hand.name))
-    if named in given or given in named:
+    named, expected = (name.casefold() for name in (grasps.hand, hand.name))
+    if named in expected or expected in named:
         return []
     return [f"the grasps name the hand '{grasps.hand}'; they are read as grasps of '{hand.name}'"]
 

@@ -93,9 +93,9 @@ class Trajectory:
 
 def speed_limits(hand: Hand) -> Float[np.ndarray, " n"]:
     """Return the speed limits (n,) of the independent joints in rad/s or m/s, by default `DEFAULT_SPEED_RAD_S`."""
-    given = [hand.joints_by_name[name].velocity for name in hand.joint_names]
+    limits = [hand.joints_by_name[name].velocity for name in hand.joint_names]
     default = DEFAULT_SPEED_RAD_S * hand.per_radian
-    return np.array([fallback if limit is None else limit for limit, fallback in zip(given, default, strict=True)])
+    return np.array([fallback if limit is None else limit for limit, fallback in zip(limits, default, strict=True)])
 
 
 def trajectory(hand: Hand, plan: MotionPlan, *, share: float = SPEED_SHARE) -> Trajectory:

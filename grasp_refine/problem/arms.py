@@ -135,12 +135,12 @@ def out_of_reach_texts(alone: Sequence[Group], placed: Sequence[Group], seed: in
         seed: Seed of the starts of the inverse kinematics.
     """
     texts = []
-    for given, group in zip(alone, placed, strict=True):
+    for original, group in zip(alone, placed, strict=True):
         scene, rows = group.scene, np.flatnonzero(group.scene.out_of_reach)
-        if given.grasps.base_link == scene.hand.base_link:
+        if original.grasps.base_link == scene.hand.base_link:
             continue
         label = f"{group.object} " if len(placed) > 1 else ""
-        T_palm = transform_from_pose(given.grasps.hand_pose)
+        T_palm = transform_from_pose(original.grasps.hand_pose)
         for row in rows[:MAX_REASONS].tolist():
             why = _why_out_of_reach(scene, scene.T_world_root[row], scene.q[row], T_palm[row], seed)
             texts.append(f"grasp {label}{group.index[row]} out of reach: {why}")

@@ -126,8 +126,8 @@ class Problem:
     def closing(self, source: StageSource = "auto") -> dict[str, str]:
         """Return the source of pregrasps and squeezes of `Group.motion`: stage -> "file" or "own"."""
         grasps = self.groups[0].grasps
-        given = () if source == "own" else grasps.other_stages
-        return {name: "file" if name in given else "own" for name in OTHER_STAGES}
+        stages = () if source == "own" else grasps.other_stages
+        return {name: "file" if name in stages else "own" for name in OTHER_STAGES}
 
     @property
     def order(self) -> np.ndarray:

@@ -128,7 +128,9 @@ class Recorded:
         found: dict[str, list[str]] | None = None
         for task in self._tasks().values():
             lists = [task.get(verb) for verb in VERBS]
-            specs = {verb: given if isinstance(given, list) else [] for verb, given in zip(VERBS, lists, strict=True)}
+            specs = {
+                verb: listed if isinstance(listed, list) else [] for verb, listed in zip(VERBS, lists, strict=True)
+            }
             if found not in (None, specs):
                 return (
                     (),

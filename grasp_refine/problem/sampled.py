@@ -72,8 +72,8 @@ def with_samples(
     on_wait(f"sampling grasps of {hand.name} on {obj.name}")
 
     def draw(number: int) -> GraspSet:
-        given = seed if number == 0 else (*(seed if isinstance(seed, tuple) else (seed, 0)), number)
-        return sample_grasps(hand, obj, count, task=empty.task, seed=given)
+        draw_seed = seed if number == 0 else (*(seed if isinstance(seed, tuple) else (seed, 0)), number)
+        return sample_grasps(hand, obj, count, task=empty.task, seed=draw_seed)
 
     def posed(grasps: GraspSet) -> Scene:
         return replace(empty, T_world_root=transform_from_pose(grasps.hand_pose), q=grasps.q)

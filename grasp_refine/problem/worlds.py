@@ -35,6 +35,6 @@ def worlds_of(
         on_note(note)
     worlds = []
     for scene in (group.scene for group in problem.groups):
-        given = scene.object, scene.task.for_simulation
-        worlds.append(cache.get("world", (hand, *given), partial(build_world, model, *given)))
+        setting = scene.object, scene.task.for_simulation
+        worlds.append(cache.get("world", (hand, *setting), partial(build_world, model, *setting)))
     return worlds

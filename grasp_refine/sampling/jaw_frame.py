@@ -137,12 +137,12 @@ def _pad(
         return None
     points = points[:, facing]
     height = (points[0] @ normal).max()
-    given = [
+    heights = [
         transform_points(T[0, i], np.array(contact.point)) @ normal
         for i, contact in enumerate(contacts)
         if contact.point is not None
     ]
-    if given:
-        height = max(given)
+    if heights:
+        height = max(heights)
     pad = points[:, np.abs(points[0] @ normal - height) <= PAD_DEPTH_M]
     return pad if pad.shape[1] else None

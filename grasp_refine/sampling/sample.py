@@ -219,8 +219,8 @@ def _score(closing: _Closing, hands: Placed) -> _Scored:
     groups = np.stack([touching[:, group == name].any(axis=1) for name in dict.fromkeys(group)]).sum(axis=0)
     good = np.flatnonzero((groups >= 2) & (deepest >= -MAX_DEPTH_M))
     good = good[closing.is_free(proximity.frames.T_world_link[good])]
-    given = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
-    points = contacts(prepared.hand, prepared.object, links, *given)
+    geometry = proximity.witness.rows(good), proximity.frames.T_world_link[good], prepared.faces
+    points = contacts(prepared.hand, prepared.object, links, *geometry)
     forces = grasp_forces(points, prepared.object, hands.T[good, :3, :3])
     score = forces.residual + SINGLE_GROUP_PENALTY / groups[good] + worst[good] / MISS_SCALE_M
     hands = _Scored(hands.T[good], hands.q[good], hands.way[good], score)

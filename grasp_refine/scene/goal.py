@@ -60,10 +60,10 @@ def goal_of(
     """
     prepared = prepared or HandObject.of(scene)
     if scene.target_link is not None and scene.target_object is not None:
-        given = scene.target_link, scene.target_object
+        targets = scene.target_link, scene.target_object
         # A point on one side only is no target.
-        missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in given))
-        target_link, target_object = (np.where(missing, np.nan, target) for target in given)
+        missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in targets))
+        target_link, target_object = (np.where(missing, np.nan, target) for target in targets)
         none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
         return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)

@@ -55,10 +55,10 @@ class Scene:
     """What the grasps must do, and where; its regions are made for the object."""
 
     def __repr__(self) -> str:
-        given = [
+        optional = [
             name for name in (*TARGET_FIELDS, "table", "environment", "regions") if getattr(self, name) is not None
         ]
-        more = f", with {', '.join(given)}" if given else ""
+        more = f", with {', '.join(optional)}" if optional else ""
         return f"Scene({self.hand.name} on {self.object.name}: {count_text(len(self.q), 'grasp')}{more})"
 
     def __post_init__(self) -> None:
@@ -145,7 +145,9 @@ class Scene:
     def select(self, rows: np.ndarray | slice) -> "Scene":
         """Return the scene with the grasps `rows`, in that order."""
         names = ("T_world_root", "q", *TARGET_FIELDS, "contact_gap")
-        arrays: dict[str, Any] = {name: None if (its := getattr(self, name)) is None else its[rows] for name in names}
+        arrays: dict[str, Any] = {
+            name: None if (array := getattr(self, name)) is None else array[rows] for name in names
+        }
         return replace(self, **arrays)
 
     def masked(self, rows: Bool[np.ndarray, " N"]) -> "Scene":

@@ -71,8 +71,8 @@ def load_scene(
     Raises:
         GraspRefineError: it cannot be read, or a key or value in it is wrong; names file, key, value and choices.
     """
-    path, given = scene_path(path), path
-    source = str(path.absolute()) if path == Path(given) or "~" in str(given) else str(given)
+    path, asked = scene_path(path), path
+    source = str(path.absolute()) if path == Path(asked) or "~" in str(asked) else str(asked)
     raw, where = _read(path), f"{path}: "
     name = _text(raw.get("name", path.stem), f"{where}name")
     margin = _length(raw.get("margin", DEFAULT_MARGIN_M), f"{where}margin", least=0.0)
@@ -122,8 +122,8 @@ def _regions(grasped: Mapping[str, Any], path: Path) -> dict[str, tuple[str, ...
     """Return the regions of the object by the names of their keys, files relative to that of the scene."""
     found = {}
     for key in VERBS:
-        given, where = grasped.get(key, []), f"[object] {key}"
-        specs = [_text(one, where) for one in (given if isinstance(given, list) else [given])]
+        regions, where = grasped.get(key, []), f"[object] {key}"
+        specs = [_text(one, where) for one in (regions if isinstance(regions, list) else [regions])]
         found[key] = tuple(resolve_spec(spec, path.parent, where) for spec in specs)
         for spec in found[key]:
             check_spec(spec, where)
@@ -202,8 +202,8 @@ class _Entry:
         _check_keys(raw, BODY_KEYS, where)
         kinds = [key for key in SOURCES if key in raw]
         if len(kinds) != 1:
-            given = f"has {' and '.join(kinds)}" if kinds else "has no shape"
-            raise GraspRefineError(f"{where}{given}: give one of {', '.join(SOURCES)}")
+            found = f"has {' and '.join(kinds)}" if kinds else "has no shape"
+            raise GraspRefineError(f"{where}{found}: give one of {', '.join(SOURCES)}")
         (kind,) = kinds
         if kind in SHAPES:
             if "scale" in raw or "unit" in raw:
@@ -324,12 +324,12 @@ def _check_keys(raw: Mapping[str, Any], valid: Collection[str], where: str) -> N
 
 def _tables(raw: Mapping[str, Any], key: str, where: str) -> list[tuple[Mapping[str, Any], str]]:
     """Return the tables of a key, [key] or each [[key]], with how messages name them."""
-    given = raw.get(key, [])
-    if isinstance(given, Mapping):
-        return [(given, f"{where}[{key}] ")]
-    if not isinstance(given, list) or not all(isinstance(one, Mapping) for one in given):
-        raise GraspRefineError(f"{where}{key} must be a table [{key}] or [[{key}]], got {quote_value(given)}")
-    return [(one, f"{where}[[{key}]] {number} ") for number, one in enumerate(given, 1)]
+    tables = raw.get(key, [])
+    if isinstance(tables, Mapping):
+        return [(tables, f"{where}[{key}] ")]
+    if not isinstance(tables, list) or not all(isinstance(one, Mapping) for one in tables):
+        raise GraspRefineError(f"{where}{key} must be a table [{key}] or [[{key}]], got {quote_value(tables)}")
+    return [(one, f"{where}[[{key}]] {number} ") for number, one in enumerate(tables, 1)]
 
 
 def _text(value: Any, where: str) -> str:

@@ -71,9 +71,9 @@ class Task:
             _base_transform(pose)
             found["base"] = tuple(map(tuple, pose.tolist())) if pose.ndim == 2 else tuple(pose.tolist())
         for name in ("touch", "avoid"):
-            given = getattr(self, name)
-            if given is not None:
-                found[name] = (given,) if isinstance(given, str | Region) else tuple(given)
+            regions = getattr(self, name)
+            if regions is not None:
+                found[name] = (regions,) if isinstance(regions, str | Region) else tuple(regions)
                 check_kind(f"Task: {name}", found[name], tuple[str | Region, ...])
         for name, value in found.items():
             object.__setattr__(self, name, value)
@@ -118,8 +118,8 @@ class Task:
     @property
     def is_on_object(self) -> bool:
         """Whether the regions are made for an object, including the scene's: no specifications."""
-        given = self.touch, self.avoid
-        return all(isinstance(some, tuple) and all(isinstance(one, Region) for one in some) for some in given)
+        regions = self.touch, self.avoid
+        return all(isinstance(some, tuple) and all(isinstance(one, Region) for one in some) for some in regions)
 
     def on(self, obj: Object) -> Task:
         """Return the task with its regions made for an object, and with the scene's where it names none.
@@ -129,8 +129,8 @@ class Task:
         """
         around = self.environment
         touch, avoid = (
-            given if given is not None else () if around is None else getattr(around, name)
-            for name, given in (("touch", self.touch), ("avoid", self.avoid))
+            own if own is not None else () if around is None else getattr(around, name)
+            for name, own in (("touch", self.touch), ("avoid", self.avoid))
         )
         found = contact_regions(obj, touch, avoid) or ContactRegions()
         return replace(self, touch=found.touch, avoid=found.avoid)
@@ -153,8 +153,8 @@ class Task:
         parts += [] if self.plane is None else [f"table at {self.plane.offset:g} m"]
         parts += [] if self.environment is None else [repr(self.environment)]
         parts += [] if self.base is None else ["with the base of an arm"]
-        for name, given in (("touch", self.touch), ("avoid", self.avoid)):
-            specs = [one if isinstance(one, str) else one.spec for one in given or ()]  # type: ignore[union-attr]
+        for name, regions in (("touch", self.touch), ("avoid", self.avoid)):
+            specs = [one if isinstance(one, str) else one.spec for one in regions or ()]  # type: ignore[union-attr]
             parts += [f"{name} {', '.join(specs)}"] if specs else []
         return f"Task({'; '.join(parts)})"
 

@@ -97,9 +97,9 @@ def task_entry(task: Task) -> dict[str, Any]:
         entry["scene"] = {"name": around.name, "source": around.source, "sha256": around.digest}
     if task.base is not None:
         entry["base"] = task.base
-    for name, given in (("touch", task.touch), ("avoid", task.avoid)):
-        if given is not None:
-            several = (given,) if isinstance(given, str | Region) else given
+    for name, regions in (("touch", task.touch), ("avoid", task.avoid)):
+        if regions is not None:
+            several = (regions,) if isinstance(regions, str | Region) else regions
             specs = [one.spec if isinstance(one, Region) else one for one in several]
             entry[name] = [resolve_spec(spec, Path(), name) if is_spec(spec) else spec for spec in specs]
     return entry

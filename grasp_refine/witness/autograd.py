@@ -160,10 +160,10 @@ class _WitnessFunction(torch.autograd.Function):
             # Both witness points lie on the line of the normal, so the bodies get equal and opposite wrenches.
             wrenches[1] = wrench(found.point_b, _cotangent(grad_distance[..., None], valid) * found.normal)
             wrenches[0] = -wrenches[1]
-        given = [g for g in (g_a, g_b, g_n) if g is not None]
-        if given:
+        gradients = [g for g in (g_a, g_b, g_n) if g is not None]
+        if gradients:
             # The derivative is computed only for pairs with nonzero cotangents.
-            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in given]))
+            columns = np.flatnonzero(np.logical_or.reduce([g.any(axis=(0, 2)) for g in gradients]))
             if len(columns):
                 index = slice(None) if len(columns) == found.distance.shape[1] else columns
                 extra = _pull_back_points(ctx, found, columns, index, g_a, g_b, g_n, *poses)

@@ -232,8 +232,10 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
         RuntimeError: no disturbance of an approach given here is accepted.
     """
     around = HandObjectDistances(hand, obj)
-    given = hand.name == "allegro"
-    bases = close_on_approaches(hand, around, EXAMPLES[obj.name]) if given else sample_touching(hand, obj, around, seed)
+    by_hand = hand.name == "allegro"
+    bases = (
+        close_on_approaches(hand, around, EXAMPLES[obj.name]) if by_hand else sample_touching(hand, obj, around, seed)
+    )
     jaws = jaw_frame(hand, closure_frame(hand)) is not None
     world = build_world(model_of(hand), obj, Task(DEXGRASPBENCH))
     # The object's name is part of the seed, so that the examples of an object do not depend on the other objects.
@@ -242,12 +244,12 @@ def example_grasps(hand: Hand, obj: Object, seed: int = 0) -> GraspSet:
     for base in zip(*bases, strict=True):
         scene = Scene(hand, obj, *disturb(hand, around, *base, rng))
         first = find_first_lost(scene, world) if len(kept) % 2 == 0 and not jaws else 0
-        if first is None and given:
+        if first is None and by_hand:
             raise RuntimeError("no disturbance loses the object: change the approach")
         if first is None:
             continue
         T, q = scene.T_world_root[first], scene.q[first]
-        if given or refine(Scene(hand, obj, T[None], q[None])).status[0] == Status.CONVERGED:
+        if by_hand or refine(Scene(hand, obj, T[None], q[None])).status[0] == Status.CONVERGED:
             kept.append((T, q))
         if len(kept) == NUM_EXAMPLES:
             break

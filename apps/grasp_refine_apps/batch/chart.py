@@ -48,12 +48,16 @@ def value_text(measure: Measure, value: float) -> str:
 def statistics_row(measure: Measure, distributions: Mapping[str, Histogram]) -> list[str]:
     """Mean, median, bound that 19 of 20 grasps meet, and worst value; before, and after."""
     cells = []
-    for its in _sides(measure, distributions):
-        if not its.count:
+    for histogram in _sides(measure, distributions):
+        if not histogram.count:
             cells += [words.NONE] * 4
             continue
-        worst = (its.quantile(0.05), its.least) if measure.better == "higher" else (its.quantile(0.95), its.most)
-        cells += [value_text(measure, value) for value in (its.mean, its.quantile(0.5), *worst)]
+        worst = (
+            (histogram.quantile(0.05), histogram.least)
+            if measure.better == "higher"
+            else (histogram.quantile(0.95), histogram.most)
+        )
+        cells += [value_text(measure, value) for value in (histogram.mean, histogram.quantile(0.5), *worst)]
     return cells
 
 
@@ -66,7 +70,7 @@ def _sides(measure: Measure, distributions: Mapping[str, Histogram]) -> tuple[Hi
 def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
     """Draw an SVG element: bars of the share of grasps, before behind after; empty where nothing was measured."""
     sides = _sides(measure, distributions)
-    if not any(its.count for its in sides):
+    if not any(histogram.count for histogram in sides):
         return ""
     whole = sides[1]
     zero, shares, edges = _shown(*sides)
@@ -99,7 +103,7 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
 
 def _shown(*sides: Histogram) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the drawn shares (2,) below all bars, shares (2, bars), and the edges (bars + 1,) of the bars."""
-    zero, *inner, above = np.array([its.shares(BINS_PER_BAR) for its in sides]).T
+    zero, *inner, above = np.array([histogram.shares(BINS_PER_BAR) for histogram in sides]).T
     shares = np.column_stack(inner)
     shares[:, -1] += above
     most = shares.shape[1] - 1

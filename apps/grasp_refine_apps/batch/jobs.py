@@ -263,10 +263,12 @@ def _with_absolute_paths(inputs: ProblemSpec) -> ProblemSpec:
         path = expand_user(Path(value))
         return type(value)(path.absolute()) if exists(path) else value
 
-    given = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
+    absolutes = {name: absolute(getattr(inputs, name)) for name in ("urdf", "mjcf", "objects", "grasps")}
     for name in NAMES_OR_PATHS:
         value = getattr(inputs, name)
-        given[name] = absolute(value) if isinstance(value, str) and _is_path(value) else value
+        absolutes[name] = absolute(value) if isinstance(value, str) and _is_path(value) else value
     for name in VERBS:
-        given[name] = tuple(resolve_spec(spec, Path(), f"`{name}` {spec}") for spec in map(str, getattr(inputs, name)))
-    return replace(inputs, **given)
+        absolutes[name] = tuple(
+            resolve_spec(spec, Path(), f"`{name}` {spec}") for spec in map(str, getattr(inputs, name))
+        )
+    return replace(inputs, **absolutes)

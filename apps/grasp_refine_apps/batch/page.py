@@ -93,7 +93,7 @@ def _subtitle(document: Mapping[str, Any], statistics: Statistics) -> str:
 
 def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[Any]) -> list[dict[str, str]]:
     """Tiles with the most important numbers."""
-    its = statistics.all
+    tally = statistics.all
 
     def change(before: int, after: int, of: int, label: str) -> dict[str, str]:
         tone = "good" if after > before else "bad" if after < before else ""
@@ -102,14 +102,16 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
 
     tiles = [
         {
-            "number": whole(its.usable),
-            "words": "grasps refined" if its.usable == its.count else f"of {words.grasps(its.count)} were refined",
+            "number": whole(tally.usable),
+            "words": "grasps refined"
+            if tally.usable == tally.count
+            else f"of {words.grasps(tally.count)} were refined",
             "tone": "",
         },
-        change(*its.good.tolist(), its.count, f"quality {BAR} (an estimate)"),
+        change(*tally.good.tolist(), tally.count, f"quality {BAR} (an estimate)"),
     ]
     if statistics.held is not None:
-        tiles.insert(0, change(*statistics.held, its.simulated, "held in simulation"))
+        tiles.insert(0, change(*statistics.held, tally.simulated, "held in simulation"))
     if failed:
         number, kinds = failed_text(failed).split(" ", 1)
         tiles.append({"number": number, "words": f"{kinds} failed", "tone": "bad"})
@@ -123,9 +125,9 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
 def _notes(totals: Mapping[str, Any], failed: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Notes that qualify the numbers below them."""
     if failed:
-        its = "its" if len(failed) == 1 else "their"
+        whose = "its" if len(failed) == 1 else "their"
         yield (
-            f"{failed_text(failed)} failed{suspected_text(failed)}; these numbers are without {its} grasps. The "
+            f"{failed_text(failed)} failed{suspected_text(failed)}; these numbers are without {whose} grasps. The "
             "reasons are listed below; the same command tries again."
         )
     left = left_over(totals, failed)

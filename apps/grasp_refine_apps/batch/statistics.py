@@ -81,8 +81,8 @@ class Tally:
     def merge(self, other: Tally) -> None:
         """Add the counts of another tally."""
         for each in fields(self):
-            own, its = getattr(self, each.name), getattr(other, each.name)
-            setattr(self, each.name, max(own, its) if each.name == "deepest" else own + its)
+            own, theirs = getattr(self, each.name), getattr(other, each.name)
+            setattr(self, each.name, max(own, theirs) if each.name == "deepest" else own + theirs)
 
     @property
     def simulated(self) -> int:
@@ -142,8 +142,8 @@ class Statistics:
             histogram.add(rows[name][usable])
         hands, objects = rows["hand"].tolist(), rows["object"].tolist()
         for pair in dict.fromkeys(zip(hands, objects, strict=True)):
-            its = (rows["hand"] == pair[0]) & (rows["object"] == pair[1])
-            part = rows if its.all() else Rows({name: values[its] for name, values in rows.columns.items()})
+            of_pair = (rows["hand"] == pair[0]) & (rows["object"] == pair[1])
+            part = rows if of_pair.all() else Rows({name: values[of_pair] for name, values in rows.columns.items()})
             self.pairs.setdefault(pair, Tally()).add(part)
         if len(self.pairs) > MAX_PAIRS:
             self._merge_rest()

@@ -85,28 +85,28 @@ def _change(before: int, after: int, of: int) -> Text:
 
 def verdict_lines(document: Mapping[str, Any], statistics: Statistics) -> list[Text]:
     """Lines with the numbers of grasps that held in simulation before and after, or with an estimate by quality."""
-    its = statistics.all
-    if not its.simulated:
-        return [estimate_line(int(its.good[1]), int(its.good[0]), its.count)]
+    tally = statistics.all
+    if not tally.simulated:
+        return [estimate_line(int(tally.good[1]), int(tally.good[0]), tally.count)]
     described = (document.get("config") or {}).get("protocol")
     protocol = protocol_of(described).label if described else ""
     return [
-        held_line(protocol, its.held, its.gained, its.lost, its.simulated),
+        held_line(protocol, tally.held, tally.gained, tally.lost, tally.simulated),
         *(
             Text.assemble("  ", (f"{whole(count)} {name}", "red"))
             for name, count in sorted(statistics.reasons.items(), key=lambda entry: (-entry[1], entry[0]))
         ),
-        *(side.line(f"{name}, ") for name, side in zip(SIDES, its.agreement, strict=True)),
+        *(side.line(f"{name}, ") for name, side in zip(SIDES, tally.agreement, strict=True)),
     ]
 
 
 def _unusable(statistics: Statistics) -> Iterator[Text]:
     """Line with the number of grasps that were not refined, and their statuses."""
-    its = statistics.all
-    if its.usable < its.count:
+    tally = statistics.all
+    if tally.usable < tally.count:
         unusable = ((name, statistics.statuses[name]) for name in sorted(statistics.statuses) if name in UNUSABLE)
         counts = ", ".join(f"{whole(count)} {name}" for name, count in unusable)
-        left = its.count - its.usable
+        left = tally.count - tally.usable
         yield Text.assemble((f"{whole(left)} {'was' if left == 1 else 'were'} not refined", "yellow"), f": {counts}")
 
 

@@ -222,6 +222,6 @@ def _gripper(source: Source, hand: Hand | None) -> tuple[str, str, list[str]]:
 
 def _confidence(source: Source) -> dict[str, Float[np.ndarray, " N"]]:
     """Confidence of each grasp, a label; 0 marks one that failed, NaN one that has none."""
-    given = [grasp.get("confidence", np.nan) for grasp in source.content["grasps"].values()]
-    values = source.numbers([_number(value) for value in given], "confidence")
+    confidences = [grasp.get("confidence", np.nan) for grasp in source.content["grasps"].values()]
+    values = source.numbers([_number(value) for value in confidences], "confidence")
     return {} if np.isnan(values).all() else {CONFIDENCE: values}

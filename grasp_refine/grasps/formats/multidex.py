@@ -166,8 +166,8 @@ def grasps_of_entries(
         hand_pose=pose_from_transform(T_object_root @ layout.T_root_base),
         q=rows[:, pose_columns:],
         labels={
-            name: source.numbers(list(compress(its, (of == robot for _, _, of in entries))), name)
-            for name, its in (labels or {}).items()
+            name: source.numbers(list(compress(values, (of == robot for _, _, of in entries))), name)
+            for name, values in (labels or {}).items()
         },
     )
     notes = [f"joints are in the order of the URDF of {robot}, which the file does not name"]

@@ -39,54 +39,54 @@ def load_protocol(name: str) -> Protocol:
         raise GraspRefineError(f"no protocol '{name}': there are {', '.join(PROTOCOLS)}, or a FILE{SUFFIX}")
     path = expand_user(Path(name))
     try:
-        given = read_toml(path)
+        values = read_toml(path)
     except FileNotFoundError:
         raise GraspRefineError(f"{path}: no such file") from None
     except UNREADABLE as error:
         raise GraspRefineError(f"{path}: cannot be read as TOML ({error})") from None
-    found = protocol_of_table({"name": path.stem, **given}, f"{path}: ")
+    found = protocol_of_table({"name": path.stem, **values}, f"{path}: ")
     if found.name in PROTOCOLS:
         raise GraspRefineError(f"{path}: name must differ from {', '.join(PROTOCOLS)}, got {quote_value(found.name)}")
     return found
 
 
-def protocol_of_table(given: Mapping[str, Any], where: str) -> Protocol:
+def protocol_of_table(values: Mapping[str, Any], where: str) -> Protocol:
     """Return the protocol of a table with some of its fields, and the name of the one that it is based on.
 
     Args:
-        given: Field -> value, as for `protocol_of`, and `BASE_KEY`.
+        values: Field -> value, as for `protocol_of`, and `BASE_KEY`.
         where: Prefix of messages, such as the name of a file.
 
     Raises:
         GraspRefineError: as `protocol_of`, or there is no such protocol to base it on.
     """
-    given = dict(given)
-    base = given.pop(BASE_KEY, DEFAULT)
+    values = dict(values)
+    base = values.pop(BASE_KEY, DEFAULT)
     if base not in list(PROTOCOLS):
         raise GraspRefineError(f"{where}{BASE_KEY} must be among {', '.join(PROTOCOLS)}, got {quote_value(base)}")
     # The soft weld of DexGraspBench belongs to its published outcomes, which another test does not reproduce.
-    return protocol_of({"palm": "rigid", **given}, PROTOCOLS[base], where=where)
+    return protocol_of({"palm": "rigid", **values}, PROTOCOLS[base], where=where)
 
 
-def protocol_of(given: Mapping[str, Any], base: Protocol = PROTOCOLS[DEFAULT], *, where: str = "") -> Protocol:
+def protocol_of(values: Mapping[str, Any], base: Protocol = PROTOCOLS[DEFAULT], *, where: str = "") -> Protocol:
     """Return a protocol with the given fields, and another's where nothing is given.
 
     Args:
-        given: Field -> value; `contact` and `noise` have a mapping.
+        values: Field -> value; `contact` and `noise` have a mapping.
         base: The other protocol.
         where: Prefix of messages, such as the name of a file.
 
     Raises:
         GraspRefineError: an unknown key, or a value of another type or out of range; names key and choices.
     """
-    return _with_fields(base, given, where, "")
+    return _with_fields(base, values, where, "")
 
 
-def _with_fields(base: Any, given: Mapping[str, Any], where: str, prefix: str) -> Any:
+def _with_fields(base: Any, table: Mapping[str, Any], where: str, prefix: str) -> Any:
     """Return a dataclass with the given fields; `prefix` is the key of the dataclass itself, with a dot."""
     known = [field.name for field in fields(base)]
     values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in given.items() if key != TYPE_KEY
+        key: tuple(value) if isinstance(value, list) else value for key, value in table.items() if key != TYPE_KEY
     }
     for key, value in values.items():
         if key not in known:

@@ -260,14 +260,14 @@ def _trial(
     )
 
 
-def _margins(given: _Json) -> HoldingMargins:
+def _margins(entry: _Json) -> HoldingMargins:
     """Read the margins of one grasp."""
-    trials = given["trials"]
-    joint, worst = trials[JOINT], given["worst"].or_empty("").text()
+    trials = entry["trials"]
+    joint, worst = trials[JOINT], entry["worst"].or_empty("").text()
     interval = [bound.number() for bound in joint["interval"].list()]
     if len(interval) != 2:
         raise joint["interval"].error("two numbers")
-    limits = {limit.name: given[limit.name].number() for limit in LIMITS}
+    limits = {limit.name: entry[limit.name].number() for limit in LIMITS}
     return HoldingMargins(
         count=len(joint["held"].list()),
         probability=joint["probability"].number(),
@@ -289,20 +289,20 @@ def _direction(result: _Json) -> DirectionResult:
     )
 
 
-def _protocol(given: _Json) -> Protocol:
+def _protocol(entry: _Json) -> Protocol:
     """Read the protocol of all simulations."""
-    if not isinstance(given.value, dict):
-        raise given.error("an object")
+    if not isinstance(entry.value, dict):
+        raise entry.error("an object")
     try:
-        return protocol_of(given.value, where=f"{given.path}: {given.where}.")
+        return protocol_of(entry.value, where=f"{entry.path}: {entry.where}.")
     except GraspRefineError as error:
         raise GraspFileError(str(error)) from None
 
 
-def _closing(given: _Json) -> dict[str, str]:
+def _closing(entry: _Json) -> dict[str, str]:
     """Read the source of the simulated pregrasps and squeezes."""
-    if given.value is None or given.value == {}:
+    if entry.value is None or entry.value == {}:
         return {}
-    if not isinstance(given.value, dict) or set(given.value) != set(OTHER_STAGES):
-        raise given.error(f"file or own for {' and '.join(OTHER_STAGES)}")
-    return {stage: given[stage].choice(("file", "own")) for stage in OTHER_STAGES}
+    if not isinstance(entry.value, dict) or set(entry.value) != set(OTHER_STAGES):
+        raise entry.error(f"file or own for {' and '.join(OTHER_STAGES)}")
+    return {stage: entry[stage].choice(("file", "own")) for stage in OTHER_STAGES}

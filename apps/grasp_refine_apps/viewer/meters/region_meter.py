@@ -59,8 +59,8 @@ def elsewhere_text(found: Sequence[Elsewhere]) -> str:
 
 def _elsewhere(contacts: Contacts, regions: ContactRegions) -> tuple[Elsewhere, ...]:
     prepared = contacts.prepared
-    given = prepared.bodies, prepared.object.body, contacts.frames.T_world_link, contacts.witness
-    misses = patch_misses(regions, *given)
+    geometry = prepared.bodies, prepared.object.body, contacts.frames.T_world_link, contacts.witness
+    misses = patch_misses(regions, *geometry)
     found = [
         Elsewhere(prepared.chain.links[k], regions.reason(misses.point[0, k]), float(misses.miss[0, k]))
         for k in np.flatnonzero(misses.miss[0] > COSTLY_M[0])

@@ -89,5 +89,5 @@ def targets_of(scene: Scene) -> tuple[Target, ...]:
     """Return the targets of the one grasp of a scene."""
     if scene.target_link is None or scene.target_object is None:
         return ()
-    given = zip(scene.links, scene.target_link[0], scene.target_object[0], strict=True)
-    return tuple(Target(*target) for target in given if np.isfinite(target[1:]).all())
+    columns = zip(scene.links, scene.target_link[0], scene.target_object[0], strict=True)
+    return tuple(Target(*target) for target in columns if np.isfinite(target[1:]).all())

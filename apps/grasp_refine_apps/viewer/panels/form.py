@@ -283,7 +283,7 @@ def parts_of(
         if isinstance(inner, type) and is_dataclass(inner):
             choice = one.name.replace("_", "-")
             chosen_by = choosers.get(choice, "")
-            without = {given for extra in extras if isinstance(extra, Without) for given in extra.names}
+            without = {name for extra in extras if isinstance(extra, Without) for name in extra.names}
             inside = parts_of(inner, f"{name}.", "" if chosen_by else doc, without)
             if inside:
                 parts.append(Section(name, label, inside, chosen_by, choice if chosen_by else ""))

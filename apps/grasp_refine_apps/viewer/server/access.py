@@ -66,8 +66,8 @@ class Access:
 
     def allows_token(self, path: str, cookie: str | None, port: int) -> bool:
         """Return whether a request has the token, if one is needed, in its path or in its cookie."""
-        given = (*parse_qs(urlsplit(path).query).get(TOKEN, ()), _cookie_value(cookie, port))
-        return not self.token or any(compare_digest(one.encode(), self.token.encode()) for one in given)
+        tokens = (*parse_qs(urlsplit(path).query).get(TOKEN, ()), _cookie_value(cookie, port))
+        return not self.token or any(compare_digest(one.encode(), self.token.encode()) for one in tokens)
 
     def cookies(self, port: int) -> Mapping[str, str]:
         """Return the headers with which a browser keeps the token, by port; none without one."""
