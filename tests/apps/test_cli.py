@@ -317,7 +317,7 @@ def test_geometry_alone_moves_less_and_may_slip(capsys: pytest.CaptureFixture[st
     (first,), (second,) = both["grasps"], alone["grasps"]
     assert both["config"]["refine"]["weights"]["wrench"] > 0 == alone["config"]["refine"]["weights"]["wrench"]
     assert first["quality"]["after"] >= second["quality"]["after"] > second["quality"]["before"]
-    assert second["starts"] == 1 and "--starts" not in second["advice"]
+    assert second["starts"] == 1 and "`starts`" not in second["advice"]
     out = capsys.readouterr().out
     assert out.count(" estimate ") == 1 and out.count(" status ") == 1
 

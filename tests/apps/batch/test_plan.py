@@ -148,7 +148,7 @@ def test_jobs_that_cannot_be_done_are_named_and_the_others_planned(mixed: Path, 
     said = {refused.job: refused.message for refused in plan.refused}
     assert "not an .npz grasp file" in said["broken"]
     assert "no such grasp file" in said["none"]
-    assert "--hand and --object" in said["sample_3"]
+    assert "`hand` and `object`" in said["sample_3"]
     assert "'claw'" in said["foreign"]
 
 

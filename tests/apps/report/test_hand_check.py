@@ -72,7 +72,7 @@ def test_the_hand_is_read_again_as_it_was(make, tmp_path: Path) -> None:
     # What was guessed, and where the hand begins, is told no more.
     links = ", ".join(contact.link for contact in bare.contacts)
     assert any(links in note for note in bare.notes)
-    assert not any(links in note or "--base-link" in note for note in again.notes)
+    assert not any(links in note or "`base_link" in note for note in again.notes)
     assert bare.contacts_guessed and not again.contacts_guessed
     # What was read from a hand.toml is written anew, and read.
     (tmp_path / "hand.toml").write_text(hand_toml_text(again, tmp_path))
