@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -26,6 +27,7 @@ from grasp_refine.problem.refine import Listener, refine_problem, simulate_refin
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.terms.term import Term
 from grasp_refine.results.console import html_of, text_of
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.validation_table import validation_table
@@ -106,6 +108,7 @@ def refine(
     config: Config | None = None,
     *,
     task: Task | str | Path | None = None,
+    terms: Sequence[Term] = (),
     as_is: bool = False,
     listener: Listener | None = None,
 ) -> RefinedGrasps:
@@ -117,13 +120,18 @@ def refine(
         grasps: Grasps on it.
         config: Settings; the defaults when None.
         task: What the grasps must do, and where: a `Task`, or its name or file, as of `load_task`.
+        terms: Terms of your own, minimised beside ours: after those of the settings. `check_term` checks them.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
 
     Raises:
-        GraspRefineError: an argument of another type, grasps of another hand or of several objects.
+        GraspRefineError: an argument of another type, grasps of another hand or of several objects, or a term that
+            does not fit.
     """
     check_kind("config", config, Config | None)
+    if terms:
+        config = config or Config()
+        config = replace(config, terms=(*config.terms, *terms))
     problem = _problem(hand, object, grasps, task, as_is=as_is)
     return refine_problem(problem, config, listener=listener)
 

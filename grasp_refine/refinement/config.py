@@ -4,14 +4,14 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Literal
 
-from grasp_refine.core.arguments import check_fields
+from grasp_refine.core.arguments import check_fields, check_kind
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.forces.squeeze import TOTAL_PRESSURE_N
 from grasp_refine.refinement.max_move import MaxMove
-from grasp_refine.refinement.solvers.adam import Adam
-from grasp_refine.refinement.solvers.descent import Descent
+from grasp_refine.refinement.solvers.iterate import Solver, check_solver
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.scales import Scales
+from grasp_refine.refinement.terms.term import Setup, Term
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.witness.contact_kinematics import ContactKinematics
@@ -22,8 +22,9 @@ from grasp_refine.witness.derivative import Derivative
 class Config:
     """All settings of a refinement."""
 
-    solver: LevenbergMarquardt | Descent | Adam = field(default_factory=LevenbergMarquardt)
-    """Solver that moves the hand."""
+    solver: Solver = field(default_factory=LevenbergMarquardt)
+    """Solver that moves the hand: `LevenbergMarquardt`, `Descent`, `Adam`, or one of your own with the members of
+    `Solver`."""
     derivative: Derivative = field(default_factory=ContactKinematics)
     """Derivative of witness points that descent and Adam use; Levenberg-Marquardt has its own contact kinematics."""
     contact_selection: ContactSelection = field(default_factory=ContactSelection)
@@ -31,7 +32,9 @@ class Config:
     nearest: bool = False
     """Whether, without targets, the links that should touch take their initial witness points as targets."""
     weights: Weights = field(default_factory=Weights)
-    """Weights of the terms of the loss."""
+    """Weights of our terms of the loss."""
+    terms: tuple[Term, ...] = ()
+    """More terms of the loss, which are your own."""
     scales: Scales = field(default_factory=Scales)
     """Movements of equal cost in the term that keeps a grasp near its start."""
     max_move: MaxMove = field(default_factory=MaxMove)
@@ -65,7 +68,19 @@ class Config:
             GraspRefineError: a field of another type, a number out of its range, or a number type or device that
                 Levenberg-Marquardt does not support.
         """
+        check_solver(self.solver)
         check_fields(self)
+        for term in self.terms:
+            check_kind(f"{type(term).__name__}: weight", term.weight, float)
+            if not 0.0 <= term.weight < inf:
+                raise GraspRefineError(
+                    f"{type(term).__name__}: weight must be at least 0 and finite, got {term.weight:g}"
+                )
+            if not (term.autograd if self.solver.needs_autograd else term.least_squares):
+                wanted = "autograd" if self.solver.needs_autograd else "least_squares"
+                raise GraspRefineError(
+                    f"{type(term).__name__} cannot be minimised by {type(self.solver).__name__}: its {wanted} is False"
+                )
         for name in ("width", "starts"):
             if getattr(self, name) < 1:
                 raise GraspRefineError(f"{name} must be at least 1, got {getattr(self, name)}")
@@ -79,6 +94,11 @@ class Config:
             raise GraspRefineError(
                 f"levenberg-marquardt runs in float64 on the cpu; {self.dtype} on {self.device} needs descent or adam"
             )
+
+    def terms_of(self, setup: Setup) -> tuple[tuple[float, Term], ...]:
+        """Return the terms of a refinement with their weights above 0, ours first."""
+        own = ((term.weight, term.of(setup)) for term in self.terms if term.weight > 0.0 and term.applies(setup))
+        return *self.weights.terms(setup, autograd=self.solver.needs_autograd), *own
 
     @property
     def holds(self) -> bool:

@@ -23,7 +23,7 @@ from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M, Linear, stack
 from grasp_refine.refinement.terms.environment import Clearance
 from grasp_refine.refinement.terms.self_penetration import SelfPenetration
 from grasp_refine.refinement.terms.table import Table
-from grasp_refine.refinement.terms.term import Setup, State
+from grasp_refine.refinement.terms.term import Setup, State, checked_rows
 from grasp_refine.refinement.variables import variables
 from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
@@ -52,7 +52,7 @@ class GraspProblem:
         self.boxes = prepared.boxes(self.axes)
         clearance, around = clearances(config, prepared.hand, prepared.chain), prepared.surroundings(scene)
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
-        self.terms = config.weights.terms(setup, autograd=False)
+        self.terms = config.terms_of(setup)
         self.setup, self.patched = setup, setup.is_flat
         self.aimed_columns = np.flatnonzero(goal.aimed.any(axis=0))
         self.width, self.restarts = config.width, len(self.aimed_columns) > 0
@@ -96,7 +96,7 @@ class GraspProblem:
     @stage("derivative")
     def linearize(self, member: np.ndarray, point: Point, known: State, width: np.ndarray) -> Linear:
         """Return residuals (M, m) and their derivatives; penetration has rows only where bodies are near."""
-        rows = ((weight, part) for weight, term in self.terms for part in term.rows(known, width))
+        rows = ((weight, part) for weight, term in self.terms for part in checked_rows(term, known, width))
         return stack(rows, len(member), self.chain, known.frames)
 
     def metric(self, member: np.ndarray) -> np.ndarray:
@@ -170,7 +170,7 @@ class GraspProblem:
         if previous is not None:
             before = previous.witness
             bound = np.fmax(bound, before.distance - motion(spheres, previous.T_link, T))
-        if self.config.weights.penetration == 0:
+        if self.config.weights.penetration == 0 and not self.config.terms:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
         cutoff = np.where(touching, np.inf, NEAR_DISTANCE_M)

@@ -15,6 +15,7 @@ from grasp_refine.core.se3 import body_gradient
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.refinement.clearance import clearances
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.solvers.first_order import FirstOrder
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.terms.term import Setup, State
 from grasp_refine.scene.goal import Goal
@@ -60,17 +61,15 @@ class Objective:
         setup = Setup(scene, goal, prepared, config.margin, config.scales, clearance, around)
         self.setup = setup
         self.reach = np.broadcast_to(setup.reach, goal.touching.shape)
-        terms = config.weights.terms(setup, autograd=True)
-        self.terms = sorted(terms, key=lambda weighted: weighted[1].cost)
+        self.terms = sorted(config.terms_of(setup), key=lambda weighted: weighted[1].cost)
         self.layer = WitnessLayer(prepared.pairs, config.derivative)
         self_pairs, self.self_links = prepared.self_collision_pairs, prepared.self_collision_links
         self.self_layer = None if self_pairs is None else WitnessLayer(self_pairs, config.derivative)
         self.lower, self.upper = limits_within(hand.lower, hand.upper, dtype, config.device)
         self.per_radian = self.tensor(hand.per_radian)
         solver = config.solver
-        assert solver.needs_autograd
         self._transport = None
-        if solver.transport:
+        if isinstance(solver, FirstOrder) and solver.transport:
             self._transport = EquivalentTransport(solver.step_translation, solver.step_rotation)
 
     def tensor(self, array: np.ndarray) -> Tensor:

@@ -13,6 +13,7 @@ from grasp_refine.core.versions import versions
 from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.refinement.terms.term import Term
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
@@ -104,4 +105,6 @@ def settings(value: Any) -> Any:
             "type": type(value).__name__,
             **{field.name: settings(getattr(value, field.name)) for field in fields(value)},
         }
-    return value
+    if isinstance(value, Term):
+        return {"type": type(value).__name__, "weight": value.weight}
+    return [*map(settings, value)] if isinstance(value, tuple) else value

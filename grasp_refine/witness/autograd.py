@@ -90,7 +90,23 @@ class WitnessLayer:
         found = query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
         if self.patch is not None:
             found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
-        x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, *targets, key)
+        return self.known(T_world_a, T_world_b, found, *targets, key=key)
+
+    def known(
+        self,
+        T_world_a: Tensor,
+        T_world_b: Tensor,
+        found: Witness,
+        target_a: np.ndarray | None = None,
+        target_b: np.ndarray | None = None,
+        *,
+        key: int = 0,
+    ) -> Witness:
+        """Return witness points that are known at these poses, in NumPy arrays, as tensors with gradients to the poses.
+
+        Arguments and result are otherwise those of the call, which finds the points first.
+        """
+        x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, target_a, target_b, key)
         return Witness(x_a, x_b, n, d, found.status, found.winner, found.num_queries)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:

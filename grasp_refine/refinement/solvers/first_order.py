@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
 
@@ -11,7 +11,7 @@ import numpy as np
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import retract
-from grasp_refine.refinement.solvers.iterate import Point, Record, Slots, Solver
+from grasp_refine.refinement.solvers.iterate import Point, Record, Slots
 from grasp_refine.refinement.solvers.status import Status
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Descending:
 
 
 @dataclass(frozen=True)
-class FirstOrder(Solver):
+class FirstOrder(ABC):
     """Step lengths that shrink by the `factors` after the given `shares` of the iterations.
 
     A grasp whose loss no longer falls goes to the next factor earlier.

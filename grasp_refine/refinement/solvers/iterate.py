@@ -7,15 +7,16 @@ result of a member does not depend on the others: each member has its own random
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, ClassVar, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
+from grasp_refine.core.arguments import check_kind, describe_value
 from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.short_repr import brief
 from grasp_refine.refinement.solvers.status import Status
@@ -102,31 +103,68 @@ class Record:
     """Whether the iterations or the time of the member are used up."""
 
 
-class Solver(ABC):
-    """Settings of a solver and the parts of an iteration that are its own."""
+@runtime_checkable
+class Solver(Protocol):
+    """Settings of a solver and the parts of an iteration that are its own; any class with these members is one.
 
-    needs_autograd: ClassVar[bool]
-    """Whether it follows gradients of torch graphs; otherwise it solves linear problems of residuals."""
-    iterations: int
-    """Largest number of iterations of a member."""
-    progress: float
-    """Smallest relative fall of the loss that counts as progress."""
+    A problem of least squares has `linearize`, `metric`, `step_bounds` and `integrate` (`LeastSquares`); evaluations of
+    a problem of gradients have `gradient` (`Differentiable`).
+    """
 
-    @abstractmethod
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether it follows gradients of torch graphs; otherwise it solves linear problems of residuals."""
+        ...
+
+    @property
+    def iterations(self) -> int:
+        """Largest number of iterations of a member."""
+        ...
+
+    @property
+    def progress(self) -> float:
+        """Smallest relative fall of the loss that counts as progress."""
+        ...
+
     def start(self, problem: Any, point: Point) -> tuple[Point, Any]:
-        """Return the points at which members start, near the given ones, and the initial state."""
+        """Return the points at which members start, near the given ones, and the initial state.
 
-    @abstractmethod
+        A state is an array with a row for each member, or a dataclass of such arrays.
+        """
+        ...
+
     def accept(self, slots: Slots, known: Any) -> tuple[np.ndarray, Any]:
         """Return which trials, evaluated as `known`, are accepted (batch,), and the next state."""
+        ...
 
-    @abstractmethod
     def assess(self, problem: Any, slots: Slots, record: Record) -> tuple[Slots, np.ndarray, np.ndarray]:
         """Return the slots with an updated state, the `Status` of each member (batch,), and which should restart."""
+        ...
 
-    @abstractmethod
     def step(self, problem: Any, slots: Slots) -> tuple[Point, Any]:
         """Return the next trials and state."""
+        ...
+
+
+def check_solver(solver: object) -> None:
+    """Refuse what is no solver.
+
+    Raises:
+        GraspRefineError: names what is missing or of another type.
+    """
+    if isinstance(solver, type):
+        raise GraspRefineError(f"a solver is needed, got the class {solver.__name__} itself: {solver.__name__}()")
+    members = ("needs_autograd", "iterations", "progress", "start", "accept", "assess", "step")
+    lacking = [member for member in members if not hasattr(solver, member)]
+    if lacking:
+        raise GraspRefineError(f"{describe_value(solver)} is no solver: it lacks {', '.join(lacking)}; see Solver")
+    assert isinstance(solver, Solver)
+    name = type(solver).__name__
+    check_kind(f"{name}: needs_autograd", solver.needs_autograd, bool)
+    check_kind(f"{name}: iterations", solver.iterations, int)
+    check_kind(f"{name}: progress", solver.progress, float)
+    for member in members[3:]:
+        check_kind(f"{name}: {member}", getattr(solver, member), Callable)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from grasp_refine.core.arguments import check_fields
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
-from grasp_refine.refinement.solvers.iterate import Point, Record, Slots, Solver
+from grasp_refine.refinement.solvers.iterate import Point, Record, Slots
 from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.refinement.solvers.status import Status
 
@@ -52,7 +52,7 @@ class Damping:
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt(Solver):
+class LevenbergMarquardt:
     """Damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963) for a sum of squared residuals r(x).
 
     A step solves (J^T J + lambda W) dx = -J^T r within bounds on dx, W the metric of the unknowns, so that lambda

@@ -19,9 +19,8 @@ from grasp_refine.witness.face_patch import NUM_CORNERS
 class Contact(Term):
     """Gaps of the links that should touch, and misses of their targets, in metres."""
 
-    def __init__(self, setup: Setup) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Find the links with a target, and links that should touch anywhere, in any of the grasps."""
-        super().__init__(setup)
         self.anywhere = setup.anywhere
         self.gap = setup.margin + setup.clearance
         self.aimed_columns, self.gap_columns = (

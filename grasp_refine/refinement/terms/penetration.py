@@ -16,9 +16,8 @@ from grasp_refine.refinement.terms.term import Setup, State, Term
 class Penetration(Term):
     """Depths of the links in the object, or in their clearance about it, in metres."""
 
-    def __init__(self, setup: Setup) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Make the term with the clearance of each link."""
-        super().__init__(setup)
         self.clearance = np.where(setup.goal.aimed, 0.0, setup.clearance)
 
     def residuals(self, state: State) -> tuple[Array, ...]:

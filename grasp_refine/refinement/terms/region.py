@@ -27,9 +27,8 @@ class InRegion(Term):
     distance d, so that it keeps away, or slides inside. Links with targets are left alone.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Find the reach of each link, and the first column of each."""
-        super().__init__(setup)
         links = setup.scene.links
         self.reach = CONTACTS.cutoff(setup.scene.hand, links)
         self.first = np.array([links.index(link) == column for column, link in enumerate(links)])

@@ -17,9 +17,8 @@ from grasp_refine.refinement.terms.term import Setup, State, Term
 class StayNear(Term):
     """Movements of palm and joints from the initial grasp, in units of `Scales`; an arm's joints move freely."""
 
-    def __init__(self, setup: Setup) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Find the palms of the initial grasps, where an arm carries them."""
-        super().__init__(setup)
         scene = setup.scene
         self.T_palm = palm_poses(scene.hand, scene.T_world_root, scene.q)
         self.arm = None if scene.hand.arm is None else ArmKinematics(scene.hand)

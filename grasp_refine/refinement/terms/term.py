@@ -8,7 +8,8 @@ least squares takes the rows.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from operator import add
@@ -18,6 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import Witness
+from grasp_refine.core.arguments import describe_value
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.se3 import Array, array_namespace
 from grasp_refine.forces.contact_points import LinkPatches
 from grasp_refine.forces.equilibrium import Balance
@@ -120,8 +123,15 @@ class Setup:
 
 
 class Term(ABC):
-    """A term of the loss."""
+    """A term of the loss: a value with its settings, of which each refinement takes a copy of its own.
 
+    A subclass needs `residuals` alone. They are written once, for NumPy arrays and for torch tensors on a graph.
+    """
+
+    setup: Setup
+    """Givens of the refinement: scene, goal, geometry."""
+    weight: float = 1.0
+    """Factor of the sum of its squared residuals."""
     autograd: ClassVar[bool] = True
     """Whether first-order solvers have the term."""
     least_squares: ClassVar[bool] = True
@@ -129,9 +139,15 @@ class Term(ABC):
     cost: ClassVar[int] = 0
     """Terms of a higher cost are evaluated later, and only for members that the others do not reject."""
 
-    def __init__(self, setup: Setup) -> None:
-        """Make the term of a refinement in which it has a part."""
-        self.setup = setup
+    def of(self, setup: Setup) -> Term:
+        """Return a copy of the term for a refinement in which it has a part."""
+        term = copy(self)
+        object.__setattr__(term, "setup", setup)  # subclasses may be frozen dataclasses
+        term.prepare(setup)
+        return term
+
+    def prepare(self, setup: Setup) -> None:  # noqa: B027 - most terms need nothing
+        """Compute what stays the same during a refinement."""
 
     @staticmethod
     def applies(setup: Setup) -> bool:
@@ -143,8 +159,13 @@ class Term(ABC):
         """Return arrays of residuals (M, ...), whose squares are summed."""
 
     def rows(self, state: State, width: np.ndarray) -> Iterable[LinkRows | JointRows]:
-        """Return the residuals that have a derivative, with it; `width` (M,) multiplies radii of neighbourhoods."""
-        raise NotImplementedError
+        """Return the residuals that have a derivative, with it; `width` (M,) multiplies radii of neighbourhoods.
+
+        By default all residuals, differentiated by autograd: one backward pass for each of them.
+        """
+        from grasp_refine.refinement.terms.by_autograd import rows_by_autograd
+
+        yield rows_by_autograd(self.residuals, state, self.setup.prepared)
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with what only this term needs, except for members that will be `rejected` (M,) anyway.
@@ -157,8 +178,49 @@ class Term(ABC):
         return state
 
     def loss(self, state: State) -> Array:
-        """Return the sum of the squared residuals (M,)."""
-        return reduce(add, (_sum_of_squares(residual) for residual in self.residuals(state)))
+        """Return the sum of the squared residuals (M,).
+
+        Raises:
+            GraspRefineError: residuals of another kind or shape.
+        """
+        found = self.residuals(state)
+        check_residuals(self, found, len(state.member))
+        return reduce(add, (_sum_of_squares(residual) for residual in found))
+
+
+def check_residuals(term: Term, found: Any, count: int) -> None:
+    """Refuse residuals of M grasps that are no tuple of arrays (M, ...).
+
+    Raises:
+        GraspRefineError: names the term, and what it returned.
+    """
+    if not (isinstance(found, tuple) and found and all(getattr(one, "shape", ())[:1] == (count,) for one in found)):
+        given = [describe_value(one) for one in found] if isinstance(found, tuple) else describe_value(found)
+        raise GraspRefineError(
+            f"{type(term).__name__}: residuals must return a tuple of arrays of shape ({count}, ...), got {given}"
+        )
+
+
+def checked_rows(term: Term, state: State, width: np.ndarray) -> Iterator[LinkRows | JointRows]:
+    """Yield the rows of a term.
+
+    Raises:
+        GraspRefineError: rows of another kind or shape; names the term.
+    """
+    count, dof = len(state.member), 6 + state.q.shape[1]
+    for part in term.rows(state, width):
+        if not isinstance(part, LinkRows | JointRows):
+            raise GraspRefineError(
+                f"{type(term).__name__}: rows must yield JointRows or LinkRows, got {describe_value(part)}"
+            )
+        derivative, last = (part.covector, 6) if isinstance(part, LinkRows) else (part.jacobian, dof)
+        shape = np.shape(part.residual)
+        if len(shape) != 2 or shape[0] != count or np.shape(derivative) != (*shape, last):
+            raise GraspRefineError(
+                f"{type(term).__name__}: rows must be residuals ({count}, R) and derivatives ({count}, R, {last}), got "
+                f"{shape} and {np.shape(derivative)}"
+            )
+        yield part
 
 
 def _sum_of_squares(residual: Array) -> Array:

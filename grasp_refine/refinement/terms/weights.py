@@ -57,10 +57,15 @@ class Weights:
         """Refuse weights that are negative or not finite.
 
         Raises:
-            GraspRefineError: names the weight that is below 0 or not a finite number.
+            GraspRefineError: names the weight that is below 0 or not a finite number, or of no term of ours.
         """
         check_fields(self)
         for field in fields(self):
+            if field.name not in Weights.__dataclass_fields__:
+                raise GraspRefineError(
+                    f"{type(self).__name__}: {field.name} is no weight of a term of ours; give your own term as one of "
+                    "`terms`"
+                )
             if not 0.0 <= getattr(self, field.name) < inf:
                 raise GraspRefineError(
                     f"weights: {field.name} must be at least 0 and finite, got {getattr(self, field.name):g}"
@@ -70,7 +75,7 @@ class Weights:
         """Return the terms of a refinement with weights above 0, for gradients or for least squares."""
         kinds = ((getattr(self, name), kind) for name, kind in term_kinds().items())
         return tuple(
-            (weight, kind(setup))
+            (weight, kind().of(setup))
             for weight, kind in kinds
             if weight > 0.0 and (kind.autograd if autograd else kind.least_squares) and kind.applies(setup)
         )

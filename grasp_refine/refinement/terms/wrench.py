@@ -27,9 +27,8 @@ class Wrench(Term):
     autograd: ClassVar[bool] = False
     cost: ClassVar[int] = 1
 
-    def __init__(self, setup: Setup) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Set up the equilibrium of the hand's grasps, and find the links that touch in any of them."""
-        super().__init__(setup)
         prepared = setup.prepared
         self.equilibrium = Equilibrium.of(prepared.hand, prepared.chain, center_of_mass(prepared.object))
         self.columns = np.flatnonzero(setup.goal.touching.any(axis=0))

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.core.se3 import exp_se3, matvec
+from grasp_refine.core.se3 import exp_se3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.hands.chain import integrate
 from grasp_refine.objects.region import Box, ContactRegions, HalfSpace
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.derivative_check import finite_differences, gradients, relative_errors
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
@@ -32,9 +33,6 @@ DEPTH = 0.006
 """Largest depth of hands in the object, metres: half of a link's radius."""
 
 WEIGHT = 0.7
-
-STEP = 1e-6
-"""Step of finite differences, in m and rad."""
 
 EXACT, TOLERANCES = 1e-5, {"contact": 0.02, "wrench": 0.06, "direction": 0.02, "region": 0.02}
 """Largest relative error of a gradient; curvatures at edges and vertices are those of small radii."""
@@ -87,22 +85,6 @@ def with_goal(scene: Scene, name: str) -> Goal:
     return replace(goal, target_link=targets[0], target_object=targets[1], direction=direction)
 
 
-def gradient(problem: GraspProblem | Objective, point: Point) -> np.ndarray:
-    """The gradient (M, 6 + n) of the loss in root, turning about its own origin in world axes, and joints."""
-    member = np.arange(COUNT)
-    known = problem.evaluate(member, point, None)
-    if isinstance(problem, Objective):
-        R = point.T[:, :3, :3]
-        v, w = (matvec(R, known.gradient[:, part]) for part in (slice(0, 3), slice(3, 6)))
-        # The body twist of a gradient has half of its derivative along a rotation.
-        return np.concatenate([v, 2.0 * w, known.gradient[:, 6:]], axis=1)
-    linear = problem.linearize(member, point, known, np.zeros(COUNT))
-    counts = np.ones(linear.residual.shape, dtype=bool)
-    if linear.unilateral is not None:
-        counts = ~linear.unilateral | (linear.residual > 0)
-    return 2.0 * np.einsum("brk,br->bk", linear.jacobian, np.where(counts, linear.residual, 0.0))
-
-
 @pytest.mark.parametrize(("name", "way"), CASES)
 def test_every_term_has_the_gradient_of_finite_differences(many: Scene, name: str, way: str) -> None:
     itself = name == "self_penetration"
@@ -118,13 +100,9 @@ def test_every_term_has_the_gradient_of_finite_differences(many: Scene, name: st
         dx[:, 6:] = [0.03, 0.7]
     first = Point(integrate(scene.T_world_root, dx[:, :6]), scene.q + dx[:, 6:])
 
-    def loss(dx: np.ndarray) -> np.ndarray:
-        moved = Point(integrate(first.T, np.tile(dx[:6], (COUNT, 1))), first.q + dx[6:])
-        return problem.evaluate(np.arange(COUNT), moved, None).loss
-
-    expected = np.stack([loss(STEP * e) - loss(-STEP * e) for e in np.eye(8)], axis=1) / (2.0 * STEP)
+    expected = finite_differences(problem, first)
     scale = np.linalg.norm(expected, axis=1)
-    error = np.linalg.norm(gradient(problem, first) - expected, axis=1) / np.maximum(scale, SMALLEST_GRADIENT)
+    error = relative_errors(gradients(problem, first), expected, SMALLEST_GRADIENT)
     assert (scale > SMALLEST_GRADIENT).sum() >= 3
     # A face or an edge may change within a step, or by a new query.
     assert np.sort(error)[-2] < TOLERANCES.get(name, EXACT), error
