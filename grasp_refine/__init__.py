@@ -35,9 +35,9 @@ we write w >= 0. A pose as seven numbers is (x, y, z, qw, qx, qy, qz). Files of 
 
     >>> from math import sqrt
     >>> import numpy as np
-    >>> from grasp_refine.core.se3 import transform_from_pose, transform_points
-    >>> T = transform_from_pose(np.array([0.1, 0.0, 0.0, sqrt(0.5), 0.0, 0.0, sqrt(0.5)]))
-    >>> transform_points(T, np.array([1.0, 0.0, 0.0])).round(9).tolist()
+    >>> import grasp_refine as gr
+    >>> T = gr.transform_from_pose(np.array([0.1, 0.0, 0.0, sqrt(0.5), 0.0, 0.0, sqrt(0.5)]))
+    >>> gr.transform_points(T, np.array([1.0, 0.0, 0.0])).round(9).tolist()
     [0.1, 1.0, 0.0]
 
 **Twists** are (v, w), linear part first. A *spatial* twist is expressed in the world frame, at the world's origin: a
@@ -55,13 +55,11 @@ dL = f . v + m . w. A covector f on a point p is the wrench (f, p x f), since f 
 the witness points x_a and x_b: positive apart, where they are the closest points, and negative in penetration, where
 they are the deepest ones; n points from a to b in both. Turned round, n reverses and d stays:
 
-    >>> from grasp_refine.collision.query import Pairs, query
-    >>> from grasp_refine.objects.object import load_object
-    >>> ball = load_object("sphere:0.02").body
+    >>> ball = gr.load_object("sphere:0.02").body
     >>> T_a = np.eye(4)[None, None]             # (batch, pair, 4, 4)
     >>> T_b = T_a.copy()
     >>> T_b[..., 0, 3] = 0.05                   # its centre 5 cm along x, so that the gap is 1 cm
-    >>> witness = query(Pairs((ball,), (ball,)), T_a, T_b)
+    >>> witness = gr.query(gr.Pairs((ball,), (ball,)), T_a, T_b)
     >>> witness.normal[0, 0].round(9).tolist(), float(witness.distance[0, 0].round(9))
     ([1.0, 0.0, 0.0], 0.01)
 
@@ -74,16 +72,14 @@ Where there is no answer, a status or a mask says so. NaN in an array of targets
 be lists, NumPy arrays or torch tensors of any number type; `Scene` and `metrics` take poses (N, 7) too, and one grasp
 without its batch dimension:
 
-    >>> from grasp_refine.hands.hand import load_hand
-    >>> from grasp_refine.scene.scene import Scene
-    >>> hand = load_hand("allegro")
-    >>> Scene(hand, load_object("mug"), np.array([0.1, 0, 0, 1, 0, 0, 0]), hand.rest)
+    >>> hand = gr.load_hand("allegro")
+    >>> gr.Scene(hand, gr.load_object("mug"), np.array([0.1, 0, 0, 1, 0, 0, 0]), hand.rest)
     Scene(allegro on mug: 1 grasp)
 
 **Numbers.** float64 by default, float32 on request; collision queries run in float64 always. Seeds, device and dtype
 travel with the scene: same seed, same machine, same result.
 
-**Errors.** What a file or an argument can get wrong is a `grasp_refine.core.errors.GraspRefineError` of one
+**Errors.** What a file or an argument can get wrong is a `GraspRefineError` of one
 line, raised where it comes in. Not converging is a status of the result, which its `labels` say in words.
 """
 
@@ -91,15 +87,41 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from grasp_refine.closing.motion import Motion as Motion
+    from grasp_refine.closing.motion import closing_motion as closing_motion
+    from grasp_refine.collision.query import Pairs as Pairs
+    from grasp_refine.collision.query import Witness as Witness
+    from grasp_refine.collision.query import query as query
     from grasp_refine.core.errors import GraspRefineError as GraspRefineError
+    from grasp_refine.core.se3 import pose_from_transform as pose_from_transform
+    from grasp_refine.core.se3 import transform_from_pose as transform_from_pose
+    from grasp_refine.core.se3 import transform_points as transform_points
+    from grasp_refine.grasps.formats.format import Format as Format
+    from grasp_refine.grasps.formats.format import Part as Part
+    from grasp_refine.grasps.formats.listing import add_format as add_format
+    from grasp_refine.grasps.formats.reading import load_grasps as load_grasps
+    from grasp_refine.grasps.formats.source import Source as Source
+    from grasp_refine.grasps.grasp_set import ContactLinks as ContactLinks
     from grasp_refine.grasps.grasp_set import GraspSet as GraspSet
+    from grasp_refine.grasps.grasp_set import Stage as Stage
     from grasp_refine.grasps.grasp_set import Targets as Targets
-    from grasp_refine.grasps.grasp_set import load_grasps as load_grasps
+    from grasp_refine.grasps.grasp_set import match_joints as match_joints
     from grasp_refine.hands.arm_file import load_arm as load_arm
     from grasp_refine.hands.hand import Hand as Hand
     from grasp_refine.hands.hand import list_hands as list_hands
     from grasp_refine.hands.hand import load_hand as load_hand
+    from grasp_refine.hands.kinematics import Kinematics as Kinematics
     from grasp_refine.hands.mount import mount as mount
+    from grasp_refine.measures.formulas import MeasuredGrasps as MeasuredGrasps
+    from grasp_refine.measures.measures import COUNT as COUNT
+    from grasp_refine.measures.measures import METRE as METRE
+    from grasp_refine.measures.measures import RADIAN as RADIAN
+    from grasp_refine.measures.measures import RATIO as RATIO
+    from grasp_refine.measures.measures import SECOND as SECOND
+    from grasp_refine.measures.measures import SHARE as SHARE
+    from grasp_refine.measures.measures import Measure as Measure
+    from grasp_refine.measures.measures import Unit as Unit
+    from grasp_refine.measures.measures import add_measure as add_measure
     from grasp_refine.motion.plan import TrajectoryOptions as TrajectoryOptions
     from grasp_refine.motion.trajectory_files import PlannedTrajectories as PlannedTrajectories
     from grasp_refine.objects.object import Object as Object
@@ -117,46 +139,152 @@ if TYPE_CHECKING:
     from grasp_refine.problem.refine import refine_problem as refine_problem
     from grasp_refine.problem.refined import RefinedGrasps as RefinedGrasps
     from grasp_refine.problem.spec import ProblemSpec as ProblemSpec
+    from grasp_refine.problem.term_check import check_term as check_term
     from grasp_refine.problem.trajectories import follow_trajectories as follow_trajectories
     from grasp_refine.problem.trajectories import plan_trajectories as plan_trajectories
     from grasp_refine.refinement.config import Config as Config
+    from grasp_refine.refinement.max_move import MaxMove as MaxMove
+    from grasp_refine.refinement.solvers.adam import Adam as Adam
+    from grasp_refine.refinement.solvers.descent import Descent as Descent
+    from grasp_refine.refinement.solvers.first_order import FirstOrder as FirstOrder
+    from grasp_refine.refinement.solvers.iterate import Solver as Solver
+    from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+    from grasp_refine.refinement.solvers.rows import JointRows as JointRows
+    from grasp_refine.refinement.solvers.rows import LinkRows as LinkRows
+    from grasp_refine.refinement.solvers.status import Status as Status
+    from grasp_refine.refinement.terms.term import Setup as Setup
+    from grasp_refine.refinement.terms.term import State as State
+    from grasp_refine.refinement.terms.term import Term as Term
+    from grasp_refine.refinement.terms.torch_term import TorchTerm as TorchTerm
+    from grasp_refine.refinement.terms.weights import Weights as Weights
     from grasp_refine.sampling.sample import sample_grasps as sample_grasps
+    from grasp_refine.scene.contact_selection import ContactSelection as ContactSelection
     from grasp_refine.scene.environment import Environment as Environment
     from grasp_refine.scene.protocols.protocol import Protocol as Protocol
+    from grasp_refine.scene.scene import Scene as Scene
     from grasp_refine.scene.scene_file import list_scenes as list_scenes
     from grasp_refine.scene.scene_file import load_scene as load_scene
     from grasp_refine.scene.task import Task as Task
     from grasp_refine.scene.task_file import load_task as load_task
     from grasp_refine.scene.task_file import save_task as save_task
     from grasp_refine.validation.margins.factors import Factors as Factors
+    from grasp_refine.witness.autograd import WitnessLayer as WitnessLayer
+    from grasp_refine.witness.contact_kinematics import ContactKinematics as ContactKinematics
 
     __version__: str
 
 _HOMES = {
+    "closing.motion": (
+        "Motion",
+        "closing_motion",
+    ),
+    "collision.query": (
+        "Pairs",
+        "Witness",
+        "query",
+    ),
     "core.errors": ("GraspRefineError",),
-    "grasps.grasp_set": ("GraspSet", "Targets", "load_grasps"),
+    "core.se3": (
+        "pose_from_transform",
+        "transform_from_pose",
+        "transform_points",
+    ),
+    "grasps.formats.format": (
+        "Format",
+        "Part",
+    ),
+    "grasps.formats.listing": ("add_format",),
+    "grasps.formats.reading": ("load_grasps",),
+    "grasps.formats.source": ("Source",),
+    "grasps.grasp_set": (
+        "ContactLinks",
+        "GraspSet",
+        "Stage",
+        "Targets",
+        "match_joints",
+    ),
     "hands.arm_file": ("load_arm",),
-    "hands.hand": ("Hand", "list_hands", "load_hand"),
+    "hands.hand": (
+        "Hand",
+        "list_hands",
+        "load_hand",
+    ),
+    "hands.kinematics": ("Kinematics",),
     "hands.mount": ("mount",),
+    "measures.formulas": ("MeasuredGrasps",),
+    "measures.measures": (
+        "COUNT",
+        "METRE",
+        "RADIAN",
+        "RATIO",
+        "SECOND",
+        "SHARE",
+        "Measure",
+        "Unit",
+        "add_measure",
+    ),
     "motion.plan": ("TrajectoryOptions",),
     "motion.trajectory_files": ("PlannedTrajectories",),
-    "objects.object": ("Object", "load_object"),
-    "problem.facade": ("Evaluation", "evaluate", "margins", "problem_of", "refine", "simulate", "view"),
+    "objects.object": (
+        "Object",
+        "load_object",
+    ),
+    "problem.facade": (
+        "Evaluation",
+        "evaluate",
+        "margins",
+        "problem_of",
+        "refine",
+        "simulate",
+        "view",
+    ),
     "problem.load": ("load_problem",),
     "problem.margins": ("GraspMargins",),
     "problem.problem": ("Problem",),
     "problem.refine": ("refine_problem",),
     "problem.refined": ("RefinedGrasps",),
     "problem.spec": ("ProblemSpec",),
-    "problem.trajectories": ("follow_trajectories", "plan_trajectories"),
+    "problem.term_check": ("check_term",),
+    "problem.trajectories": (
+        "follow_trajectories",
+        "plan_trajectories",
+    ),
     "refinement.config": ("Config",),
+    "refinement.max_move": ("MaxMove",),
+    "refinement.solvers.adam": ("Adam",),
+    "refinement.solvers.descent": ("Descent",),
+    "refinement.solvers.first_order": ("FirstOrder",),
+    "refinement.solvers.iterate": ("Solver",),
+    "refinement.solvers.levenberg_marquardt": ("LevenbergMarquardt",),
+    "refinement.solvers.rows": (
+        "JointRows",
+        "LinkRows",
+    ),
+    "refinement.solvers.status": ("Status",),
+    "refinement.terms.term": (
+        "Setup",
+        "State",
+        "Term",
+    ),
+    "refinement.terms.torch_term": ("TorchTerm",),
+    "refinement.terms.weights": ("Weights",),
     "sampling.sample": ("sample_grasps",),
+    "scene.contact_selection": ("ContactSelection",),
     "scene.environment": ("Environment",),
-    "scene.scene_file": ("list_scenes", "load_scene"),
-    "scene.task": ("Task",),
-    "scene.task_file": ("load_task", "save_task"),
-    "validation.margins.factors": ("Factors",),
     "scene.protocols.protocol": ("Protocol",),
+    "scene.scene": ("Scene",),
+    "scene.scene_file": (
+        "list_scenes",
+        "load_scene",
+    ),
+    "scene.task": ("Task",),
+    "scene.task_file": (
+        "load_task",
+        "save_task",
+    ),
+    "validation.margins.factors": ("Factors",),
+    "witness.autograd": ("WitnessLayer",),
+    "witness.contact_kinematics": ("ContactKinematics",),
 }
 """Modules of the names below, which are loaded when one of them is used (PEP 562)."""
 
@@ -182,5 +310,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names of the vocabulary, for completion."""
-    return sorted({*globals(), *__all__})
+    """Return the names of the vocabulary, and nothing else, for completion."""
+    return __all__

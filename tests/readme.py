@@ -29,14 +29,24 @@ def section(page: str, heading: str) -> str:
     return PAGES[page].partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
 
 
+PYTHON = ("Config(starts=6", "T_ball.grad", "sum().backward()", "optimizer.step", "my_poses.npy")
+"""Parts of the blocks of Python that a test runs by themselves."""
+
+
+def extension_blocks() -> list[str]:
+    """Blocks of Python of the guide on extensions, each of which runs by itself."""
+    return blocks("python", PAGES[f"{GUIDES}/extend.md"])
+
+
 def facade_blocks() -> list[str]:
-    """Blocks of Python that use `import grasp_refine as gr`, in the order of the pages."""
-    return [block for block in blocks("python") if re.search(r"\bgr\.", block)]
+    """The other blocks of Python, which run one after the other, in the order of the pages."""
+    alone = extension_blocks()
+    return [block for block in blocks("python") if block not in alone and not any(mark in block for mark in PYTHON)]
 
 
 def python_block(mark: str) -> str:
-    """The one block of Python that contains `mark`, those of the facade left out."""
-    (block,) = (block for block in blocks("python") if mark in block and block not in facade_blocks())
+    """The one block of Python that contains `mark`."""
+    (block,) = (block for block in blocks("python") if mark in block)
     return block
 
 

@@ -35,7 +35,7 @@ class Registry(Generic[Entry]):
             error: Class of the error for an unknown name.
         """
         self.kind, self.group, self.error = kind, group, error
-        self._name_of, self._check = name_of, check
+        self.name_of, self._check = name_of, check
         self._ours = {name_of(entry): entry for entry in ours}
         self._installed: dict[str, Entry] | None = None
         self._added: dict[str, Entry] = {}
@@ -76,7 +76,7 @@ class Registry(Generic[Entry]):
             GraspRefineError: it is no usable entry, or its name is taken.
         """
         self._check(entry)
-        name = self._name_of(entry)
+        name = self.name_of(entry)
         if name in self._all() and not (replace and name in self._added):
             advice = "; replace=True takes its place" if name in self._added else ""
             raise GraspRefineError(f"the name of {self.kind} '{name}' is taken{advice}")
@@ -120,7 +120,7 @@ class Registry(Generic[Entry]):
                 self._check(entry)
             except GraspRefineError as error:
                 raise GraspRefineError(f"{owner}: {error}") from None
-            name = self._name_of(entry)
+            name = self.name_of(entry)
             if name in self._ours or name in found or name in self._added:
                 raise GraspRefineError(f"{owner}: the name of {self.kind} '{name}' is taken")
             found[name] = entry
