@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,7 +46,7 @@ def test_the_term_is_minimised():
 
 def test_the_solver_refines():
     refined = run("GaussNewton")["refined"]
-    gaps = np.stack([refined.columns()[f"contact_error_{side}_m"] for side in ("before", "after")])
+    gaps = refined.outcome["contact_error_m"].T
     assert np.median(gaps[1]) < 0.2 * np.median(gaps[0])
 
 
@@ -60,7 +59,6 @@ def test_the_measure_stands_beside_ours():
     names = run("palm_height")
     expected = names["evaluated"].problem.groups[0].grasps.hand_pose[:, 2]
     np.testing.assert_allclose(names["evaluated"].validated.metrics.palm_height_m, expected)
-    refined = gr.refine(
-        names["hand"], names["mug"], names["evaluated"].problem.groups[0].grasps[:1], gr.Config(starts=1)
-    )
-    assert {column for column in refined.columns() if re.match("palm_height", column)}
+    one = names["evaluated"].problem.groups[0].grasps[:1]
+    refined = gr.refine(names["hand"], names["mug"], one, gr.Config(starts=1))
+    assert {column for column in refined.columns() if column.startswith("palm_height")}

@@ -206,6 +206,6 @@ class GaussNewton:
 def test_a_solver_of_any_class_refines(grasps: Any, wrench: float):
     config = Config(starts=1, weights=Weights(wrench=wrench), solver=GaussNewton())
     refined = refine(*grasps, config)
-    error = refined.outcome["contact_error"]
+    error = refined.outcome["contact_error_m"]
     assert np.median(error[:, 1]) < 0.2 * np.median(error[:, 0])
     assert problem_of(*grasps).groups[0].rows.tolist() == [0, 1, 2, 3]
