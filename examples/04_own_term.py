@@ -38,9 +38,8 @@ class Comfortable(gr.Term):
 hand, mug = gr.load_hand("allegro"), gr.load_object("mug")
 grasps = gr.sample_grasps(hand, mug, 4, seed=0)
 term = Comfortable(joints=hand.joint_names[:1])
-print(
-    "largest error of its derivatives:", max(errors.max() for errors in gr.check_term(term, hand, mug, grasps).values())
-)
+errors = gr.check_term(term, hand, mug, grasps)
+print(f"errors of its derivatives: at most {max(found.max() for found in errors.values()):.1e}")
 
 plain = gr.refine(hand, mug, grasps)
 refined = gr.refine(hand, mug, grasps, terms=[term])

@@ -20,11 +20,8 @@ for name, source in OBJECTS.items():
         failed[name] = str(error)
         continue
     refined.save(f"refined/{name}.npz", overwrite=True)
-    columns = refined.columns()
-    rows += [
-        {"object": name, "quality": quality, "status": status}
-        for quality, status in zip(refined.quality[:, 1], columns["status"], strict=True)
-    ]
+    for quality, status in zip(refined.quality[:, 1].tolist(), refined.status.tolist(), strict=True):
+        rows.append({"object": name, "quality": quality, "status": status})
 
 with Path("refined/index.csv").open("w", newline="") as file:
     writer = csv.DictWriter(file, ("object", "quality", "status"))

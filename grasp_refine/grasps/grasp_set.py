@@ -34,6 +34,7 @@ from jaxtyping import Bool, Float, Shaped
 from grasp_refine.core.arguments import as_numbers, check_kind, check_shape
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.json_files import check_writable
 from grasp_refine.core.npz_files import NpzFile, load_npz, save_npz
 from grasp_refine.core.plurals import count_text
 from grasp_refine.core.se3 import pose_from_transform
@@ -354,6 +355,22 @@ class GraspSet:
     def at(self, stage: Stage) -> GraspSet:
         """Return the grasps with the poses and joint values of one of their stages, for `match_joints`."""
         return replace(self, hand_pose=stage.pose, q=stage.q)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write a grasp file, .npz, which `load_grasps` and all commands read.
+
+        Args:
+            path: The file.
+            overwrite: Whether an existing file is replaced.
+
+        Raises:
+            GraspRefineError: the file has another ending, exists or cannot be written.
+        """
+        check_kind("path", path, str | Path)
+        if Path(path).suffix.lower() != ".npz":
+            raise GraspFileError(f"{path}: grasp files end with .npz")
+        check_writable(Path(path), overwrite=overwrite)
+        save_npz(path, self.arrays())
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the entries of a grasp file with these grasps, for `save_npz`."""
