@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 import grasp_refine as gr
 from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.measures.measures import MEASURES
-from readme import extension_blocks
+from readme import blocks, extension_blocks
 
 
 @pytest.fixture(autouse=True)
@@ -32,6 +33,12 @@ def run(mark: str) -> dict[str, Any]:
     names: dict[str, Any] = {"__name__": "extend"}
     exec(compile(block, mark, "exec", dont_inherit=True), names)
     return names
+
+
+def test_groups_of_entry_points_are_those_of_the_registries():
+    (block,) = (block for block in blocks("toml") if "entry-points" in block)
+    groups = tomllib.loads(block)["project"]["entry-points"]
+    assert set(groups) == {FORMATS.group, MEASURES.group}
 
 
 def test_there_are_four():

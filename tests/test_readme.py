@@ -79,7 +79,7 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert names["held"].sum() >= 2 and len(load_grasps("held.npz")) == 3 and len(load_grasps("two.npz")) == 2
 
 
-TOML = ("rest_pose", "mount =", "[[job]]", "based_on", "[[body]]")
+TOML = ("rest_pose", "mount =", "[[job]]", "based_on", "[[body]]", "entry-points")
 """Parts of the blocks of TOML that a test reads by themselves."""
 
 
