@@ -114,15 +114,28 @@ def refine(
 ) -> RefinedGrasps:
     """Refine grasps of a hand on an object until its links touch, penetrate nothing and hold.
 
+        hand, mug = gr.load_hand("allegro"), gr.load_object("mug")
+        grasps = gr.GraspSet.of(hand, pose, q)      # (N, 7), (N, n); or gr.sample_grasps(hand, mug, 16)
+        refined = gr.refine(hand, mug, grasps, task=gr.Task(table=-0.05))
+        refined.after.hand_pose, refined.after.q    # (N, 7), (N, n)
+        refined.quality                             # (N, 2), before and after, from 0 to 1
+
+    Poses are those of the hand's base link in the object's frame: x, y, z in metres, then the quaternion w, x, y, z.
+    Joint values are in radians, or metres of joints that slide, in the order of `hand.joint_names`.
+
     Args:
         hand: The hand; or a problem of `load_problem`, which has object and grasps.
         object: The object, or its mesh as for `load_object`, in metres.
-        grasps: Grasps on it.
-        config: Settings; the defaults when None.
+        grasps: N grasps on it, whose joint values are matched by name.
+        config: Settings: solver, weights, bounds on the movement; the defaults when None.
         task: What the grasps must do, and where: a `Task`, or its name or file, as of `load_task`.
         terms: Terms of your own, minimised beside ours: after those of the settings. `check_term` checks them.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
+
+    Returns:
+        The N grasps before and after, in their order, with status, measures, pregrasps, squeezes and the contact forces
+        of the squeezes in newtons. A grasp that does not converge has a status that says so.
 
     Raises:
         GraspRefineError: an argument of another type, grasps of another hand or of several objects, or a term that
