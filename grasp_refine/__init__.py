@@ -168,8 +168,14 @@ if TYPE_CHECKING:
     from grasp_refine.scene.task_file import load_task as load_task
     from grasp_refine.scene.task_file import save_task as save_task
     from grasp_refine.validation.margins.factors import Factors as Factors
+    from grasp_refine.witness.analytical import Analytical as Analytical
     from grasp_refine.witness.autograd import WitnessLayer as WitnessLayer
     from grasp_refine.witness.contact_kinematics import ContactKinematics as ContactKinematics
+    from grasp_refine.witness.direction import Direction as Direction
+    from grasp_refine.witness.distance import Distance as Distance
+    from grasp_refine.witness.finite_difference import FiniteDifference as FiniteDifference
+    from grasp_refine.witness.rigid import Rigid as Rigid
+    from grasp_refine.witness.zeroth_order import ZerothOrder as ZerothOrder
 
     __version__: str
 
@@ -285,6 +291,12 @@ _HOMES = {
     "validation.margins.factors": ("Factors",),
     "witness.autograd": ("WitnessLayer",),
     "witness.contact_kinematics": ("ContactKinematics",),
+    "witness.analytical": ("Analytical",),
+    "witness.direction": ("Direction",),
+    "witness.distance": ("Distance",),
+    "witness.finite_difference": ("FiniteDifference",),
+    "witness.rigid": ("Rigid",),
+    "witness.zeroth_order": ("ZerothOrder",),
 }
 """Modules of the names below, which are loaded when one of them is used (PEP 562)."""
 

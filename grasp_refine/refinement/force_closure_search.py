@@ -8,7 +8,6 @@ still not good, from starts nearby. The score is `quality.score` plus the residu
 from __future__ import annotations
 
 import time
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +27,7 @@ from grasp_refine.refinement.gap_closing import close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
-from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, minimise
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, limited, minimise
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_patches import patch_misses
@@ -291,10 +290,7 @@ class _Search:
         now = replace(scene, T_world_root=start.T, q=start.q)
         goal = goal_of(now, phase.touching(config.contact_selection), prepared)
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
-        solver = copy(config.solver)
-        for name, most in (("iterations", phase.iterations), ("last_patience", phase.patience)):
-            if hasattr(solver, name):  # a solver of others may have no patience
-                object.__setattr__(solver, name, min(getattr(solver, name), most))
+        solver = limited(config.solver, iterations=phase.iterations, last_patience=phase.patience)
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
         left = (config.seconds - self.cpu[rows]) / np.bincount(rows, minlength=len(self.cpu))[rows]

@@ -14,6 +14,7 @@ from grasp_refine.collision.engine import why_not_native
 from grasp_refine.core.profiling import STAGES, Stage, Stopwatch
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
+from grasp_refine.refinement.solvers.iterate import limited
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
@@ -74,7 +75,7 @@ def warmed_up(scene: Scene, configs: Sequence[Config]) -> HandObject:
     """Prepare hand and object, and refine a few grasps shortly, so that no later call builds caches or loads code."""
     prepared, few = HandObject.of(scene), scene.select(slice(WARM_UP_CALLS))
     for config in configs:
-        short = replace(config, starts=1, solver=replace(config.solver, iterations=WARM_UP_CALLS))
+        short = replace(config, starts=1, solver=limited(config.solver, iterations=WARM_UP_CALLS))
         refine(few, short, prepared=prepared)
     return prepared
 

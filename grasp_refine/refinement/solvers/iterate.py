@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, Protocol, cast, runtime_checkable
@@ -165,6 +166,14 @@ def check_solver(solver: object) -> None:
     check_kind(f"{name}: progress", solver.progress, float)
     for member in members[3:]:
         check_kind(f"{name}: {member}", getattr(solver, member), Callable)
+
+
+def limited(solver: Solver, **most: int) -> Solver:
+    """Return a copy of a solver whose numbers of some names are at most as given; names that it has not are ignored."""
+    solver = copy(solver)
+    for name in most.keys() & set(dir(solver)):
+        object.__setattr__(solver, name, min(getattr(solver, name), most[name]))
+    return solver
 
 
 @dataclass(frozen=True, eq=False)

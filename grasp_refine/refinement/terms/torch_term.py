@@ -66,8 +66,7 @@ def _in_tensors(state: State) -> State:
     """Return a state in tensors without a graph."""
     import torch
 
-    w = state.witness
-    points = (torch.as_tensor(part) for part in (w.point_a, w.point_b, w.normal, w.distance))
-    witness = type(w)(*points, w.status, w.winner, w.num_queries)
+    names = ("point_a", "point_b", "normal", "distance")
+    witness = replace(state.witness, **{name: torch.as_tensor(getattr(state.witness, name)) for name in names})
     T, q, T_link = (torch.as_tensor(part) for part in (state.T, state.q, state.T_link))
     return replace(state, T=T, q=q, T_link=T_link, witness=witness)
