@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 from grasp_refine.core.errors import HandError
@@ -15,7 +16,7 @@ from grasp_refine.geometry.mesh import SUFFIXES as MESH_SUFFIXES
 from grasp_refine.hands.files.hand_toml import HAND_TOML
 from grasp_refine.hands.files.mesh_files import resolve_mesh
 from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES, is_mjcf
-from grasp_refine_apps.viewer.files.mesh_bounds import check_faces, check_mesh_file, safe_xml
+from grasp_refine_apps.viewer.files.mesh_trial import try_meshes
 from grasp_refine_apps.viewer.files.unpacking import UploadError
 
 MAX_URDF_BYTES = 2**22
@@ -53,10 +54,11 @@ def check_hand(name: str, folder: Path, files: Sequence[Path]) -> Path:
         raise UploadError(f"{name}: must hold {what}; it holds {found[:200]}: upload the hands one by one")
     described = _named_by_toml(name, folder, tomls[0]) if tomls else hands
     source = tomls[0].parent if tomls else hands[0]
-    faces = 0
-    for mesh in sorted({mesh for path in described for mesh in _meshes(name, folder, path)}):
-        faces += check_mesh_file(mesh, f"{name}: {mesh.relative_to(folder).as_posix()}")
-    check_faces(faces, name)
+    meshes = sorted({mesh for path in described for mesh in _meshes(name, folder, path)})
+    for mesh in meshes:
+        if mesh.suffix.lower() == ".dae":
+            safe_xml(mesh.read_bytes(), f"{name}: {mesh.relative_to(folder).as_posix()}")
+    try_meshes(meshes, folder, name)
     return source
 
 
@@ -158,3 +160,23 @@ def _inside(name: str, folder: Path, place: Path, path: str, what: str) -> Path:
     if "\0" in path or not found.is_relative_to(folder):
         raise UploadError(f"{name}: {what} lies outside of the upload; pack it, and name it relative to that file")
     return found
+
+
+def safe_xml(data: bytes, name: str) -> Any:
+    """Return the root element of an XML text without declarations: entities can grow or name other files.
+
+    Raises:
+        UploadError: it is no XML, too deep, or declares a document type.
+    """
+    from lxml import etree
+
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        raise UploadError(f"{name}: is no XML ({' '.join(str(error.msg).split())[:80]})") from None
+    if root.getroottree().docinfo.doctype:
+        raise UploadError(f"{name}: declares a DOCTYPE, which can grow without bound or name other files; remove it")
+    return root

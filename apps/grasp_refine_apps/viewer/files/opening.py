@@ -23,7 +23,7 @@ from grasp_refine.problem.recorded_objects import Recorded
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.convention_check import convention_notes
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.viewer.files.mesh_bounds import check_faces, check_mesh_file
+from grasp_refine_apps.viewer.files.mesh_trial import try_meshes
 from grasp_refine_apps.viewer.files.unpacking import UploadError
 from grasp_refine_apps.viewer.files.uploads import Upload
 from grasp_refine_apps.viewer.jobs.worker import Control
@@ -144,7 +144,6 @@ def _attached(upload: Upload, open_now: Opened, name: str, options: MeshOptions,
 def _load_mesh(upload: Upload, scale: float, options: MeshOptions, control: Control) -> Object:
     """Load and decompose the mesh of an upload, `scale` from its unit to metres as grasp files have it."""
     obj = load_object(upload.source, scale=scale, unit=options.unit, holes=options.holes)
-    check_faces(len(obj.mesh.faces), upload.name)
     prepare([obj], progress=control.describe)
     return obj
 
@@ -201,7 +200,7 @@ def _with_grasps(upload: Upload, scene: Scene, options: MeshOptions, control: Co
         if needs_no_file(name):
             objects[name, scale] = load_object(name, scale=scale)
         elif mesh is not None:
-            check_faces(check_mesh_file(mesh, f"{upload.name}: {mesh.name}"), upload.name)
+            try_meshes([mesh], upload.folder, upload.name)
             known = load_object(mesh, scale=scale, unit=options.unit, holes=options.holes)
             objects[name, scale] = known.as_hull() if (name, scale) != first and known.takes_long else known
         else:

@@ -21,7 +21,7 @@ from grasp_refine.grasps.formats.reading import holds_grasps, may_be_other
 from grasp_refine.hands.files.hand_toml import HAND_TOML
 from grasp_refine.hands.files.mjcf_xml import MJCF_SUFFIXES, is_mjcf
 from grasp_refine_apps.viewer.files.hand_files import check_hand
-from grasp_refine_apps.viewer.files.mesh_bounds import check_mesh_file
+from grasp_refine_apps.viewer.files.mesh_trial import try_meshes
 from grasp_refine_apps.viewer.files.unpacking import GRASP_SUFFIXES, UploadError, unpack
 from grasp_refine_apps.viewer.model.names import MAX_FILE_BYTES
 
@@ -125,7 +125,7 @@ def store_upload(name: str, content: bytes, folder: Path) -> Upload:
     path = folder / _name_on_disk(shown)
     path.write_bytes(content)
     if suffix in MESH_SUFFIXES:
-        check_mesh_file(path, shown)
+        try_meshes([path], folder, shown)
         return Upload(shown, "mesh", folder, path)
     if suffix in (".urdf", *MJCF_SUFFIXES):
         return Upload(shown, "hand", folder, check_hand(shown, folder, [path]))
@@ -163,7 +163,7 @@ def _of_zip(name: str, folder: Path, files: tuple[Path, ...]) -> Upload:
     if grasps:
         return Upload(name, "grasps", folder, grasps[0] if len(grasps) == 1 else folder)
     if len(meshes) == 1:
-        check_mesh_file(meshes[0], f"{name}: {meshes[0].name}")
+        try_meshes(meshes, folder, name)
         return Upload(name, "mesh", folder, meshes[0])
     listing = ", ".join(path.relative_to(folder).as_posix() for path in meshes)[:200]
     found = f"several meshes ({listing})" if meshes else "neither a URDF or MJCF, nor grasps, nor a mesh"

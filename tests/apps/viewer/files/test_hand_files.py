@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import trimesh
 
 from grasp_refine.hands.hand import load_hand
-from grasp_refine_apps.viewer.files import hand_files, mesh_bounds
+from grasp_refine_apps.viewer.files import hand_files, mesh_trial
 from grasp_refine_apps.viewer.files.unpacking import UploadError
 from grasp_refine_apps.viewer.files.uploads import store_upload
 from refusals import assert_names
@@ -205,14 +204,8 @@ def test_declarations_in_a_urdf_are_refused(before: str, folder: Path):
     assert_names(refused(gripper_zip(**{URDF: gripper(before=before)}), folder), "gripper.urdf", "DOCTYPE")
 
 
-def test_sizes_of_hands_are_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_bounds, "MAX_FACES", 300)
-    ball = trimesh.creation.icosphere(2, 0.03).export(file_type="stl")
-    assert_names(refused(gripper_zip(**{MESH: ball}), folder), "gripper/meshes/tip.stl", "320", "300")
-
-
 def test_all_meshes_of_a_hand_count_together(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_bounds, "MAX_FACES", 20)
+    monkeypatch.setattr(mesh_trial, "MAX_FACES", 20)
     other = {"gripper/meshes/b.stl": TIP, URDF: gripper(visual="../meshes/b.stl")}
     text = refused(gripper_zip(**other), folder)
     assert_names(text, "24", "20")

@@ -75,9 +75,14 @@ class Shown:
     def told(self, *named: str, bad: bool = False) -> bool:
         """Whether the user is told, sooner or later, something that names each of these."""
 
+        before = self.controller.state.notice
+
         def is_told() -> bool:
             notice = self.controller.state.notice
-            return notice is not None and notice.bad == bad and all(one in notice.text for one in named)
+            found = notice is not None and notice.bad == bad and all(one in notice.text for one in named)
+            # Whatever else goes wrong is known at once.
+            assert found or notice is None or notice is before or not notice.bad, notice.text
+            return found
 
         return bool(until(is_told))
 
