@@ -104,15 +104,15 @@ def open_upload(
 
 
 def _for_uploader(text: str, upload: Upload) -> str:
-    """Rewrite a reader's error for the uploader, without folders of this machine and options of commands."""
+    """Rewrite a reader's error for the uploader, without folders of this machine, in words of the page."""
     for path, name in ((upload.source, upload.name), (upload.folder, "")):
         text = text.replace(str(path) + "/", "").replace(str(path), name)
     if upload.kind == "mesh":
         for unit, words in NAMES.items():
-            text = text.replace(f"--unit {unit} ", f'Mesh unit "{words}" ')
+            text = text.replace(f"`unit='{unit}'` ", f'Mesh unit "{words}" ')
         for holes, words in HOLE_LABELS.items():
-            text = text.replace(f"--holes {holes}", f'Mesh holes "{words}"')
-        text = text.replace(", or another --scale", "")
+            text = text.replace(f"`holes='{holes}'`", f'Mesh holes "{words}"')
+        text = text.replace(", or another `scale`", "")
     return text if text.startswith(upload.name) else f"{upload.name}: {text}"
 
 
