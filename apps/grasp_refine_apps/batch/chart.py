@@ -82,9 +82,9 @@ def chart(measure: Measure, distributions: Mapping[str, Histogram]) -> str:
         axes.bar(places, shares[0], 0.92, color=RULE, edgecolor=MUTED, linewidth=0.6, clip_on=False)
         axes.bar(places, shares[1], 0.6, color=COLORS[0][0], clip_on=False)
         for place, bar in zip(places, axes.bar(places, shares.max(), 1.0, alpha=0.0, clip_on=False), strict=True):
-            span = (0.0, whole.low) if place < 0 else edges[int(place) : int(place) + 2]
+            low, high = (0.0, whole.low) if place < 0 else edges[int(place) : int(place) + 2]
             add_tooltip(
-                bar, f"{_range_text(measure, *span, whole)}: {_shares_text(measure, shares[:, places == place])}"
+                bar, f"{_range_text(measure, low, high, whole)}: {_shares_text(measure, shares[:, places == place])}"
             )
         if measure.name in MARKS:
             at = np.interp(MARKS[measure.name], edges, np.arange(len(edges))) - 0.5

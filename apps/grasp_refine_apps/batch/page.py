@@ -108,7 +108,7 @@ def _tiles(totals: Mapping[str, Any], statistics: Statistics, failed: Sequence[A
             else f"of {words.grasps(tally.count)} were refined",
             "tone": "",
         },
-        change(*tally.good.tolist(), tally.count, f"quality {BAR} (an estimate)"),
+        change(int(tally.good[0]), int(tally.good[1]), tally.count, f"quality {BAR} (an estimate)"),
     ]
     if statistics.held is not None:
         tiles.insert(0, change(*statistics.held, tally.simulated, "held in simulation"))

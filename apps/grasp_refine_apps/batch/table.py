@@ -68,7 +68,7 @@ def _cells(tally: Tally, simulated: bool) -> list[RenderableType]:
     return [
         whole(tally.count),
         held if simulated else whole(tally.converged),
-        _change(*tally.good.tolist(), tally.count),
+        _change(int(tally.good[0]), int(tally.good[1]), tally.count),
         " → ".join("-" if isnan(value) else f"{value:.3f}" for value in tally.mean_quality),
         f"{1e3 * tally.deepest:.2f}",
     ]

@@ -52,8 +52,16 @@ def factor_bars(sides: Sequence[Side]) -> str:
                 at, numbers = row + thick * (k - (len(sides) - 1) / 2), f"{mean:.1f} % ({low:.1f} to {high:.1f})"
                 (bar,) = axes.barh(at, mean, 0.9 * thick, color=color, clip_on=False)
                 add_tooltip(bar, f"{side.name}, {name}: {numbers}")
-                whisker = {"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0, "clip_on": False}
-                axes.errorbar(mean, at, xerr=[[mean - low], [high - mean]], fmt="none", **whisker)
+                axes.errorbar(
+                    mean,
+                    at,
+                    xerr=[[mean - low], [high - mean]],
+                    fmt="none",
+                    ecolor=INK,
+                    elinewidth=1.0,
+                    capsize=2.0,
+                    clip_on=False,
+                )
                 axes.text(102.0, at, numbers, color=MUTED, va="center")
         axes.set_yticks(range(len(trials)), trials, color=INK)
         axes.set(xlim=(0.0, 100.0), ylim=(len(trials) - 0.5, -0.5))

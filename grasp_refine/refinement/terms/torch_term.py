@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,6 +67,7 @@ def _in_tensors(state: State) -> State:
     import torch
 
     names = ("point_a", "point_b", "normal", "distance")
-    witness = replace(state.witness, **{name: torch.as_tensor(getattr(state.witness, name)) for name in names})
+    tensors: dict[str, Any] = {name: torch.as_tensor(getattr(state.witness, name)) for name in names}
+    witness = replace(state.witness, **tensors)
     T, q, T_link = (torch.as_tensor(part) for part in (state.T, state.q, state.T_link))
     return replace(state, T=T, q=q, T_link=T_link, witness=witness)
