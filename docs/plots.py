@@ -1,9 +1,9 @@
 """Draw the plots of the benchmarks page out of JSON files that `refine-grasp bench` wrote.
 
-    refine-grasp bench hold ... --json hold.json
+    refine-grasp bench success ... --json success.json
     refine-grasp bench align ... --json align.json
     refine-grasp bench queries ... --json queries.json
-    python docs/plots.py hold.json align.json queries.json
+    python docs/plots.py success.json align.json queries.json
 
 The commands in full stand on the page. The plots are SVG files in `docs/pages/figures`.
 """
@@ -33,7 +33,7 @@ SOLVERS = {
 
 def hold(rows: list[dict[str, Any]], axes: Any) -> None:
     """Draw the share of grasps that hold, by method, at both frictions."""
-    rows = [row for row in rows if row["object"] == "all"]
+    rows = [row for row in rows if row["by"] == "all"]
     for offset, key, label, color in (
         (-0.2, "success_dexgraspbench", "friction 0.6", BLUE),
         (0.2, "success_strict", "friction 0.3", ORANGE),
@@ -41,9 +41,9 @@ def hold(rows: list[dict[str, Any]], axes: Any) -> None:
         bars = axes.bar([i + offset for i in range(len(rows))], [100 * row[key] for row in rows], 0.38, color=color)
         bars.set_label(label)
         axes.bar_label(bars, fmt="%.0f", fontsize=8)
-    names = {"as they came": "input", "own stages": "own pregrasp, squeeze"}
-    labels = [names.get(row["label"], row["label"]) for row in rows]
-    times = [f"{row['cpu_ms_mean']:.0f} ms" if row["cpu_ms_mean"] else "" for row in rows]
+    names = {"as given": "input", "own stages": "own pregrasp, squeeze"}
+    labels = [names.get(row["refined"], row["refined"]) for row in rows]
+    times = [f"{1e3 * row['cpu_mean_s']:.0f} ms" if row["cpu_mean_s"] else "" for row in rows]
     labels = [f"{label}\n{time}" for label, time in zip(labels, times, strict=True)]
     axes.set_xticks(range(len(rows)), labels, fontsize=8)
     axes.set(ylabel="grasps that hold, %", ylim=(0, 108))

@@ -39,10 +39,7 @@ COMMANDS = {
     "bench grasp": "accuracy and speed of refinement, by solver and batch size",
     "bench queries": "cost of a witness query against coal and MuJoCo, and savings by skipping",
     "bench stability": "error counts of witness queries and derivatives, by body, size, state and method",
-    "bench hold": "run time against success rate of refined grasps in simulation, by method",
-    "bench grippers": "grasps of grippers that hold before and after refinement, sampled and perturbed",
-    "bench scenes": "grasps of hands on an arm in scenes: reachable, free on the whole way, held and lifted",
-    "bench evidence": "grasps that hold over many hands, objects, generators and protocols; resumes where it stopped",
+    "bench success": "grasps that hold in simulation, as given and refined; by hand, object, source and protocol",
     "bench --gate": "check for regressions: ratios of one run against a committed baseline",
     "doctor": "check the installation, missing packages, and the capabilities of this machine",
 }

@@ -18,7 +18,6 @@ from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import ambient_gradient
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.neighborhood import Surfaces
-from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
 
@@ -31,21 +30,16 @@ class WitnessLayer:
     derivatives only: a second one through the layer (double backward, a Hessian) is a GraspRefineError.
     """
 
-    def __init__(self, pairs: Pairs, method: Derivative, patch: Patch | None = None) -> None:
+    def __init__(self, pairs: Pairs, method: Derivative) -> None:
         """Prepare the pairs; `method` is used in backward passes only.
-
-        With a `patch`, witness points move over it towards their targets. The motion of the patch itself has no
-        derivative: its points slip by `method` like any others.
 
         Raises:
             GraspRefineError: an argument of another type.
         """
         check_kind("pairs", pairs, Pairs)
         check_kind("method", method, Derivative)
-        check_kind("patch", patch, Patch | None)
         self.pairs = pairs
         self.method = method
-        self.patch = patch
         self._columns: dict[bytes, tuple[Pairs, Surfaces]] = {}
 
     def __call__(
@@ -87,9 +81,7 @@ class WitnessLayer:
             for name, target in (("target_a", target_a), ("target_b", target_b))
         )
         T_a, T_b = _array(T_world_a), _array(T_world_b)
-        found = query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
-        if self.patch is not None:
-            found = self.patch.refine(self.pairs, T_a, T_b, found, *targets)
+        found = self.find(T_a, T_b, targets, cutoff, previous)
         return self.known(T_world_a, T_world_b, found, *targets, key=key)
 
     def known(
@@ -108,6 +100,17 @@ class WitnessLayer:
         """
         x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, target_a, target_b, key)
         return Witness(x_a, x_b, n, d, found.status, found.winner, found.num_queries)
+
+    def find(
+        self,
+        T_a: np.ndarray,
+        T_b: np.ndarray,
+        targets: tuple[np.ndarray | None, ...],
+        cutoff: np.ndarray | float,
+        previous: Witness | None,
+    ) -> Witness:
+        """Return the witness of all pairs as arrays; a subclass may choose other points, which slip by the method."""
+        return query(self.pairs, T_a, T_b, cutoff=cutoff, previous=previous)
 
     def columns(self, columns: np.ndarray) -> tuple[Pairs, Surfaces]:
         """Return the pairs `columns`, and the candidates of their first and then their second bodies; built once."""

@@ -20,10 +20,10 @@ from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.pair_curvature import CORNER_CURVATURE_PER_M, PairCurvatures
-from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.size import length_factor
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.bench.align.patch import Patch
 from shapes_for_tests import BODY_PAIRS
 from twists import gradient_along_twists, layer_gradient, poses_at_gap, random_cotangents
 

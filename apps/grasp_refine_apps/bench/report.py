@@ -29,18 +29,6 @@ Only = Literal["terminal", "page"]
 
 
 @dataclass(frozen=True)
-class Shade:
-    """Colour of a cell of a heat map."""
-
-    look: Literal["right", "wrong", "refused", "none"]
-    """Style of the cell."""
-    depth: int = 0
-    """Percent of the darkest colour of "right"."""
-    hint: str = ""
-    """Full description."""
-
-
-@dataclass(frozen=True)
 class Column:
     """Column of a table, in a terminal and on a page."""
 
@@ -58,8 +46,6 @@ class Column:
     """Explanation of the number."""
     only: Only | None = None
     """Place of the column; None: everywhere."""
-    shade: Callable[[Any], Shade] | None = None
-    """Colour of the cell of a value; None: plain."""
 
     def text(self, row: Row) -> str:
         """Format the value of a row."""
@@ -90,7 +76,6 @@ class Cell:
 
     text: str
     best: bool = False
-    shade: Shade | None = None
 
 
 @dataclass(frozen=True)
@@ -116,10 +101,7 @@ class Table:
         columns = self.shown("page")
         best = [column.best(self.rows) for column in columns]
         return [
-            [
-                Cell(text := column.text(row), text == top, column.shade and column.shade(entry(row, column.key)))
-                for column, top in zip(columns, best, strict=True)
-            ]
+            [Cell(text := column.text(row), text == top) for column, top in zip(columns, best, strict=True)]
             for row in self.rows
         ]
 
@@ -137,7 +119,8 @@ class Table:
         table.add_column(first.head, overflow="fold", min_width=7, max_width=MAX_LABEL_CHARACTERS)
         for column in columns:
             words = f"{column.head} {column.unit}".strip().replace("\u00ad", "-\n").replace(" ", "\n")
-            table.add_column(words, justify="right", no_wrap=True)
+            sentence = column is columns[-1] and any(isinstance(entry(row, column.key), str) for row in self.rows)
+            table.add_column(words, justify="left" if sentence else "right", no_wrap=not sentence)
         for row in self.rows:
             table.add_row(*(escape(column.text(row)) for column in (first, *columns)))
         return table
@@ -184,6 +167,18 @@ class Report:
                 yield from (part.printed(), "")
             if isinstance(part, Note) and part.only != "page":
                 yield escape(part.text)
+
+    def markdown(self, document: dict[str, Any]) -> str:
+        """Return notes and tables of the page, but those that are folded, and how they were made, as Markdown."""
+        parts = []
+        for part in self.parts:
+            if isinstance(part, Table) and not part.folded and part.only != "terminal":
+                parts += [f"### {part.title}", part.note, part.markdown()]
+            elif isinstance(part, Note) and not part.verbatim and part.only != "terminal":
+                parts += [f"### {part.title}" if part.title else "", part.text]
+        host, version = document["machine"], document["versions"]["grasp-refine"]
+        made = f"{document['cpu_s'] / 60:.1f} minutes of CPU time on {host['cpus']} x {host['cpu']}, version {version}"
+        return "\n\n".join(filter(None, [*parts, f"`{document['invocation']}`: {made}."])) + "\n"
 
     def page(self, document: dict[str, Any]) -> str:
         """Render the report as HTML; equal input gives equal text.

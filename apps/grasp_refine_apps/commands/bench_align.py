@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone
+from tyro.conf import DisallowNone, arg
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.witness.slip import Coupling
@@ -16,8 +16,8 @@ from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.study import AlignStudy
 from grasp_refine_apps.bench.align.variants import MethodName, SolverName, Variant, WitnessName
 from grasp_refine_apps.bench.derivatives import NeighborhoodName
-from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, check_device, default
+from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
+from grasp_refine_apps.commands.options import check_device, default
 from grasp_refine_apps.report.command_line import flag
 
 Class = Literal["vertex-vertex", "face-vertex", "vertex-face", "face-face"]
@@ -88,21 +88,13 @@ class BenchAlign(BenchCommand):
     """Budgets in iterations; several give a line in the plot of error against time."""
     seconds: Annotated[DisallowNone[tuple[float, ...] | None], default("none")] = None
     """Budgets in CPU seconds per pair, all its targets together, instead of iterations; for descent only."""
-    seed: int = 0
-    """Seed of pairs, targets, initial poses and samples."""
     dtype: Literal["float64", "float32"] = "float64"
     """Number type of poses and losses of descent; queries and derivatives always run in double precision."""
     device: str = "cpu"
     """Torch device of poses and losses of descent."""
     threads: int = 1
     """Threads of torch in each process; more than one is slower for matrices this small."""
-    workers: int = 1
-    """Processes. CPU times are least disturbed with 1."""
-    json: OptionalFile = None
-    """Write all rows to this file, in SI units."""
-    html: OptionalFile = None
-    """Write a report with charts to this file."""
-    overwrite: Overwrite = False
+    outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> AlignStudy:
         """Return the study that the options define.
@@ -124,7 +116,7 @@ class BenchAlign(BenchCommand):
             raise GraspRefineError(
                 "--seconds is for descent only: levenberg-marquardt ends each task on its own, so give --budgets"
             )
-        return replace(study, **given(self, AlignStudy))
+        return replace(study, **self.given(AlignStudy))
 
     def _variants(self) -> tuple[Variant, ...]:
         """Return every combination of the compared options; options that a method ignores are not varied."""

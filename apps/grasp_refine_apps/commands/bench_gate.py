@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args
 
-from rich import box
-from rich.table import Table
 from tyro.conf import DisallowNone
 
 from grasp_refine.collision.engine import chosen
@@ -21,12 +19,13 @@ from grasp_refine.core.profiling import cpu_seconds
 from grasp_refine.core.versions import versions
 from grasp_refine_apps.bench.gate.baseline import BASELINE, Group, Verdict, judged, load_baseline, updated
 from grasp_refine_apps.bench.gate.measures import measure
+from grasp_refine_apps.bench.report import Column, Table
 from grasp_refine_apps.commands.benchmark import progress_bar
 from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
 from grasp_refine_apps.report.json_document import save_document
 from grasp_refine_apps.report.screen import screen
 
-WORDS = {True: "[green]ok[/]", False: "[bold red]FAIL[/]", None: "[dim]not available[/]"}
+WORDS = {True: "ok", False: "FAIL", None: "not available"}
 
 GOT_WORSE = 1
 """Exit code when a ratio got worse."""
@@ -69,7 +68,7 @@ class BenchGate:
             known = load_baseline(baseline, engine)
             with _progress() as measured:
                 verdicts = judged(known, measured)
-            console.print(gate_table(verdicts))
+            console.print(gate_table(verdicts).printed())
             rows, worse = [one.row() for one in verdicts], [one.ratio.name for one in verdicts if one.ok is False]
             message = f"worse than allowed: {', '.join(worse)}" if worse else "nothing is worse than allowed"
         wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
@@ -114,22 +113,21 @@ def _progress() -> Iterator[Callable[[Group], dict[str, float]]]:
 
 def gate_table(verdicts: Sequence[Verdict]) -> Table:
     """Make a table with a line for each ratio: now, before, the limit, and its meaning."""
-    table = Table("ratio", box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
-    for name in ("now", "before", "allowed"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("")
-    table.add_column("meaning")
+    lines = []
     for one in verdicts:
         notes = " (measured twice)" if one.again else ""
         if one.ok is False and one.ratio.own:
             notes += ", or its reference got faster"
         bound = "" if one.known is None else f"{'≥' if one.ratio.higher else '≤'} {one.known.limit:.3g}"
-        table.add_row(
-            one.ratio.name,
-            "-" if one.now is None else f"{one.now:.3g}",
-            "-" if one.known is None else f"{one.known.value:.3g}",
-            bound,
-            WORDS[one.ok],
-            one.ratio.what + notes,
-        )
-    return table
+        lines.append({**one.row(), "bound": bound, "word": WORDS[one.ok], "meaning": one.ratio.what + notes})
+    return Table("", COLUMNS, lines)
+
+
+COLUMNS = (
+    Column("name", "ratio"),
+    Column("now", "now"),
+    Column("baseline", "before"),
+    Column("bound", "allowed"),
+    Column("word", ""),
+    Column("meaning", "meaning"),
+)

@@ -19,9 +19,9 @@ from grasp_refine_apps.bench.grasp.presets import BATCHES, EVERY_HAND, PLACES, P
 from grasp_refine_apps.bench.grasp.study import COUNT, GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Disturbance
 from grasp_refine_apps.bench.grasp.variants import DerivativeName, Kind, SolverName, Variant
-from grasp_refine_apps.commands.benchmark import BenchCommand, given
+from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
 from grasp_refine_apps.commands.inputs import Inputs
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
+from grasp_refine_apps.commands.options import default
 
 PresetName = Literal["targets", "nothing", "time-to-error", "contacts", "pieces", "workers", "smoke"]
 SetName = Literal[
@@ -30,9 +30,17 @@ SetName = Literal[
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of the study."""
+class BenchGrasp(BenchCommand):
+    """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
 
+    All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
+    Levenberg-Marquardt on the embedded Allegro examples.
+    """
+
+    command = "bench grasp"
+    compared = ("tasks", "solvers", "derivatives", "budgets")
+
+    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
     """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
     256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
@@ -68,32 +76,9 @@ class Options:
     """Disturbance: standard deviation of the joint values, radians, clipped to the limits."""
     tolerance: float = Config.tolerance
     """Loss below which a grasp is converged, m^2."""
-    seed: int = 0
-    """Seed of disturbances and solvers."""
     threads: int = 1
     """Threads of torch in each process."""
-    workers: int = 1
-    """Processes. CPU times are least disturbed with 1."""
-    json: OptionalFile = None
-    """Write all rows to this file, in SI units, except times in ms."""
-    html: OptionalFile = None
-    """Write a report with a plot of error over time to this file."""
-    overwrite: Overwrite = False
-
-
-@dataclass(frozen=True)
-class BenchGrasp(BenchCommand):
-    """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
-
-    All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
-    Levenberg-Marquardt on the embedded Allegro examples.
-    """
-
-    command = "bench grasp"
-    compared = ("tasks", "solvers", "derivatives", "budgets")
-
-    inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
-    options: Annotated[Options, arg(name="")] = field(default_factory=Options)
+    outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> GraspStudy:
         """Return the study that the options define.
@@ -101,52 +86,50 @@ class BenchGrasp(BenchCommand):
         Raises:
             GraspRefineError: a number out of its range, or options that do not go together.
         """
-        options = self.options
         if self.inputs.targets != AUTO:
             raise GraspRefineError("--targets: the benchmark makes its own targets, from grasps that touch exactly")
-        study = PRESETS[options.preset] if options.preset is not None else GraspStudy(self._variants())
+        study = PRESETS[self.preset] if self.preset is not None else GraspStudy(self._variants())
         variants = study.variants
-        if options.workers > 1 and any(variant.processes is not None for variant in variants):
-            raise GraspRefineError(f"--preset {options.preset} has processes of its own: leave out --workers")
-        if options.batches is not None:
-            variants = tuple(replace(variant, batch=batch) for variant in variants for batch in options.batches)
+        if self.outputs.workers > 1 and any(variant.processes is not None for variant in variants):
+            raise GraspRefineError(f"--preset {self.preset} has processes of its own: leave out --workers")
+        if self.batches is not None:
+            variants = tuple(replace(variant, batch=batch) for variant in variants for batch in self.batches)
         return replace(
             study,
             variants=tuple(dict.fromkeys(variants)),
             sources=self._sources(),
-            disturbance=Disturbance(options.shift, options.turn, options.noise),
-            **given(options, GraspStudy),
+            disturbance=Disturbance(self.shift, self.turn, self.noise),
+            **self.given(GraspStudy),
         )
 
     def _variants(self) -> tuple[Variant, ...]:
         """Return every combination of the compared options; Levenberg-Marquardt has no choice of derivatives."""
-        options = self.options
-        solvers = options.solvers or (Variant.solver,)
-        if options.derivatives is not None and set(solvers) == {"levenberg-marquardt"}:
+        solvers = self.solvers or (Variant.solver,)
+        if self.derivatives is not None and set(solvers) == {"levenberg-marquardt"}:
             raise GraspRefineError("--derivatives is for descent and adam only: leave it out, or add one to --solvers")
         usual = (Variant.derivative,)
         return tuple(
             Variant(solver, derivative, budget, batch)
             for solver in solvers
             for derivative, budget, batch in product(
-                usual if solver == "levenberg-marquardt" else options.derivatives or usual,
-                options.budgets or (None,),
-                options.batches or BATCHES,
+                usual if solver == "levenberg-marquardt" else self.derivatives or usual,
+                self.budgets or (None,),
+                self.batches or BATCHES,
             )
         )
 
     def _sources(self) -> tuple[tuple[str, tuple[Inputs, ...]], ...]:
         """Return the names of the sets, each with its inputs."""
-        inputs, options = self.inputs, self.options
+        inputs = self.inputs
         hand = inputs.hand or EXAMPLE_HAND
         plain = replace(inputs, threshold=Inputs.threshold) == Inputs()
-        if options.assets is None:
-            if options.sets is not None:
+        if self.assets is None:
+            if self.sets is not None:
                 raise GraspRefineError("--sets name sets in a folder of assets: give it with --assets")
             if not plain:
                 return ((inputs.grasps.stem if inputs.grasps is not None else f"{hand} example", (inputs,)),)
             hands = [hand]
-            if options.preset in EVERY_HAND:
+            if self.preset in EVERY_HAND:
                 hands = [name for name in list_hands() if not needs_urdf(name)]
             return tuple(
                 (f"{name} examples", tuple(replace(inputs, hand=name, grasps=path) for path in _examples(name)))
@@ -157,10 +140,10 @@ class BenchGrasp(BenchCommand):
                 "--assets has hands, objects and grasps of its own: leave it out, or else --hand, --object, --objects, "
                 "--object-name, --scale, --grasps and --index"
             )
-        folder, found = options.assets, []
-        sampled = options.preset in EVERY_HAND
+        folder, found = self.assets, []
+        sampled = self.preset in EVERY_HAND
         usual = tuple(name for name, place in PLACES.items() if sampled or place.sampled is None)
-        for name in dict.fromkeys(options.sets or usual):
+        for name in dict.fromkeys(self.sets or usual):
             path, place = folder / "grasps" / "normalised" / f"{name}.npz", PLACES[name]
             if place.sampled is not None:
                 path = Path(f"{SAMPLE}{place.sampled}")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Annotated, Literal
 
-from tyro.conf import DisallowNone
+from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
@@ -15,8 +15,8 @@ from grasp_refine_apps.bench.queries.measure import Measurement, MethodName
 from grasp_refine_apps.bench.queries.peers import PeerName
 from grasp_refine_apps.bench.queries.presets import BATCHES, DEFAULT, MIXED, PRESETS
 from grasp_refine_apps.bench.queries.study import QueryStudy
-from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
+from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
+from grasp_refine_apps.commands.options import default
 
 PresetName = Literal["full", "skips", "smoke"]
 EngineName = Literal["native", "python"]
@@ -64,13 +64,7 @@ class BenchQueries(BenchCommand):
     """Objects of these examples."""
     count: Annotated[DisallowNone[int | None], default("16, or the preset's")] = None
     """Number of grasps of each example: its own, then disturbed ones."""
-    seed: int = 0
-    """Seed of bodies, poses and solvers."""
-    json: OptionalFile = None
-    """Write all rows to this file, in SI units, except times of queries in us."""
-    html: OptionalFile = None
-    """Write a report with charts to this file."""
-    overwrite: Overwrite = False
+    outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> QueryStudy:
         """Return the study that the options define.
@@ -84,8 +78,8 @@ class BenchQueries(BenchCommand):
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
         study = PRESETS[self.preset] if self.preset is not None else DEFAULT
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
-        how = replace(study.measurement, **{**given(self, Measurement), "engines": names})
-        study = replace(study, measurement=how, **given(self, QueryStudy))
+        how = replace(study.measurement, **{**self.given(Measurement), "engines": names})
+        study = replace(study, measurement=how, **self.given(QueryStudy))
         custom = any(getattr(self, name) is not None for name in self.compared)
         if custom:
             cases = cases_of(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, get_args
 
-from tyro.conf import DisallowNone
+from tyro.conf import DisallowNone, arg
 
 from grasp_refine.collision.engine import chosen, engines
 from grasp_refine.core.errors import GraspRefineError
@@ -14,8 +14,8 @@ from grasp_refine_apps.bench.stability.cases import Engine as EngineName
 from grasp_refine_apps.bench.stability.presets import PRESETS, Part
 from grasp_refine_apps.bench.stability.rows import Measure
 from grasp_refine_apps.bench.stability.study import StabilityStudy
-from grasp_refine_apps.commands.benchmark import BenchCommand, given
-from grasp_refine_apps.commands.options import OptionalFile, Overwrite, default
+from grasp_refine_apps.commands.benchmark import BenchCommand, Outputs
+from grasp_refine_apps.commands.options import default
 
 PresetName = Literal["full", "quick", "smoke"]
 
@@ -61,15 +61,7 @@ class BenchStability(BenchCommand):
     """Number of queries for each body, state, kind of call and translation."""
     differentiated: Annotated[DisallowNone[int | None], default("the preset's")] = None
     """Number of derivatives for each body, state and method."""
-    workers: int = 1
-    """Processes."""
-    seed: int = 0
-    """Seed of bodies and poses."""
-    json: OptionalFile = None
-    """Write all rows to this file, in SI units."""
-    html: OptionalFile = None
-    """Write a report with heat maps to this file."""
-    overwrite: Overwrite = False
+    outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> StabilityStudy:
         """Return the study that the options define.
@@ -77,7 +69,7 @@ class BenchStability(BenchCommand):
         Raises:
             GraspRefineError: as `tasks`.
         """
-        return StabilityStudy(self.tasks(), self.seed, self.workers)
+        return StabilityStudy(self.tasks(), self.outputs.seed, self.outputs.workers)
 
     def tasks(self) -> tuple[Task, ...]:
         """Return the tasks that the options define.
@@ -87,7 +79,7 @@ class BenchStability(BenchCommand):
         """
         if self.diagonals is not None and min(self.diagonals) == 0:
             raise GraspRefineError("--diagonals must be above 0 metres, got 0")
-        chosen_options = given(self, Part)
+        chosen_options = self.given(Part)
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
         measures = chosen_options.pop("measures", get_args(Measure))
         parts = [
@@ -95,4 +87,4 @@ class BenchStability(BenchCommand):
             for part in PRESETS[self.preset]
             if (both := tuple(measure for measure in part.measures if measure in measures))
         ]
-        return tuple(dict.fromkeys(task for part in parts for task in part.tasks(names, self.seed)))
+        return tuple(dict.fromkeys(task for part in parts for task in part.tasks(names, self.outputs.seed)))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from tyro.conf import arg
 
 from grasp_refine.collision.engine import chosen
 from grasp_refine.core.errors import GraspRefineError
@@ -21,7 +22,7 @@ from grasp_refine.core.versions import versions
 from grasp_refine.results.document import settings
 from grasp_refine_apps.bench.jobs import run_jobs
 from grasp_refine_apps.bench.study import Study
-from grasp_refine_apps.commands.options import NOTHING_USABLE, check_numbers
+from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
 from grasp_refine_apps.report.command_line import flag, invocation
 from grasp_refine_apps.report.screen import screen
 
@@ -29,17 +30,37 @@ SOMETHING_WRONG = 1
 """Exit code when a study found something wrong, or a job failed."""
 
 
-class BenchCommand:
-    """A command that runs the study which its options define.
+@dataclass(frozen=True)
+class Outputs:
+    """Options of the run and its outputs, common to all benchmarks."""
 
-    The options common to all, in the command or in its field `options`, are `preset`, `seed`, `json`, `html` and
-    `overwrite`.
-    """
+    seed: int = 0
+    """Seed of all random numbers."""
+    workers: int = 1
+    """Number of processes. CPU times are least disturbed with 1."""
+    json: OptionalFile = None
+    """Write all rows to this file, in SI units unless the key names another."""
+    html: OptionalFile = None
+    """Write a report with charts to this file."""
+    markdown: OptionalFile = None
+    """Write the tables of the report as Markdown to this file."""
+    overwrite: Overwrite = False
+
+    @property
+    def files(self) -> list[Path]:
+        """The files to write."""
+        return [path for path in (self.json, self.html, self.markdown) if path is not None]
+
+
+class BenchCommand:
+    """A command that runs the study which its options define; it has fields `preset` and `outputs`."""
 
     command: ClassVar[str]
     """Words of the command, such as "bench align"."""
     compared: ClassVar[tuple[str, ...]] = ()
     """Options that choose the comparison; a preset excludes them."""
+    outputs: Annotated[Outputs, arg(name="")]
+    preset: Any
 
     def study(self) -> Study:
         """Return the study that the options define; their numbers were checked.
@@ -55,36 +76,25 @@ class BenchCommand:
         Raises:
             GraspRefineError: a number out of its range, as `study`, or inputs that cannot be used.
         """
-        options: Any = getattr(self, "options", self)
-        check_numbers(options)
-        check_comparison(options, self.compared)
+        options: Any = self
+        check_numbers(self)
+        check_numbers(self.outputs)
+        for option in fields(options):
+            if getattr(self, option.name) == ():
+                raise GraspRefineError(f"{flag(option.name)} needs at least one value")
+        for name in self.compared if self.preset is not None else ():
+            if getattr(self, name) is not None:
+                raise GraspRefineError(f"--preset {self.preset} defines the comparison itself: leave out {flag(name)}")
         return run_benchmark(self.command, self, self.study())
 
-
-def check_comparison(options: Any, compared: Sequence[str]) -> None:
-    """Refuse options without a value, and beside a preset options that choose the comparison.
-
-    Raises:
-        GraspRefineError: names the option.
-    """
-    for option in fields(options):
-        if getattr(options, option.name) == ():
-            raise GraspRefineError(f"{flag(option.name)} needs at least one value")
-    if options.preset is not None:
-        for name in compared:
-            if getattr(options, name) is not None:
-                raise GraspRefineError(
-                    f"--preset {options.preset} defines the comparison itself: leave out {flag(name)}"
-                )
-
-
-def given(options: Any, study: type) -> dict[str, Any]:
-    """Return the options that are given, not None, and are fields of a class; each value of a tuple once."""
-    return {
-        field.name: tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
-        for field in fields(study)
-        if (value := getattr(options, field.name, None)) is not None
-    }
+    def given(self, kind: type) -> dict[str, Any]:
+        """Return the options that are given, not None, and are fields of a class; each value of a tuple once."""
+        found = {}
+        for option in fields(kind):
+            value = getattr(self, option.name, getattr(self.outputs, option.name, None))
+            if value is not None:
+                found[option.name] = tuple(dict.fromkeys(value)) if isinstance(value, tuple) else value
+        return found
 
 
 def progress_bar(console: Console) -> Progress:
@@ -101,40 +111,23 @@ def progress_bar(console: Console) -> Progress:
     )
 
 
-def benchmark_document(command: str, invoked: Any, *, preset: str | None, seed: int, **entries: Any) -> dict[str, Any]:
-    """Return the JSON document of a benchmark: how and where it ran, its settings, and other entries."""
-    return {
-        "schema": SCHEMA,
-        "command": command,
-        "invocation": invocation(command, invoked),
-        "versions": versions(),
-        "machine": machine(),
-        "engine": chosen("auto"),
-        "preset": preset,
-        "config": settings(invoked),
-        "seed": seed,
-        **entries,
-    }
-
-
 def run_benchmark(command: str, invoked: Any, study: Study) -> int:
     """Run a study, write and show its results, and return the exit code.
 
     Args:
         command: Words of the command, such as "bench align".
-        invoked: Dataclass of the command; it, or its field `options`, has the options common to all benchmarks.
+        invoked: Dataclass of the command, with fields `preset` and `outputs`.
         study: The study.
 
     Raises:
         GraspRefineError: files that cannot be written, or inputs that the study cannot use.
     """
     wall, cpu = time.perf_counter(), cpu_seconds()
-    options: Any = getattr(invoked, "options", invoked)
+    outputs: Outputs = invoked.outputs
+    files = outputs.files
+    check_writable(*files, overwrite=outputs.overwrite)
     # Where results are written says nothing about them.
-    silent = replace(options, json=None, html=None, overwrite=False)
-    invoked = silent if invoked is options else replace(invoked, options=silent)
-    files = [path for path in (options.json, options.html) if path is not None]
-    check_writable(*files, overwrite=options.overwrite)
+    invoked = replace(invoked, outputs=Outputs(outputs.seed, outputs.workers))
     with progress_bar(screen(stderr=True)) as bar:
         task = bar.add_task("loading", total=1.0)
 
@@ -148,16 +141,21 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         done, errors, interrupted = run_jobs(todo, study.workers, progress)
     problems = [*errors, *([f"interrupted: {len(done)} of {len(todo)} jobs were done"] if interrupted else [])]
     rows = study.rows(done)
-    document = benchmark_document(
-        command,
-        invoked,
-        preset=options.preset,
-        seed=options.seed,
-        wall_s=time.perf_counter() - wall,
-        cpu_s=cpu_seconds() - cpu,
-        problems=problems,
-        rows=rows,
-    )
+    document = {
+        "schema": SCHEMA,
+        "command": command,
+        "invocation": invocation(command, invoked),
+        "versions": versions(),
+        "machine": machine(),
+        "engine": chosen("auto"),
+        "preset": invoked.preset,
+        "config": settings(invoked),
+        "seed": outputs.seed,
+        "wall_s": time.perf_counter() - wall,
+        "cpu_s": cpu_seconds() - cpu,
+        "problems": problems,
+        "rows": rows,
+    }
     console = screen()
     for problem in problems:
         screen(stderr=True).print(problem, style="red", markup=False, soft_wrap=True)
@@ -165,10 +163,12 @@ def run_benchmark(command: str, invoked: Any, study: Study) -> int:
         console.print("no usable results; nothing was written")
         return INTERRUPTED if interrupted else NOTHING_USABLE
     report = study.report(rows, errors)
-    if options.json is not None:
-        save_json(options.json, document)
-    if options.html is not None:
-        save_text(options.html, report.page(document))
+    if outputs.json is not None:
+        save_json(outputs.json, document)
+    if outputs.html is not None:
+        save_text(outputs.html, report.page(document))
+    if outputs.markdown is not None:
+        save_text(outputs.markdown, report.markdown(document))
     for part in report.printed():
         console.print(part)
     wrote = f"; wrote {', '.join(map(str, files))}" if files else ""

@@ -16,7 +16,7 @@ import tyro
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.commands.option_rules import OptionRules
-from grasp_refine_apps.report.command_line import flag
+from grasp_refine_apps.report.command_line import flag, is_nameless
 
 Command = TypeVar("Command")
 
@@ -118,18 +118,20 @@ def _has_option(command: Any, name: str) -> bool:
 
 
 def check_numbers(options: Any, prefix: str = "--") -> None:
-    """Refuse numbers out of range in a dataclass, and in dataclasses nested in it.
+    """Refuse numbers out of range in a dataclass, and in those nested in it under a name.
 
     Floats must be finite and not negative, integers at least 1, some of them at least 0.
 
     Raises:
         GraspRefineError: names the option, its value and its range.
     """
+    hints = get_type_hints(type(options), include_extras=True)
     for field in fields(options):
         value = getattr(options, field.name)
         option = flag(field.name, prefix)
         if is_dataclass(value):
-            check_numbers(value, f"{option}.")
+            if not is_nameless(hints[field.name]):
+                check_numbers(value, f"{option}.")
             continue
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float):

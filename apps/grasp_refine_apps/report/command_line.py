@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
 
-WRITTEN = ("json", "html", "overwrite")
+WRITTEN = ("json", "html", "markdown", "overwrite")
 """Options for output files."""
 
 POSITIONAL = ("jobs",)
@@ -50,7 +50,7 @@ def words(options: Any, group: str = "") -> Iterator[str]:
     for option in fields(options):
         value, name = getattr(options, option.name), group + option.name
         if is_dataclass(value):
-            yield from words(value, group if _is_nameless(hints[option.name]) else f"{name}.")
+            yield from words(value, group if is_nameless(hints[option.name]) else f"{name}.")
         elif value == option.default or option.name in WRITTEN:
             continue
         elif option.name in POSITIONAL:
@@ -61,6 +61,6 @@ def words(options: Any, group: str = "") -> Iterator[str]:
             yield from (flag(name), *map(str, value if isinstance(value, tuple) else (value,)))
 
 
-def _is_nameless(hint: Any) -> bool:
+def is_nameless(hint: Any) -> bool:
     """Return whether `arg(name="")` annotates a field."""
     return any(getattr(note, "name", None) == "" for note in getattr(hint, "__metadata__", ()))

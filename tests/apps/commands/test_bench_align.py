@@ -69,7 +69,7 @@ def test_a_run_prints_a_table_and_writes_its_rows(capfd: pytest.CaptureFixture[s
     assert found["invocation"] == "refine-grasp bench align --kinds convex --pairs 1 --targets 3 --budgets 20 40"
     assert (found["schema"], found["command"], found["preset"], found["seed"]) == (1, "bench align", None, 0)
     assert found["machine"]["cpus"] == os.cpu_count() and found["machine"]["cpu"]
-    assert found["config"]["budgets"] == [20, 40] and found["config"]["json"] is None
+    assert found["config"]["budgets"] == [20, 40] and found["config"]["outputs"]["json"] is None
     assert [(row["budget"], row["iterations_mean"], row["targets"]) for row in pooled(found)] == [
         (20, 20.0, 3), (40, 40.0, 3)
     ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +13,18 @@ import pytest
 from grasp_refine_apps.bench.chart import Row
 from grasp_refine_apps.bench.jobs import Job
 from grasp_refine_apps.bench.report import Report
-from grasp_refine_apps.commands.benchmark import run_benchmark
-from grasp_refine_apps.commands.options import OptionalFile
+from grasp_refine_apps.commands.benchmark import Outputs, run_benchmark
 from worker_tasks import fake_job
 
 pytestmark = pytest.mark.usefixtures("workplace")
 
 
 @dataclass(frozen=True)
-class Options:
-    """What all benchmarks have."""
+class Command:
+    """A benchmark without options of its own."""
 
     preset: str | None = None
-    seed: int = 0
-    json: OptionalFile = Path("found.json")
-    html: OptionalFile = None
-    overwrite: bool = False
+    outputs: Outputs = field(default_factory=lambda: Outputs(json=Path("found.json")))
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ class Labels:
 def test_what_failed_and_what_was_interrupted_is_reported_by_the_exit_code(
     labels: tuple[str, ...], code: int, done: int, problems: tuple[str, ...]
 ):
-    assert run_benchmark("bench labels", Options(), Labels(labels)) == code
+    assert run_benchmark("bench labels", Command(), Labels(labels)) == code
     found = json.loads(Path("found.json").read_text())
     assert [row["label"] for row in found["rows"]] == list(labels[:1]) + ["b"] * (done - 1)
     assert len(found["problems"]) == len(problems)
@@ -69,5 +65,5 @@ def test_what_failed_and_what_was_interrupted_is_reported_by_the_exit_code(
 
 @pytest.mark.parametrize(("labels", "code"), [(("bad",), 1), (("stop", "a"), 130)])
 def test_without_results_nothing_is_written(labels: tuple[str, ...], code: int):
-    assert run_benchmark("bench labels", Options(), Labels(labels)) == code
+    assert run_benchmark("bench labels", Command(), Labels(labels)) == code
     assert not Path("found.json").exists()

@@ -9,7 +9,7 @@ import pytest
 from grasp_refine_apps.commands.batch import Batch
 from grasp_refine_apps.commands.bench_align import BenchAlign
 from grasp_refine_apps.commands.bench_grasp import BenchGrasp
-from grasp_refine_apps.commands.bench_hold import BenchHold
+from grasp_refine_apps.commands.bench_success import BenchSuccess
 from grasp_refine_apps.commands.options import parse
 from grasp_refine_apps.report.command_line import invocation
 
@@ -23,12 +23,12 @@ from grasp_refine_apps.report.command_line import invocation
         (BenchGrasp, ""),
         (BenchGrasp, "--object sphere:0.03 --solvers adam descent --shift 0.0"),
         (BenchGrasp, "--hand 'my hand.urdf' --batches 1 2"),
-        (BenchHold, ""),
-        (BenchHold, "--index 0 3 --grasps mine.npz --starts 1 24 --protocols strict"),
+        (BenchSuccess, ""),
+        (BenchSuccess, "--index 0 3 --grasps mine.npz --starts 1 24 --protocols strict"),
         (Batch, "mine.npz --levenberg-marquardt.damping 3.0 --weights.contact 2.0"),
     ],
 )
-def test_the_same_is_asked_for_again(command: type[BenchAlign | BenchGrasp | BenchHold | Batch], options: str):
+def test_the_same_is_asked_for_again(command: type[BenchAlign | BenchGrasp | BenchSuccess | Batch], options: str):
     asked = parse(command, "bench", [*shlex.split(options), "--json", "a.json"])
     program, *words = shlex.split(invocation("bench mine", asked))
     assert (program, words[:2]) == ("refine-grasp", ["bench", "mine"])

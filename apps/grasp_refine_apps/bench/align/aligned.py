@@ -9,8 +9,8 @@ import numpy as np
 
 from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.se3 import transform_points
-from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 

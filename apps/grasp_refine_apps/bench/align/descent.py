@@ -26,6 +26,7 @@ from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.transport import EquivalentTransport
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at
 from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.patch import PatchLayer
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch, TimedDerivative
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -66,7 +67,8 @@ def align(
     watch = Stopwatch()
     pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
     method = TimedDerivative(variant.derivative(seed), watch)
-    layer = WitnessLayer(pairs, method, variant.solver_patch)
+    patch = variant.solver_patch
+    layer = WitnessLayer(pairs, method) if patch is None else PatchLayer(pairs, method, patch)
     problem = _Problem(variant, layer, stacked("target_a"), stacked("target_b"), watch)
     T_a, T_b = stacked("T_world_a"), stacked("T_world_b")
     best = _Best(torch.full(T_a.shape[:2], torch.inf, dtype=dtype, device=device), T_a, T_b)

@@ -21,10 +21,10 @@ from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquar
 from grasp_refine.refinement.solvers.rows import Linear
 from grasp_refine.witness.contact_kinematics import contact_slip_jacobian
 from grasp_refine.witness.pair_curvature import SMALLEST_CURVATURE, PairCurvatures
-from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult, errors_at, pad_tasks
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.closed_form import ClosedForm, turned
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.stopwatch import Stopwatch
 from grasp_refine_apps.bench.align.tasks import Tasks
 from grasp_refine_apps.bench.align.variants import Variant

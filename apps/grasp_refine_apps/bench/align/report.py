@@ -11,7 +11,6 @@ import numpy as np
 from grasp_refine.core.plurals import count_text
 from grasp_refine_apps.bench.align.bodies import KINDS
 from grasp_refine_apps.bench.align.stopwatch import PARTS
-from grasp_refine_apps.bench.align.tasks import CLASSES
 from grasp_refine_apps.bench.align.variants import MethodName, SolverName
 from grasp_refine_apps.bench.chart import Axis, Chart, Row
 from grasp_refine_apps.bench.report import Column, Note, Report, Table
@@ -31,28 +30,20 @@ MIN_ERROR_M2 = 1e-14
 MAX_LINES = 12
 """With more lines than this, a swept setting is shown at its best value only."""
 
-INTRO = """Two rigid bodies have one pair of witness points: the points where they are closest, or deepest inside each
-other. In each task a target point is marked on either body, and a solver moves one body, or both, until the witness
-points lie on the two targets, at the distance of the contact margin. The methods differ in how they differentiate the
-witness points with respect to the pose. The error is (distance of witness point a from its target)² + (the same of
-b)² + (distance of the bodies − contact margin)², in square metres: 1e-6 m² is 1 mm, 1e-8 m² is 0.1 mm. Of each task the
-best iterate counts; "last" is the result of the last one.
-
-Gradient descent uses up its budget. Levenberg-Marquardt only keeps steps that lower the error and ends a task that is
-solved, so its budget is the most that a task may take, and "last" is its best. "Closed-form" places a body once, with
-opposite normals at the targets, by no derivative and no iteration; "closed-form-first" is Levenberg-Marquardt, which
-tries that pose first when a task stalls. The other rows show the value of a derivative. "Patch" is another way to
-evaluate the same poses, meant for targets on two faces: of all points that are within epsilon of being the closest,
-those nearest to the targets.
+INTRO = """A target point is marked on either of two bodies, and a solver moves one body, or both, until their witness
+points lie on the targets, at the distance of the contact margin. The error is (distance of witness point a from its
+target)² + (the same of b)² + (distance of the bodies − contact margin)², in square metres: 1e-6 m² is 1 mm. Of each
+task the best iterate counts; "last" is the result of the last one. "Closed-form" places a body once, with opposite
+normals at the targets; "closed-form-first" is Levenberg-Marquardt, which tries that pose first when a task stalls. The
+other rows show the value of a derivative. "Patch" evaluates the same poses by those of all nearly closest points that
+are nearest to the targets.
 """
 
-TIMES = """Lower and further left is better. Each point is a budget, so a line shows the benefit of more computing time.
-CPU time is for all targets of a pair together; pairs go through the computation many at a time, and methods with many
-queries per iteration (finite differences, zeroth order) ran on an eighth of the targets, their time multiplied by
-eight. A hollow marker means none missed, or an error too small to draw."""
+TIMES = """Each point is a budget. CPU time is for all targets of a pair together; finite differences and zeroth order
+ran on an eighth of the targets, their time multiplied by eight. A hollow marker means none missed, or an error too
+small to draw."""
 
-RESULTS = """At the largest budget of each variant. Targets on two faces are counted separately: there the witness
-points are not unique."""
+RESULTS = """Targets on two faces are counted separately: there the witness points are not unique."""
 
 
 def _percent(share: float) -> str:
@@ -96,19 +87,17 @@ def report(rows: Sequence[Row], title: str) -> Report:
     every = pooled(labelled)
     last = at_largest_budget(labelled)
     columns = _columns(every)
-    parts: list[Table | Chart | Note] = [Note(INTRO), *_findings(pooled(last)), _times(every)]
+    parts: list[Table | Chart | Note] = [Note(INTRO), _times(every)]
     parts += [_sweep(every, key) for key in swept(every)]
     parts += _printed(labelled, title, columns)
     for kind in kinds_of(last):
         its = [row for row in last if row["kind"] == kind]
+        of_kind = [row for row in every if row["kind"] == kind]
         parts += [
-            Table(f"Results, {kind} bodies", columns, pooled(its), RESULTS, only="page"),
-            _matrix(f"Acc@1e-6 by features of the targets, {kind} bodies", its),
-            _folded(f"All budgets, {kind} bodies", [row for row in every if row["kind"] == kind], columns),
+            Table(f"Results, {kind} bodies", columns, of_kind, RESULTS, only="page"),
             _folded(f"By features of the targets, {kind} bodies", its, columns, "target_class"),
             _folded(f"By pair, {kind} bodies", its, columns, "pair"),
         ]
-    parts.append(_settings(every))
     return Report("Alignment benchmark", [part for part in parts if not isinstance(part, Table) or part.rows])
 
 
@@ -146,16 +135,6 @@ def _printed(rows: Sequence[Row], title: str, columns: Sequence[Column]) -> Iter
         ]
         pairs = f"{kind}, {count_text(its[0]['pairs'], 'pair')}"
         yield Table(f"alignment, {pairs}, {title}{patch}", columns, lines, only="terminal")
-
-
-def _findings(rows: Sequence[Row]) -> Iterator[Note]:
-    """Yield, for each kind, the variant with the most hits and the runner-up."""
-    for kind in kinds_of(rows):
-        measured = [row for row in rows if row["kind"] == kind and row["targets"]]
-        best = sorted(measured, key=lambda row: -row["acc_1e6"])[:2]
-        if len(best) == 2 and best[0]["acc_1e6"] > best[1]["acc_1e6"]:
-            first, second = (f"{row['label']} ({_percent(row['acc_1e6'])} %)" for row in best)
-            yield Note(f"On {kind} bodies, {first} met the most targets, before {second}.")
 
 
 def _times(rows: Sequence[Row]) -> Chart:
@@ -199,40 +178,12 @@ def _sweep(rows: Sequence[Row], key: str) -> Chart:
     )
 
 
-def _matrix(title: str, rows: Sequence[Row]) -> Table:
-    """Make a table of hits: a line for each variant, a column for each class of targets."""
-    found: dict[str, Row] = {}
-    for row in rows:
-        if row["pair"] == "all" and row["target_class"] != "all":
-            line = found.setdefault(row["label"], {"label": row["label"], **dict.fromkeys(CLASSES)})
-            line[row["target_class"]] = row["acc_1e6"]
-    measured = [name for name in CLASSES if any(line[name] is not None for line in found.values())]
-    columns = [_accuracy(name, name, f"Acc@1e-6 of {name} targets (body a, body b)") for name in measured]
-    return Table(title, (LABEL, *columns), list(found.values()), only="page")
-
-
-def _folded(title: str, rows: Sequence[Row], columns: Sequence[Column], key: str = "") -> Table:
-    """Make a folded table of the pooled rows, or of those of each value of `key`."""
-    shown = [row for row in rows if row[key] != "all"] if key else pooled(rows)
-    if key == "pair":
-        shown = [row for row in shown if row["target_class"] == "all"]
-    shown = sorted(shown, key=lambda row: row[key]) if key else shown
+def _folded(title: str, rows: Sequence[Row], columns: Sequence[Column], key: str) -> Table:
+    """Make a folded table of the rows of each value of `key`."""
+    shown = [row for row in rows if row[key] != "all" and (key != "pair" or row["target_class"] == "all")]
     first, *others = columns
-    both = (first, Column(key, key.replace("_", " ")), *others) if key else columns
-    return Table(title, both, shown, only="page", folded=True)
-
-
-def _settings(rows: Sequence[Row]) -> Table:
-    """Make a table of all settings of each variant."""
-
-    def text(key: str) -> Column:
-        forms = {"epsilon": micrometres, "margin": lambda value: f"{1e3 * value:g} mm"}
-        return Column(key, key.replace("_", " "), form=forms.get(key, str))
-
-    lines = {row["label"]: row for row in rows}
-    return Table(
-        "Settings of every variant", (LABEL, *map(text, SETTINGS)), list(lines.values()), only="page", folded=True
-    )
+    both = (first, Column(key, key.replace("_", " ")), *others)
+    return Table(title, both, sorted(shown, key=lambda row: row[key]), only="page", folded=True)
 
 
 # labels and order of rows

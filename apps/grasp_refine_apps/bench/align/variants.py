@@ -12,9 +12,9 @@ from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.neighborhood import Adaptive
-from grasp_refine.witness.patch import Patch
 from grasp_refine.witness.slip import Coupling
 from grasp_refine.witness.zeroth_order import ZerothOrder
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.derivatives import NeighborhoodName, make_derivative
 
 MethodName = Literal[

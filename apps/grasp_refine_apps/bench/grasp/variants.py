@@ -65,7 +65,7 @@ class Variant:
         return Config(
             solver=SOLVERS[self.solver](iterations=self.iterations),
             derivative=make_derivative(self.derivative, seed=seed),
-            # Solvers are compared by geometry; `bench hold` measures whether grasps hold.
+            # Solvers are compared by geometry; `bench success` measures whether grasps hold.
             weights=Weights(wrench=0.0),
             tolerance=tolerance,
             width=self.batch,

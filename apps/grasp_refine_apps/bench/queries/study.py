@@ -90,7 +90,7 @@ class QueryStudy:
         queries, skipped = ([row for row in rows if row["table"] == name] for name in ("queries", "skips"))
         parts: list[Table | Chart | Note] = []
         if queries:
-            parts = [Note(INTRO), *_charts(queries), _printed(queries), _numbers(queries)]
+            parts = [Note(INTRO), *_charts(queries), _printed(queries)]
         if skipped:
             parts.append(Table("Skipped work", SKIPS, skipped, note=SKIPPED))
         return Report("Witness queries", parts)
@@ -240,35 +240,6 @@ def _errors(rows: Sequence[Row]) -> str:
             worst[row["by"]] = row
     told = (f"{name} {row['distance_error_m']:.0e} (its {row['tolerance_m']:.0e})" for name, row in worst.items())
     return f"Largest difference of signed distances from ours, and its own tolerance, in m: {'; '.join(told)}."
-
-
-def _numbers(rows: Sequence[Row]) -> Table:
-    """Make a table of all numbers."""
-    return Table(
-        "All numbers",
-        (
-            Column("bodies", "bodies"),
-            Column("state", "state", hint="how the bodies lie to each other"),
-            Column("batch", "batch", form="d", hint="poses in a call"),
-            Column("by", "by", hint="engine or peer"),
-            Column("warm", "warm", hint="whether the last answer, a step away, was known"),
-            Column("forward_us", "forward", "µs CPU", _two_digits, hint="a query per pose, median"),
-            Column("layer_us", "layer", "µs CPU", _two_digits, hint="a forward pass of the torch layer, median"),
-            *(
-                Column(key, f"backward {_method(key)}", "µs CPU", _two_digits, hint="a backward pass per pose, median")
-                for key in _methods(rows)
-            ),
-            Column("forward_ratio", "ratio", form=_two_digits, hint="time over that of the first engine, median"),
-            Column("poses", "poses", form="d", hint="queried poses"),
-            Column("queries_asked", "queried", form="d", hint="queries of piece pairs in all"),
-            Column("pruned", "pruned", form="d", hint="piece pairs that were not queried"),
-            Column("queries_warm", "warm starts", form="d", hint="poses with a warm start of GJK"),
-            Column("distance_error_m", "error", "m", ".1e", hint="largest difference from ours in Python"),
-        ),
-        [{**row, "bodies": _bodies(row)} for row in rows],
-        only="page",
-        folded=True,
-    )
 
 
 SKIPS = (

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import log10
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 from grasp_refine.core.plurals import count_text
 from grasp_refine_apps.bench.chart import Row, group_rows
 from grasp_refine_apps.bench.jobs import Job, Progress
-from grasp_refine_apps.bench.report import Column, Note, Report, Shade, Table
+from grasp_refine_apps.bench.report import Column, Note, Only, Report, Table
 from grasp_refine_apps.bench.stability.cases import DTYPES, ENGINES, KINDS, METHODS, NEIGHBORHOODS, STATES, Task
 from grasp_refine_apps.bench.stability.derivative import derivative_cells
 from grasp_refine_apps.bench.stability.forward import forward_cells
@@ -40,9 +39,6 @@ ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
 )
 """Key of a row -> its values in display order; values of other keys are sorted."""
 
-PALEST_ERROR = 1e-8
-"""Error over tolerance of the palest square; the darkest one that is not wrong has 1."""
-
 PRINTED_CELLS, LISTED_CELLS = (5, 2), (40, 10)
 """Largest number of cells that are printed, and that are on a page: wrong ones, or nearest ones of each precision."""
 
@@ -53,30 +49,9 @@ LINE_CHARACTERS = 78
 """Characters of a line of a command, which continues after a backslash."""
 
 INTRO = """Bodies of many kinds and sizes are placed in many states, and queried for their signed distance, their
-witness points and the derivative of these. Each distance is compared with one that is computed in another way: in
-closed form, or from the hull of all differences of vertices. It is wrong where it is off by more than 1e-8 of the
-larger diagonal + 1e-12 m + 1e-15 of how far the bodies are from the origin, for float32 poses plus their rounding; or
-where its sign is wrong though the distance exceeds that. Gaps are in diagonals, but for those in µm and nm.
-
-Witness points are compared with the true ones where these are unique. They are wrong where they are off by more than
-1e-6 of the larger diagonal plus the slide of points that the error of the distance, or the rounding of poses, allows;
-where any, unique or not, are as much outside their bodies, or are not the distance apart along the normal; or where
-two planes across the normal do not certify the distance.
-
-Collapsed are answers that are right within the tolerance, but whose sign or status is not the true one, though the
-true distance exceeds 64 roundings of diagonal and position: gaps of less than the tolerance that are reported as
-contact. This is counted and is not a fault.
-
-A derivative is wrong where it is not finite, or exceeds the bound of its method; where that of the distance is not
-the normal at the witness points, or not along the true normal; where points and normal do not move with the bodies
-when both move together; or where another size of the same scene gives another one. The slip of points on their bodies
-is checked for two spheres that are apart by more than four tolerances of the distance, for which it is known: with
-every method its direction, and its amount with finite differences (to 1e-5) and, for the points, with the analytical
-method. Of polytopes, capsules, and spheres against these, the slip is not compared with a true one: most methods
-smooth it on purpose.
-
-Maps: the darker a square, the nearer the worst error is to its tolerance, from 1e-8 of it on; a number counts faults;
-hatched squares are refused with a reason, blank ones not queried."""
+witness points and the derivative of these. Distances are compared with those in closed form, or of the hull of all
+differences of vertices; `judging` and `derivative` have the tolerances. Collapsed are answers that are right within the
+tolerance, but whose sign or status is not the true one: this is counted and is not a fault."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +77,7 @@ class StabilityStudy:
         return [cell.row() for its in done for cell in its]
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
-        """Return counts by body, state and method, heat maps, and the cells that are wrong or nearest to it."""
+        """Return counts by body, size, state and method, and the cells that are wrong or nearest to it."""
         forward, derivative = of_measure(rows, "forward"), of_measure(rows, "derivative")
         lines = [*_worst_lines(rows, self.seed), *summary(rows, len(problems))]
         parts: list[Note | Table] = [
@@ -110,7 +85,6 @@ class StabilityStudy:
             *_counts(forward, "wrong distances and points; errors are over their tolerance", "kind", FORWARD),
             *_counts(derivative, "wrong derivatives; errors are over their tolerance", "method", DERIVATIVE),
             Note("\n".join(lines), "Summary", only=None, verbatim=True),
-            *_maps(forward, derivative),
             *_lists(rows, self.seed),
         ]
         failed = bool(problems) or total(rows)["wrong"] > 0
@@ -165,12 +139,13 @@ DERIVATIVE = (
 
 
 def _counts(rows: Sequence[Row], title: str, first: str, columns: Sequence[Column]) -> Iterator[Table]:
-    """Make tables with a line for each value of a key, then for each state and for all."""
-    for key in (first, "state") if rows else ():
+    """Make tables with a line for each value of a key, for each state and for all; on a page for each size, too."""
+    for key in (first, "state", "diagonal") if rows else ():
         groups = group_rows(rows, (key,))
         lines = [{"name": words(key, value), **total(groups[value,])} for value in ordered(key, (r[key] for r in rows))]
         lines += [{"name": "all", **total(rows)}] if key == "state" else []
-        yield Table(f"{title}, by {key}", [Column("name", key), *columns], lines)
+        place: Only | None = "page" if key == "diagonal" else None
+        yield Table(f"{title}, by {key}", [Column("name", key), *columns], lines, only=place)
 
 
 def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
@@ -203,83 +178,6 @@ def _worst_lines(rows: Sequence[Row], seed: int) -> Iterator[str]:
         yield " \\\n".join(lines)
     if shown:
         yield ""
-
-
-# heat maps
-
-
-def _maps(forward: Sequence[Row], derivative: Sequence[Row]) -> Iterator[Table]:
-    """Make each heat map of which there are rows."""
-    body, way = ("kind", "diagonal"), ("dtype", "batch", "engine", "translation")
-    method, moves = ("method", "neighborhood", "dtype"), "derivative_error_max"
-    double, single = ([row for row in forward if row["dtype"] == dtype] for dtype in DTYPES)
-    asked = (
-        ("Signed distances by body and state", "Poses in double precision, queried in all ways.", double, body, "state",
-         "error_max"),
-        ("Signed distances by body and state, float32", "Poses in single precision, whose rounding is most of it.",
-         single, body, "state", "error_max"),
-        ("Signed distances by way of querying", "All bodies together.", forward, way, "state", "error_max"),
-        ("Witness points by body and state", "Poses in double precision; the colour is of points and normals.", double,
-         body, "state", "points_error_max"),
-        ("Derivatives by method and state", "All bodies together.", derivative, method, "state", moves),
-        ("Derivatives by method and size", "Body kinds and states together.", derivative, method, "diagonal", moves),
-        ("Derivatives by body and state", "All methods together.", derivative, body, "state", moves),
-    )  # fmt: skip
-    for title, note, rows, down, across, error in asked:
-        if rows:
-            yield heat_map(title, note, rows, down, across, error)
-
-
-def heat_map(title: str, note: str, rows: Sequence[Row], down: Sequence[str], across: str, error: str) -> Table:
-    """Make a table with a coloured square for all cells that share some keys.
-
-    Args:
-        title: Title of the table.
-        note: Paragraph above it.
-        rows: Rows to count.
-        down: Keys that have a line for each combination that occurs.
-        across: Key whose values are the columns.
-        error: Key of the error that colours the squares, over its tolerance.
-    """
-    found = group_rows(rows, (*down, across))
-    columns = ordered(across, (row[across] for row in rows))
-    places = [ordered(key, (row[key] for row in rows)) for key in down]
-    names = {key[:-1] for key in found}
-    lines = []
-    for name in sorted(names, key=lambda name: [its.index(value) for its, value in zip(places, name, strict=True)]):
-        head = ", ".join(words(key, value) for key, value in zip(down, name, strict=True))
-        line: Row = {"name": head}
-        for value in columns:
-            text = words(across, value)
-            line[text] = {"where": f"{head}, {text}", **total(found.get((*name, value), []))}
-        lines.append(line)
-
-    def shade(its: Row) -> Shade:
-        return _shade(its, error)
-
-    texts = [words(across, value) for value in columns]
-    heads = [Column(text, text, form=lambda its: str(its["wrong"] or ""), shade=shade) for text in texts]
-    return Table(title, [Column("name", ", ".join(down)), *heads], lines, note, only="page")
-
-
-def _shade(its: Row, error: str) -> Shade:
-    """Colour of the total of some cells."""
-    if not its["cells"]:
-        return Shade("none", hint=f"{its['where']}: there is no such cell")
-    said = [f"{its[name]} {FAULT_LABELS[name]}" for name in WRONG if its[name]] or ["none wrong"]
-    said += [f"{its['refused']} refused"] if its["refused"] else []
-    said += [] if its[error] is None else [f"worst error {its[error]:.1e} of its tolerance"]
-    hint = f"{its['where']}: {its['queries']} queries, {', '.join(said)}"
-    if its["wrong"]:
-        return Shade("wrong", 100, hint)
-    return Shade("refused", 0, hint) if its["refused"] == its["queries"] else Shade("right", depth(its[error]), hint)
-
-
-def depth(error: float | None) -> int:
-    """Percent of the darkest colour for an error over its tolerance; logarithmic."""
-    if error is None or error <= PALEST_ERROR:
-        return 0
-    return round(100 * min(1.0, 1 - log10(error) / log10(PALEST_ERROR)))
 
 
 # lists

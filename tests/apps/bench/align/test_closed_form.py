@@ -10,9 +10,9 @@ from grasp_refine.collision.query import Pairs
 from grasp_refine.core.se3 import exp_se3, log_so3
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
-from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.closed_form import ClosedForm, run_closed_form
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body

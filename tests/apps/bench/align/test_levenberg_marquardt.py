@@ -11,7 +11,6 @@ from alignment_errors import errors_at
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, hull
 from grasp_refine.refinement.solvers.iterate import Point
-from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.levenberg_marquardt import (
@@ -19,6 +18,7 @@ from grasp_refine_apps.bench.align.levenberg_marquardt import (
     AlignProblem,
     run_levenberg_marquardt,
 )
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body

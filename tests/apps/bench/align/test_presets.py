@@ -9,7 +9,7 @@ import pytest
 
 from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.presets import BASELINE, EPSILON, MARGINS, OURS, PRESETS, STEP_SIZES
 from grasp_refine_apps.bench.align.tasks import CLASSES
 from grasp_refine_apps.bench.align.variants import ADAPTIVE, TARGET_STRIDE, MethodName, Variant

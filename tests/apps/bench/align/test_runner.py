@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from alignment_errors import errors_at
-from grasp_refine.witness.patch import Patch
 from grasp_refine_apps.bench.align import runner as module
 from grasp_refine_apps.bench.align.bodies import BodyPair
+from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.runner import Alignment, JobResult, alignments
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant

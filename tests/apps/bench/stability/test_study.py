@@ -1,4 +1,4 @@
-"""The report of stability: heat maps, counts that fit into 80 columns, and commands that ask again."""
+"""The report of stability: counts that fit into 80 columns, and commands that ask again."""
 
 from __future__ import annotations
 
@@ -10,66 +10,11 @@ import pytest
 from rich.console import Console
 
 from grasp_refine_apps.bench.chart import Row
-from grasp_refine_apps.bench.report import Report, Shade, Table
+from grasp_refine_apps.bench.report import Report, Table
 from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES
 from grasp_refine_apps.bench.stability.rows import Cell
-from grasp_refine_apps.bench.stability.study import PALEST_ERROR, StabilityStudy, again, depth, heat_map, length, words
+from grasp_refine_apps.bench.stability.study import StabilityStudy, again, length, words
 from stability_cells import derivative, forward
-
-BODY = ("kind", "diagonal")
-
-
-@pytest.mark.parametrize(
-    ("error", "percent"),
-    [(None, 0), (0.0, 0), (PALEST_ERROR / 10, 0), (PALEST_ERROR, 0), (1e-4, 50), (1.0, 100), (1e3, 100)],
-)
-def test_squares_are_darker_by_the_decade(error: float | None, percent: int):
-    assert depth(error) == percent
-
-
-def squares(table: Table) -> list[list[Shade | None]]:
-    return [[cell.shade for cell in line[1:]] for line in table.cells()]
-
-
-def test_rows_and_columns_come_in_the_order_of_the_benchmark():
-    cells = [
-        forward(kind=kind, diagonal=size, state=state)
-        for kind in ("plate", "ball")
-        for size in (10.0, 1e-4)
-        for state in ("concentric", "far", "gap-1e-12", "gap-1e-3")
-    ]
-    found = heat_map("", "", [cell.row() for cell in cells], BODY, "state", "error_max")
-    assert [column.head for column in found.columns[1:]] == ["far", "gap-1e-3", "gap-1e-12", "concentric"]
-    assert [line["name"] for line in found.rows] == ["ball, 0.1 mm", "ball, 10 m", "plate, 0.1 mm", "plate, 10 m"]
-
-
-def test_a_square_is_of_the_worst_of_its_cells_and_says_how_many_are_wrong():
-    rows = [
-        forward().row(),
-        forward(error_max=1e-2, dtype="float32").row(),
-        forward(state="deep", wrong_distance=2, error_max=7.0).row(),
-        forward(state="deep", wrong_sign=1, dtype="float32").row(),
-        forward(kind="plate", refused=10, error_max=None).row(),
-        forward(kind="plate", state="deep", refused=4).row(),
-        forward(kind="slivers", state="deep").row(),
-    ]
-    table = heat_map("", "", rows, BODY, "state", "error_max")
-    box, plate, slivers = squares(table)
-    assert [(one.look, one.depth) for one in box] == [("right", 75), ("wrong", 100)]
-    assert [cell.text for cell in table.cells()[0][1:]] == ["", "3"]
-    assert box[0].hint == "box, 10 cm, near: 20 queries, none wrong, worst error 1.0e-02 of its tolerance"
-    assert "20 queries, 2 wrong distance, 1 wrong sign, worst error 7.0e+00" in box[1].hint
-    assert [one.look for one in plate] == ["refused", "right"] and plate[1].hint.count("4 refused") == 1
-    assert [one.look for one in slivers] == ["none", "right"] and "no such cell" in slivers[0].hint
-
-
-def test_methods_without_candidates_have_no_neighborhood():
-    methods = [("zeroth-order", None), ("distance", "fixed"), ("distance", "adaptive")]
-    rows = [derivative(method=name, neighborhood=near).row() for name, near in methods]
-    found = heat_map("", "", rows, ("method", "neighborhood"), "diagonal", "derivative_error_max")
-    assert [line["name"] for line in found.rows] == ["distance, adaptive", "distance, fixed", "zeroth-order, –"]
-    assert [column.head for column in found.columns[1:]] == ["10 cm"]
-    assert [line[0].depth for line in squares(found)] == [62, 62, 62]
 
 
 @pytest.mark.parametrize(
@@ -185,8 +130,3 @@ def test_refusals_are_listed_with_their_bodies_and_mujoco_apart():
     (wrong,) = found["Wrong cells, or those nearest to it"]
     assert wrong["wrong"] == "1 wrong sign; pose 3" and "--diagonals 10.0" in wrong["command"]
     assert {"Refusals", "MuJoCo in comparison"}.isdisjoint(tables(report(forward())))
-
-
-def test_every_map_has_its_own_rows():
-    found = [title for title in tables(report(forward(), derivative())) if " by " in title and title[0].isupper()]
-    assert len(found) == 6 and "float32" not in "".join(found)

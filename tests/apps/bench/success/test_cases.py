@@ -1,4 +1,4 @@
-"""Cases of the evidence: hands, objects and generators of a folder of assets as a job list."""
+"""Cases of the benchmark of success: hands, objects and generators of a folder of assets; perturbed grasps."""
 
 from __future__ import annotations
 
@@ -11,19 +11,13 @@ import pytest
 
 from evidence_assets import OBJECTS, write_assets
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.problem.input_cache import InputCache, NoCache
+from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine_apps.batch.jobs import read_jobs
-from grasp_refine_apps.bench.evidence.cases import (
-    SAMPLED,
-    Cases,
-    ObjectCase,
-    find_hands,
-    matching_object,
-    read_objects,
-    save_jobs,
-    with_file,
-)
+from grasp_refine.sampling.closure_frame import closure_frame
+from grasp_refine_apps.bench.success import cases
+from grasp_refine_apps.bench.success.assets import ObjectCase, find_hands, matching_object, read_objects
+from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, Case, load_case, perturbed
 from refusals import refused
 
 
@@ -32,59 +26,70 @@ def assets(tmp_path: Path) -> Path:
     return write_assets(tmp_path / "assets")
 
 
-def test_each_hand_has_sampled_grasps_on_each_object_and_generators_have_their_own_hand(assets: Path, tmp_path: Path):
+def test_each_hand_has_sampled_grasps_on_each_object_and_generators_have_their_own_hand(assets: Path):
     hands = ("allegro", "plates", "allegro_mjcf/right", "embedded/leap")
-    cases = Cases(assets, hands, sampled=3).write(tmp_path / "out")
-    sampled = [(case.hand.name, case.object.name) for case in cases if case.is_sampled]
+    cases = Axes(assets=assets, hands=hands, count=3).cases()
+    sampled = [(case.hand, case.object.name) for case in cases if case.source == SAMPLED and case.object]
     assert sampled == [(hand, name) for hand in ("allegro", "embedded/leap", "plates") for name in sorted(OBJECTS)]
-    made = [(case.hand.name, case.object.name, case.count) for case in cases if case.generator == "made"]
+    made = [(case.hand, case.object.name, case.requested) for case in cases if case.source == "made" and case.object]
     assert made == [("allegro", "my_rounded_box", 4), ("allegro_mjcf/right", "my_rounded_box", 4)]
-    assert {case.count for case in cases if case.is_sampled} == {3}
-    assert len({case.job for case in cases}) == len(cases)
+    assert {str(case.spec.grasps) for case in cases if case.source == SAMPLED} == {"sample:3"}
+    assert len({case.name for case in cases}) == len(cases)
+    # The scale of the assets takes meshes to metres; grasps of the generator name it.
+    assert all(case.spec.scale == OBJECTS[case.object.name] for case in cases if case.object)
 
 
-def test_with_every_nth_object_all_objects_have_grasps_of_some_hand(assets: Path, tmp_path: Path):
+def test_with_every_nth_object_all_objects_have_grasps_of_some_hand(assets: Path):
     hands = ("allegro", "embedded/leap", "embedded/shadow")
-    cases = Cases(assets, hands, generators=(SAMPLED,), every=2).write(tmp_path / "out")
+    cases = Axes(assets=assets, hands=hands, generators=(SAMPLED,), every=2).cases()
     assert len(cases) == 3
-    assert {case.object.name for case in cases} == set(OBJECTS)
-    assert {case.hand.name for case in cases} == set(hands)
+    assert {case.object.name for case in cases if case.object} == set(OBJECTS)
+    assert {case.hand for case in cases} == set(hands)
 
 
-def test_some_grasps_of_a_generator_are_taken_evenly(assets: Path, tmp_path: Path):
-    cases = Cases(assets, ("allegro",), generators=("made",), generated=2)
-    (case,) = cases.write(tmp_path / "out")
-    found, whole = load_grasps(case.grasps), load_grasps(assets / "grasps/normalised/made.npz")
-    np.testing.assert_array_equal(found.q, whole.q[[0, 3]])
-    before = Path(case.grasps).read_bytes()
-    cases.write(tmp_path / "out")
-    assert Path(case.grasps).read_bytes() == before, "results would be computed again"
-
-
-def test_jobs_name_all_inputs_and_can_be_read_as_a_batch(assets: Path, tmp_path: Path):
-    cases = Cases(assets, ("allegro",)).write(tmp_path / "out")
-    file_of = {case.job: tmp_path / f"{number}.npz" for number, case in enumerate(cases) if case.is_sampled}
-    for path in file_of.values():
-        path.touch()
-    save_jobs(tmp_path / "jobs.csv", [with_file(case, file_of) for case in cases])
-    jobs = {job.name: job.inputs for job in read_jobs([str(tmp_path / "jobs.csv")], ProblemSpec())}
-    for case in cases:
-        job = jobs[case.job]
-        assert (job.hand, job.object) == ("allegro", case.object.source)
-        assert job.urdf == assets / "hands/allegro/allegro.urdf"
-        assert job.grasps == (file_of[case.job] if case.is_sampled else Path(case.grasps))
-        # Sampled grasps have the scale in metres already; those of the generator, in metres, that of the mesh.
-        assert job.scale == (1.0 if case.is_sampled else OBJECTS[case.object.name])
-
-
-def test_grasps_that_scale_the_mesh_are_not_scaled_again(assets: Path, tmp_path: Path):
+def test_some_grasps_of_a_generator_are_taken_evenly_at_its_scale(assets: Path):
+    axes = Axes(assets=assets, hands=("allegro",), generators=("made",), generated=2)
+    (case,) = axes.cases()
+    assert case.spec.index == (0, 3)
     file = assets / "grasps/normalised/made.npz"
     with np.load(file) as entries:
         np.savez(file, **{**entries, "scale": np.full(4, 0.5)})
     table = assets / "objects.csv"
     table.write_text(table.read_text().replace("my_rounded_box,1.0", "my_rounded_box,0.7"))
-    (case,) = Cases(assets, ("allegro",), generators=("made",)).write(tmp_path / "out")
-    assert case.scale == 1.0
+    (case,) = axes.cases()
+    assert case.spec.scale == 1.0, "grasps that scale the mesh are not scaled again"
+
+
+def test_a_perturbation_moves_the_middle_of_the_pads_by_5_mm_and_turns_by_10_degrees():
+    case = Case(ProblemSpec(hand="franka_hand", object="box:0.02,0.02,0.1", grasps=Path("sample:4")))
+    problem, factor = load_case(case, 0, NoCache())
+    (group,) = problem.groups
+    moved = perturbed(group, 0)
+    before, after = group.scene, moved.scene
+    center = np.append(closure_frame(before.hand).center, 1.0)
+    shift = (after.T_world_root - before.T_world_root) @ center
+    np.testing.assert_allclose(np.linalg.norm(shift[:, :3], axis=1), 0.005, rtol=1e-9)
+    R = after.T_world_root[:, :3, :3] @ before.T_world_root[:, :3, :3].mT
+    np.testing.assert_allclose(np.degrees(np.arccos((np.trace(R, axis1=1, axis2=2) - 1) / 2)), 10.0, rtol=1e-9)
+    assert factor == 1.0 and (after.q == before.q).all()
+    np.testing.assert_allclose(moved.grasps.hand_pose[:, :3], after.T_world_root[:, :3, 3])
+
+
+def test_an_object_that_is_too_wide_is_scaled_until_a_grasp_is_found(monkeypatch: pytest.MonkeyPatch):
+    load = cases.load_problem
+
+    def narrow(spec: ProblemSpec, cache: InputCache, *, seed: int) -> Problem:
+        if spec.scale > 0.7:
+            raise GraspRefineError("no grasp is found")
+        return load(spec, cache, seed=seed)
+
+    monkeypatch.setattr(cases, "load_problem", narrow)
+    case = Case(ProblemSpec(hand="franka_hand", object="sphere:0.03", grasps=Path("sample:1")))
+    with refused(GraspRefineError, "no grasp"):
+        load_case(case, 0, NoCache())
+    problem, factor = load_case(case, 0, NoCache(), shrink=True)
+    assert factor == pytest.approx(0.64)
+    assert problem.groups[0].scene.object.body.diagonal == pytest.approx(0.64 * 0.06 * 3**0.5, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +126,7 @@ def test_generators_may_leave_out_the_beginning_of_a_name_and_its_hyphens():
 
 
 def test_hands_of_ours_add_what_they_know_to_the_urdf(assets: Path):
-    hands = {hand.name: hand for hand in find_hands(assets / "hands")}
+    hands = {hand.name: hand for hand in find_hands(assets)}
     assert (hands["allegro"].hand, hands["allegro"].urdf) == ("allegro", assets / "hands/allegro/allegro.urdf")
     assert (hands["plates"].hand, hands["plates"].urdf) == (str(assets / "hands/plates/plates.urdf"), None)
     assert hands["allegro_mjcf/right"].mjcf == assets / "hands/allegro_mjcf/right.xml"
@@ -143,7 +148,7 @@ def test_hands_of_ours_add_what_they_know_to_the_urdf(assets: Path):
         ("no such object of a generator", ("'spoon'",)),
     ],
 )
-def test_errors_name_what_is_missing(fault: str, named: tuple[str, ...], assets: Path, tmp_path: Path):
+def test_errors_name_what_is_missing(fault: str, named: tuple[str, ...], assets: Path):
     table = assets / "objects.csv"
     rows = list(csv.reader(table.read_text().splitlines()))
     if fault == "no objects.csv":
@@ -169,11 +174,10 @@ def test_errors_name_what_is_missing(fault: str, named: tuple[str, ...], assets:
         with np.load(file) as entries:
             np.savez(file, **{**entries, "object": np.full(4, "spoon")})
     with refused(GraspRefineError, *named):
-        Cases(assets).write(tmp_path / "out")
+        Axes(assets=assets).cases()
 
 
-@pytest.mark.parametrize("option", ["hands", "objects", "generators"])
-def test_a_choice_must_exist(option: str, assets: Path, tmp_path: Path):
-    known = {"hands": "allegro", "objects": "ball", "generators": "made"}[option]
+@pytest.mark.parametrize(("option", "known"), [("hands", "allegro"), ("on", "ball"), ("generators", "made")])
+def test_a_choice_must_exist(option: str, known: str, assets: Path):
     with refused(GraspRefineError, f"--{option}", "spoon", known):
-        Cases(assets, **{option: ("spoon",)}).write(tmp_path / "out")
+        replace(Axes(assets=assets), **{option: ("spoon",)}).cases()

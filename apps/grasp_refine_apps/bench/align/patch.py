@@ -20,8 +20,10 @@ from grasp_refine.core.array_records import index_distinct
 from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.se3 import cross, matvec, tangents, transform_points
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.witness.overlap import Overlap
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.size import length_factor
+from grasp_refine_apps.bench.align.overlap import Overlap
 
 _MIN_EXTENT_EPSILONS = 10.0
 """Largest bound of a patch's extent, in epsilons, at which the witness is kept."""
@@ -131,6 +133,27 @@ class Patch:
                 beyond.append(some[(p**2).sum(axis=1) > radius**2])
             left = np.concatenate([*beyond, left[:0]])
         return move_a, move_b
+
+
+class PatchLayer(WitnessLayer):
+    """Witness layer whose points move over a patch towards their targets; the motion of the patch has no derivative."""
+
+    def __init__(self, pairs: Pairs, method: Derivative, patch: Patch) -> None:
+        """Prepare the pairs, as `WitnessLayer`."""
+        super().__init__(pairs, method)
+        self.patch = patch
+
+    def find(
+        self,
+        T_a: np.ndarray,
+        T_b: np.ndarray,
+        targets: tuple[np.ndarray | None, ...],
+        cutoff: np.ndarray | float,
+        previous: Witness | None,
+    ) -> Witness:
+        """Return the witness nearest to the targets."""
+        found = super().find(T_a, T_b, targets, cutoff, previous)
+        return self.patch.refine(self.pairs, T_a, T_b, found, *targets)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.se3 import exp_so3, inverse, matvec, tangents, transform, transform_points
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import Piece, box, capsule, cylinder, hull, sphere
-from grasp_refine.witness.patch import Patch
+from grasp_refine_apps.bench.align.patch import Patch
 from refusals import refused
 from shapes_for_tests import convex_body, ellipsoid_hull, ring_body
 

@@ -1,1 +1,0 @@
-"""Share of grasps of grippers that hold before and after refinement, sampled and perturbed ones."""

@@ -1,0 +1,183 @@
+"""Rows: numbers that can be counted by hand, and what is shown of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from grasp_refine.core.json_files import dumps
+from grasp_refine.measures.measures import COMPARED
+from grasp_refine.scene.protocols.registry import PROTOCOLS
+from grasp_refine_apps.bench.success.measure import Measured, Method
+from grasp_refine_apps.bench.success.rows import ALL, ENGINES, FAILURE, FAILURES_PER_REASON, auc, rows
+from grasp_refine_apps.bench.success.study import SuccessStudy
+from grasp_refine_apps.bench.success.trials import HELD, Trial
+
+TRIALS = (Trial(PROTOCOLS["dexgraspbench"]), Trial(PROTOCOLS["strict"]))
+NAN = np.nan
+GIVEN, OWN_STAGES, GEOMETRY_ONLY = Method("as-given"), Method("own-stages"), Method("geometry-only", 1)
+H, M, T = HELD, "moved", "rotated"
+
+
+def part(
+    method: Method,
+    name: str,
+    easy: list[str],
+    hard: list[str],
+    cpu_s: float = NAN,
+    hand: str = "claw",
+    drake: list[str] | None = None,
+) -> Measured:
+    n = len(easy)
+    ramp = np.arange(n, dtype=float)
+    values = {
+        "penetration_m": 1e-3 * ramp, "self_penetration_m": 1e-4 * ramp, "contact_error_m": 1e-5 * ramp,
+        "wrench_residual": 1e-2 * ramp, "quality": 0.5 + 0.01 * ramp, "cpu_s": cpu_s * (1.0 + ramp),
+        "wall_s": 2 * cpu_s * (1.0 + ramp), "starts": np.full(n, NAN if method.starts is None else method.starts),
+    }  # fmt: skip
+    values = {each.name: np.full(n, NAN) for each in COMPARED} | values
+    moved = {"moved_palm_m": 0.01, "moved_palm_rad": 0.1, "moved_joints_rad": 0.2}
+    values |= {name: np.full(n, NAN if method.starts is None else value) for name, value in moved.items()}
+    labels = {"hand": hand, "source": "sampled", "object": name, "shape": "convex", "size": "not known", "scale": "1"}
+    verdict = {"dexgraspbench": np.array(easy), "strict": np.array(hard)}
+    verdict |= {} if drake is None else {"dexgraspbench in Drake": np.array(drake)}
+    return Measured(method, name, {key: np.repeat(value, n) for key, value in labels.items()}, values, verdict)
+
+
+@pytest.fixture
+def parts() -> list[list[Measured]]:
+    """Four grasps on a cup and one on a can, by four methods; of the cup three hold at first."""
+    found = []
+    for name, came, after, twice in (
+        ("cup", [H, H, H, M], [H, T, H, H], [H, H, H, H]),
+        ("can", [M], [M], [H]),
+    ):
+        bad = [M] * len(came)
+        found.append(
+            [
+                part(GIVEN, name, came, bad),
+                part(OWN_STAGES, name, came, bad),
+                part(GEOMETRY_ONLY, name, after, bad, 0.01),
+                part(Method("forces", 6), name, twice, after, 0.1),
+            ]
+        )
+    return found
+
+
+def test_what_holds_is_counted_pooled_and_by_object(parts: list[list[Measured]]):
+    found = [row for row in rows(parts, TRIALS) if row["by"] != FAILURE]
+    assert [(row["by"], row["label"]) for row in found[::4]] == [(ALL, ALL), ("object", "can"), ("object", "cup")]
+    given, own, geometry, forces = found[:4]
+    assert [row["success_dexgraspbench"] for row in (given, own, geometry, forces)] == [0.6, 0.6, 0.6, 1.0]
+    assert [row["success_strict"] for row in (given, geometry, forces)] == [0.0, 0.0, 0.6]
+    # Of the three that held, the second one is lost.
+    assert [row["lost_dexgraspbench"] for row in (given, geometry, forces)] == [0.0, 1 / 3, 0.0]
+    assert (geometry["num_lost_dexgraspbench"], geometry["held_dexgraspbench"]) == (1, 3)
+    assert forces["lost_strict"] is None, "none held before"
+    assert geometry["reasons_dexgraspbench"] == {"moved": 1, "rotated": 1} and forces["reasons_dexgraspbench"] == {}
+    can = next(row for row in found if row["label"] == "can" and row["method"] == "geometry-only")
+    assert (can["grasps"], can["success_dexgraspbench"], can["lost_dexgraspbench"]) == (1, 0.0, None)
+
+
+def test_costs_and_measures_are_pooled(parts: list[list[Measured]]):
+    given, own, geometry, forces = rows(parts, TRIALS)[:4]
+    assert (given["method"], given["starts"], forces["method"], forces["starts"]) == ("as-given", None, "forces", 6)
+    for name in ("cpu_mean_s", "wall_median_s", "moved_palm_median_m", "starts_mean"):
+        assert given[name] is None and own[name] is None
+    # 10, 20, 30, 40 and 10 ms.
+    assert (geometry["cpu_mean_s"], geometry["cpu_median_s"]) == pytest.approx((0.022, 0.02))
+    assert geometry["wall_mean_s"] == pytest.approx(0.044) and forces["starts_mean"] == 6.0
+    assert geometry["moved_palm_median_m"] == 0.01 and geometry["moved_joints_median_rad"] == 0.2
+    # 0, 1, 2, 3 and 0 mm.
+    assert given["penetration_mean_m"] == pytest.approx(1.2e-3) and given["penetration_q95_m"] == 3e-3
+    assert given["self_penetration_max_m"] == pytest.approx(3e-4)
+    assert given["contact_error_median_m"] == pytest.approx(1e-5)
+    assert (given["wrench_residual_median"], given["wrench_residual_q75"]) == pytest.approx((0.01, 0.02))
+    assert given["quality_median"] == pytest.approx(0.51)
+
+
+def test_what_cannot_be_measured_counts_as_the_worst():
+    bad = part(GIVEN, "cup", [H, H], [H, H])
+    bad.values["penetration_m"][:] = bad.values["wrench_residual"][:] = NAN
+    (row,) = rows([[bad]], TRIALS)
+    assert row["penetration_mean_m"] == row["wrench_residual_median"] == np.inf
+    assert json.loads(dumps(row))["penetration_mean_m"] is None
+
+
+def test_failures_are_listed_by_reason_of_different_hands_and_objects():
+    refined = Method("forces", 6)
+    done = [
+        [part(GIVEN, name, bad, bad, hand=hand), part(refined, name, [H] * len(bad), bad, 0.1, hand)]
+        for name, hand, bad in (("cup", "claw", [M] * 6), ("ball", "leap", [M]), ("can", "claw", [T]))
+    ]
+    found = [row for row in rows(done, TRIALS) if row["by"] == FAILURE]
+    assert [row["label"] for row in found] == ["moved, strict (7 grasps)"] * 4 + ["rotated, strict (1 grasps)"]
+    moved = found[:FAILURES_PER_REASON]
+    assert ("leap", "ball") in [(row["hand"], row["object"]) for row in moved], "not six of the first case"
+    assert (found[-1]["case"], found[-1]["row"], found[-1]["refined"]) == ("can", 0, "6 starts")
+
+
+def test_engines_agree_on_grasps_tried_in_both():
+    """One grasp of three holds in MuJoCo alone as given."""
+    in_drake = Trial(PROTOCOLS["dexgraspbench"], "drake")
+    done = [
+        [
+            part(GIVEN, "cup", [H, M, M], [M] * 3, drake=[M, M, M]),
+            part(GEOMETRY_ONLY, "cup", [H, H, M], [M] * 3, 0.1, drake=[H, H, M]),
+        ]
+    ]
+    given, geometry = (row for row in rows(done, (*TRIALS, in_drake)) if row["by"] == ENGINES)
+    assert (given["grasps"], given["mujoco_only"], given["drake_only"]) == (3, 1, 0)
+    assert (given["share"], given["kappa"]) == pytest.approx((2 / 3, 0.0)) and geometry["kappa"] == 1.0
+    tables = SuccessStudy(trials=(*TRIALS, in_drake)).report(rows(done, (*TRIALS, in_drake)), ()).markdown(ABOUT)
+    assert "| dexgraspbench | 3 | 66.7 → 100.0 | 0.00 → 1.00 | 1 → 0 | 0 → 0 |" in tables
+    assert "| moved | 2 → 1 | 3 → 3 | 3 → 1 |" in tables, "why they do not hold"
+
+
+ABOUT = {
+    "cpu_s": 60.0, "invocation": "this command", "versions": {"grasp-refine": "1"},
+    "machine": {"cpus": 2, "cpu": "fast"},
+}  # fmt: skip
+
+
+def test_cells_have_the_values_of_all_methods_and_the_lost_of_the_last(parts: list[list[Measured]]):
+    text = SuccessStudy().report(rows([case[::2] for case in parts], TRIALS), ["sampled/leap: no mesh"]).markdown(ABOUT)
+    assert "| cup | 4 | 75.0 → 75.0 (1) | 0.0 → 0.0 | " in text and "| can | 1 | 0.0 → 0.0 | " in text
+    assert "| sampled/leap | no mesh |" in text and "`this command`: 1.0 minutes" in text
+
+
+def test_auc_counts_pairs_in_the_right_order():
+    score = np.array([0.9, 0.5, 0.5, 0.1])
+    assert auc(score, np.array([True, True, False, False])) == (2 + 1.5) / 4
+    assert auc(score, np.array([False, False, True, True])) == 0.5 / 4
+    assert auc(score, np.array([True, False, False, False])) == 1.0
+    assert auc(score, np.ones(4, dtype=bool)) is None and auc(score, np.zeros(4, dtype=bool)) is None
+
+
+def test_auc_is_that_of_all_pairs():
+    random = np.random.default_rng(0)
+    score, success = random.integers(0, 9, 60) / 9.0, random.random(60) < 0.4
+    pairs = np.subtract.outer(score[success], score[~success])
+    assert auc(score, success) == pytest.approx(((pairs > 0) + 0.5 * (pairs == 0)).mean())
+
+
+def test_tables_fit_into_a_terminal(parts: list[list[Measured]]):
+    name = "core_523cddb320608c09a37f3fc191551700"
+    longest = [[part(one.method, name, [H] * 2, [H] * 2, 1.0) for one in parts[0]]]
+    console = Console(width=200)
+    with console.capture() as capture:
+        for shown in SuccessStudy().report(rows(longest, TRIALS), ()).printed():
+            console.print(shown)
+    text = capture.get()
+    assert max(map(len, map(str.rstrip, text.splitlines()))) <= 80
+    assert text.count("100.0") == 8 and "6 starts" in text
+
+
+def test_a_chart_has_a_level_for_what_is_not_refined(parts: list[list[Measured]]):
+    pytest.importorskip("matplotlib")
+    _, chart, *_ = SuccessStudy().report(rows(parts, TRIALS), ()).parts
+    svg = chart.svg()
+    assert all(name in svg for name in ("dexgraspbench", "strict", "cup", "can", "strict, as given"))
