@@ -11,7 +11,7 @@ from jaxtyping import Float
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
-from grasp_refine.scene.protocols.registry import default_protocol
+from grasp_refine.scene.protocols.registry import PROTOCOLS, default_protocol
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.listing import Listing
@@ -162,8 +162,9 @@ class State:
         """Return the state that shows a grasp as in its file, without anything made of any."""
         works = {number: collection.work(number)}
         scene = collection.scene(number)
-        protocol = default_protocol(in_scene=scene.environment is not None).name, None
-        return State(collection, number, scene, Pose(*collection.initial(number)), works, settings, protocol)
+        named = scene.task.test(patches=scene.hand.patches).name
+        protocol = named if named in PROTOCOLS else default_protocol(in_scene=scene.environment is not None).name
+        return State(collection, number, scene, Pose(*collection.initial(number)), works, settings, (protocol, None))
 
     def showing(self, collection: Collection, number: int) -> State:
         """Return the state with another grasp shown; works on grasps of the same file stay, and so do options."""
