@@ -65,7 +65,7 @@ def capsule() -> Object:
     ends = np.array([[-0.004, 0.003, -0.01], [0.004, -0.003, 0.01]])
     mesh = trimesh.creation.capsule(height=0.02, radius=0.025)
     mesh.apply_translation(-mesh.center_mass)
-    return Object("capsule", mesh, convex=True, given=(Piece(ends, NONE, 0.025),), candidates=64)
+    return Object("capsule", mesh, convex=True, supplied=(Piece(ends, NONE, 0.025),), candidates=64)
 
 
 def around(hand: Hand, obj: Object, count: int, seed: int) -> Scene:

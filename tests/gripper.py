@@ -69,7 +69,7 @@ def two_balls() -> Object:
     mesh = load_object(f"sphere:{RADIUS}", candidates=16).mesh
     none = np.zeros((0, 3), dtype=int)
     pieces = [Piece(np.array([[0.0, y, 0.0]]), none, 0.02) for y in (-0.02, 0.02)]
-    return Object("two balls", mesh, convex=False, given=tuple(pieces), candidates=16)
+    return Object("two balls", mesh, convex=False, supplied=tuple(pieces), candidates=16)
 
 
 def lifted(motion: Motion, height: float = 0.015, y: float = 0.0) -> Motion:

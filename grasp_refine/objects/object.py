@@ -49,7 +49,7 @@ class Object:
     """Whether it is one convex piece."""
     repairs: tuple[str, ...] = ()
     """Repairs of the mesh, or faults of given pieces, for the user."""
-    given: tuple[Piece, ...] = ()
+    supplied: tuple[Piece, ...] = ()
     """Its convex pieces where they are given; none: the mesh is decomposed."""
     file: tuple[Path, float] | None = None
     """File of the mesh, and the factor that takes it to metres; None: it is of no single file."""
@@ -93,7 +93,7 @@ class Object:
     @property
     def takes_long(self) -> bool:
         """Whether its mesh has to be decomposed, which may take minutes."""
-        return not (self.is_decomposed or self.given or self.convex)
+        return not (self.is_decomposed or self.supplied or self.convex)
 
     @property
     def rough(self) -> bool:
@@ -272,10 +272,10 @@ def _decompose(
     objects: Sequence[Object], workers: int | None = None, progress: Callable[[str], None] | None = None
 ) -> list[tuple[Body, tuple[str, ...]]]:
     """Return the body of each object, and notes on its pieces for the user."""
-    cut = {obj: Cut(obj.given) for obj in objects if obj.given}
+    cut = {obj: Cut(obj.supplied) for obj in objects if obj.supplied}
     of_settings: dict[tuple[Decomposition, str | Path | None], list[Object]] = {}
     for obj in objects:
-        if not obj.given:
+        if not obj.supplied:
             of_settings.setdefault((obj.decomposition, obj.cache), []).append(obj)
     for (settings, cache), some in of_settings.items():
         meshes = [(obj.name, obj.mesh) for obj in some]

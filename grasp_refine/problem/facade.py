@@ -120,7 +120,7 @@ def refine(
         refined.after.hand_pose, refined.after.q    # (N, 7), (N, n)
         refined.quality                             # (N, 2), before and after, from 0 to 1
 
-    Poses are those of the hand's base link in the object's frame: x, y, z in metres, then the quaternion w, x, y, z.
+    Poses are of the hand's base link in the object's frame: x, y, z in metres, then the quaternion w, x, y, z.
     Joint values are in radians, or metres of joints that slide, in the order of `hand.joint_names`.
 
     Args:
@@ -129,7 +129,7 @@ def refine(
         grasps: N grasps on it, whose joint values are matched by name.
         config: Settings: solver, weights, bounds on the movement; the defaults when None.
         task: What the grasps must do, and where: a `Task`, or its name or file, as of `load_task`.
-        terms: Terms of your own, minimised beside ours: after those of the settings. `check_term` checks them.
+        terms: Terms of your own, minimised beside ours: after the terms of the settings. `check_term` checks them.
         as_is: Whether to take grasps that are most likely in other units, quaternions or frames, as of `problem_of`.
         listener: Callbacks of the progress.
 

@@ -106,7 +106,7 @@ class Problem:
 
     @property
     def task(self) -> Task:
-        """What the grasps must do, and where; regions are those of the first object."""
+        """Task of the grasps, with the regions of the first object."""
         return next((group.scene.task for group in self.groups), Task())
 
     def for_task(self, task: Task | str | Path | None) -> Problem:

@@ -144,7 +144,7 @@ def simulate_refined(
 ) -> SimulatedGrasps:
     """Simulate the task of refined grasps with them as they were given and as they are now.
 
-    Arguments are those of `refine_problem`.
+    Arguments are as in `refine_problem`.
 
     Raises:
         GraspRefineError: MuJoCo cannot compile the hand or the world, or the engine cannot be used.

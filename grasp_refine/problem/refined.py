@@ -53,7 +53,7 @@ class RefinedGrasps:
 
     @property
     def task(self) -> Task:
-        """What the grasps were refined for: what they must do, and where."""
+        """Task that the grasps were refined for."""
         return self.problem.task
 
     @property

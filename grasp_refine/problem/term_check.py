@@ -26,7 +26,7 @@ SMALLEST_GRADIENT = 1e-6
 """Gradients below this part of the largest one count as zero."""
 
 LEFT_OUT = 0.1
-"""Share of the grasps, those with the largest errors, that may be off: an edge or a face changes within a step."""
+"""Share of the grasps, with the largest errors, that may be off: an edge or a face changes within a step."""
 
 
 def check_term(
@@ -37,7 +37,7 @@ def check_term(
         gr.check_term(MyTerm(), hand, mug, gr.sample_grasps(hand, mug, 8))
 
     Args:
-        term: The term; its `residuals` must be those of the loss, and its `rows` their derivatives.
+        term: The term; its `residuals` must belong to the loss, and its `rows` their derivatives.
         hand: The hand.
         object: The object.
         grasps: N grasps on it at which the term is not zero.

@@ -52,7 +52,7 @@ class Scene:
     """Recorded contact links: the gap (N, L) in metres that each should keep from the object; NaN for other links, and
     for all links of grasps without a record. None: no grasp has one; see `contact_links`."""
     task: Task = Task()
-    """What the grasps must do, and where; its regions are made for the object."""
+    """Task of the grasps; its regions are made for the object."""
 
     def __repr__(self) -> str:
         optional = [

@@ -29,7 +29,7 @@ class TaskSpec:
     """A task by names, files and numbers; what is said of `task` counts where nothing else is."""
 
     task: str | Task | None = None
-    """What the grasps must do, and where: a protocol, a scene, a TOML file of protocol, table, scene, base, touch and
+    """Task of the grasps: a protocol, a scene, a TOML file of protocol, table, scene, base, touch and
     avoid, or a result file, for whose task its grasps were refined. All of it can be changed by the options below."""
     protocol: str | Protocol | None = None
     """Test in simulation, or a TOML file of your own."""

@@ -96,7 +96,7 @@ class WitnessLayer:
     ) -> Witness:
         """Return witness points that are known at these poses, in NumPy arrays, as tensors with gradients to the poses.
 
-        Arguments and result are otherwise those of the call, which finds the points first.
+        Arguments and result are otherwise as in the call, which finds the points first.
         """
         x_a, x_b, n, d = _WitnessFunction.apply(T_world_a, T_world_b, self, found, target_a, target_b, key)
         return Witness(x_a, x_b, n, d, found.status, found.winner, found.num_queries)

@@ -124,7 +124,7 @@ def lever() -> tuple[Object, float]:
     """A ball with another one at its side, and how far beside the first its centre of mass is, in metres."""
     none = np.zeros((0, 3), dtype=int)
     pieces = [Piece(np.zeros((1, 3)), none, RADIUS), Piece(np.array([[0.0, SIDE, 0.0]]), none, 0.025)]
-    made = Object("lever", ball().mesh, convex=False, given=tuple(pieces), candidates=16)
+    made = Object("lever", ball().mesh, convex=False, supplied=tuple(pieces), candidates=16)
     volumes = RADIUS**3, 0.025**3
     return made, SIDE * volumes[1] / sum(volumes)
 

@@ -254,7 +254,7 @@ class Run:
                 source=source,
                 hand=hand,
                 objects=[(group.key, surface_digest(group.scene.object.mesh)) for group in groups],
-                pieces=[pieces_digest(group.scene.object.given) for group in groups],
+                pieces=[pieces_digest(group.scene.object.supplied) for group in groups],
                 rows=[group.rows for group in groups],
                 **({} if around is None else {"scene": around.digest}),
                 **({"files": [_file_digest(group, digests) for group in groups]} if reads_faces else {}),

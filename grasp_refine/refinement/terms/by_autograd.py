@@ -1,4 +1,4 @@
-"""Rows of residuals whose derivatives are those of autograd."""
+"""Rows of residuals with derivatives by autograd."""
 
 from __future__ import annotations
 

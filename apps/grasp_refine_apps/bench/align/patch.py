@@ -86,7 +86,7 @@ class Patch:
         pieces_a, pieces_b = pairs.piece_pairs
         used = np.unique(witness.winner[witness.valid])
         polytopes = [k for k in used if len(pieces_a[k].faces) and len(pieces_b[k].faces)]
-        index = np.flatnonzero(witness.valid & goals.given.any(axis=0) & np.isin(witness.winner, polytopes))
+        index = np.flatnonzero(witness.valid & goals.known.any(axis=0) & np.isin(witness.winner, polytopes))
         if not len(index):
             return witness
         n, winner = witness.normal[index], witness.winner[index]
@@ -162,7 +162,7 @@ class _Goals:
 
     offset: np.ndarray
     """Offsets t - x (2, M, 3) on the two bodies, world frame, metres; 0 where there is no target."""
-    given: np.ndarray
+    known: np.ndarray
     """Mask (2, M) of the targets that exist."""
 
     @staticmethod
@@ -172,18 +172,18 @@ class _Goals:
             if target is not None:
                 with np.errstate(invalid="ignore", over="ignore"):
                     place[:] = transform_points(T, target) - x
-        given = np.all(np.isfinite(offset), axis=2)
-        return _Goals(np.where(given[..., None], offset, 0.0), given)
+        known = np.all(np.isfinite(offset), axis=2)
+        return _Goals(np.where(known[..., None], offset, 0.0), known)
 
     @property
     def middle(self) -> np.ndarray:
         """Mean offset (M, 3) over the existing targets."""
-        return self.offset.sum(axis=0) / np.maximum(self.given.sum(axis=0), 1)[:, None]
+        return self.offset.sum(axis=0) / np.maximum(self.known.sum(axis=0), 1)[:, None]
 
     def missed(self, index: np.ndarray, move_a: np.ndarray, move_b: np.ndarray) -> np.ndarray:
         """Sums (K,) of squared misses of the items (K,) when their points move by (K, 3)."""
         away = np.stack([move_a, move_b]) - self.offset[:, index]
-        return ((away**2).sum(axis=2) * self.given[:, index]).sum(axis=0)
+        return ((away**2).sum(axis=2) * self.known[:, index]).sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ def world_cache() -> MakeWorld:
     def make_world(hand: Hand, obj: Object, task: Task) -> World:
         return build_world(make_hand(hand), obj, task)
 
-    # Pushes are those of an object in empty space.
+    # Pushes act on an object in empty space.
     return lambda scene, protocol: make_world(
         scene.hand,
         scene.object,
