@@ -126,6 +126,10 @@ if TYPE_CHECKING:
     from grasp_refine.motion.trajectory_files import PlannedTrajectories as PlannedTrajectories
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
+    from grasp_refine.objects.region import Box as Box
+    from grasp_refine.objects.region import Faces as Faces
+    from grasp_refine.objects.region import HalfSpace as HalfSpace
+    from grasp_refine.objects.region import Region as Region
     from grasp_refine.problem.facade import Evaluation as Evaluation
     from grasp_refine.problem.facade import evaluate as evaluate
     from grasp_refine.problem.facade import margins as margins
@@ -235,6 +239,7 @@ _HOMES = {
         "Object",
         "load_object",
     ),
+    "objects.region": ("Box", "Faces", "HalfSpace", "Region"),
     "problem.facade": (
         "Evaluation",
         "evaluate",
