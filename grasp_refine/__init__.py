@@ -126,6 +126,7 @@ if TYPE_CHECKING:
     from grasp_refine.motion.trajectory_files import PlannedTrajectories as PlannedTrajectories
     from grasp_refine.objects.object import Object as Object
     from grasp_refine.objects.object import load_object as load_object
+    from grasp_refine.objects.object import prepare as prepare
     from grasp_refine.objects.region import Box as Box
     from grasp_refine.objects.region import Faces as Faces
     from grasp_refine.objects.region import HalfSpace as HalfSpace
@@ -238,6 +239,7 @@ _HOMES = {
     "objects.object": (
         "Object",
         "load_object",
+        "prepare",
     ),
     "objects.region": ("Box", "Faces", "HalfSpace", "Region"),
     "problem.facade": (
