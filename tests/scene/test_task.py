@@ -98,7 +98,6 @@ def test_what_a_file_cannot_mean_is_refused_by_name(tmp_path: Path, text: str, n
         ({"base": 2.0 * np.eye(4)}, "base"),
         ({"touch": [1]}, "touch"),
         ({"scene": 2}, "scene"),
-        ({"scene": SCENE, "table": 0.0}, "table"),
     ],
 )
 def test_a_field_of_another_type_is_refused_by_name(values: dict, named: str) -> None:
