@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,7 +122,7 @@ class ContactLinks:
         return gap
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Stage:
     """Poses and joint values of the hand in N grasps, at one stage of the motion that closes it."""
 
@@ -132,8 +133,21 @@ class Stage:
 
     __repr__ = brief
 
+    def __init__(self, pose: ArrayLike, q: ArrayLike) -> None:
+        """Take lists, arrays or torch tensors; one grasp needs no batch dimension.
 
-@dataclass(frozen=True, eq=False)
+        Raises:
+            GraspFileError: they are not numbers.
+        """
+        try:
+            pose, q = _batched(as_numbers("pose", pose), as_numbers("q", q))
+        except GraspRefineError as error:
+            raise GraspFileError(f"Stage: {error}") from None
+        object.__setattr__(self, "pose", pose)
+        object.__setattr__(self, "q", q)
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class GraspSet:
     """N grasps of one hand; rows may belong to different objects.
 
@@ -289,39 +303,56 @@ class GraspSet:
         more = f", with {', '.join(with_parts)}" if with_parts else ""
         return f"GraspSet({count_text(len(self), 'grasp')} of {self.hand} on {on}{more})"
 
-    def __post_init__(self) -> None:
-        """Check that all parts are of N grasps and n joints.
+    def __init__(
+        self,
+        hand: str,
+        base_link: str,
+        joint_names: Sequence[str],
+        object: Sequence[str] | np.ndarray | str,
+        scale: ArrayLike,
+        hand_pose: ArrayLike,
+        q: ArrayLike,
+        targets: Targets | None = None,
+        pregrasp: Stage | None = None,
+        squeeze: Stage | None = None,
+        labels: Mapping[str, ArrayLike] = MappingProxyType({}),
+        contact_links: ContactLinks | None = None,
+    ) -> None:
+        """Take lists, arrays or torch tensors, check that all are of N grasps and n joints, and keep NumPy arrays.
+
+        One grasp needs no batch dimension; arguments are the fields.
 
         Raises:
             GraspFileError: a part of another shape, or of another kind.
         """
         try:
-            for name in ("hand", "base_link"):
-                check_kind(name, getattr(self, name), str)
-            names = tuple(self.joint_names)
+            for name, value in (("hand", hand), ("base_link", base_link)):
+                check_kind(name, value, str)
+            names = tuple(joint_names)
             check_kind("joint_names", names, tuple[str, ...])
-            pose, q = as_numbers("hand_pose", self.hand_pose), as_numbers("q", self.q)
-            pose, q = _batched(pose, q)
+            pose, q = _batched(as_numbers("hand_pose", hand_pose), as_numbers("q", q))
             check_shape("hand_pose", pose, "N", 7, why="x y z qw qx qy qz")
             count = len(pose)
             unit_poses(pose, "hand_pose", GraspRefineError)
             check_shape("q", q, count, len(names), why="one row per hand_pose, one column per joint name")
-            scale = np.broadcast_to(as_numbers("scale", self.scale), np.shape(self.scale) or (count,))
+            scale = np.broadcast_to(as_numbers("scale", scale), np.shape(scale) or (count,))
             check_shape("scale", scale, count)
-            thing = np.broadcast_to(np.asarray(self.object, dtype=str), np.shape(self.object) or (count,))
+            thing = np.broadcast_to(np.asarray(object, dtype=str), np.shape(object) or (count,))
             check_shape("object", thing, count)
-            stages = {name: _checked_stage(name, getattr(self, name), q.shape) for name in OTHER_STAGES}
-            targets = _checked_targets(self.targets, count)
-            check_kind("contact_links", self.contact_links, ContactLinks | None)
-            check_kind("labels", self.labels, Mapping)
-            numbers = {
-                str(name): as_numbers(f"labels[{name!r}]", values, count) for name, values in self.labels.items()
+            stages = {
+                name: _checked_stage(name, stage, q.shape)
+                for name, stage in (("pregrasp", pregrasp), ("squeeze", squeeze))
             }
+            targets = _checked_targets(targets, count)
+            check_kind("contact_links", contact_links, ContactLinks | None)
+            check_kind("labels", labels, Mapping)
+            numbers = {str(name): as_numbers(f"labels[{name!r}]", values, count) for name, values in labels.items()}
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
-        arrays = {"joint_names": names, "object": thing, "scale": scale, "hand_pose": pose, "q": q, "labels": numbers}
-        for name, value in {**arrays, **stages, "targets": targets}.items():
-            object.__setattr__(self, name, value)
+        texts = {"hand": hand, "base_link": base_link, "joint_names": names, "object": thing}
+        arrays = {"scale": scale, "hand_pose": pose, "q": q, "targets": targets, **stages, "labels": numbers}
+        for name, value in {**texts, **arrays, "contact_links": contact_links}.items():
+            self.__dict__[name] = value  # `object` is an argument here
 
     def __len__(self) -> int:
         """Return the number of grasps N."""
