@@ -158,7 +158,10 @@ def check_solver(solver: object) -> None:
     members = ("needs_autograd", "iterations", "progress", "start", "accept", "assess", "step")
     lacking = [member for member in members if not hasattr(solver, member)]
     if lacking:
-        raise GraspRefineError(f"{describe_value(solver)} is no solver: it lacks {', '.join(lacking)}; see Solver")
+        raise GraspRefineError(
+            f"{describe_value(solver)} is no solver: it lacks {', '.join(lacking)}; give LevenbergMarquardt(), Descent(), "
+            "Adam(), or one of your own, see Solver"
+        )
     assert isinstance(solver, Solver)
     name = type(solver).__name__
     check_kind(f"{name}: needs_autograd", solver.needs_autograd, bool)
