@@ -159,8 +159,8 @@ def check_solver(solver: object) -> None:
     lacking = [member for member in members if not hasattr(solver, member)]
     if lacking:
         raise GraspRefineError(
-            f"{describe_value(solver)} is no solver: it lacks {', '.join(lacking)}; give LevenbergMarquardt(), Descent()"
-            ", Adam(), or one of your own, see Solver"
+            f"{describe_value(solver)} is no solver: it lacks {', '.join(lacking)}; give LevenbergMarquardt(), "
+            "Descent(), Adam(), or one of your own, see Solver"
         )
     assert isinstance(solver, Solver)
     name = type(solver).__name__
