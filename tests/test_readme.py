@@ -79,7 +79,7 @@ def test_the_facade_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert names["held"].sum() >= 2 and len(load_grasps("held.npz")) == 3 and len(load_grasps("two.npz")) == 2
 
 
-TOML = ("rest_pose", "mount =", "[[job]]", "based_on", "[[body]]", "entry-points")
+TOML = ("rest_pose", "mount =", "[[job]]", "based_on =", "heavy.toml", "[[body]]", "entry-points")
 """Parts of the blocks of TOML that a test reads by themselves."""
 
 
@@ -137,11 +137,13 @@ def test_the_job_list_can_be_read(tmp_path: Path):
     assert [job.inputs.objects for job in jobs] == [tmp_path / "meshes"] * 3
 
 
-def test_the_protocol_can_be_read(tmp_path: Path):
-    (block,) = (block for block in blocks("toml") if "based_on" in block)
+def test_the_protocol_and_the_task_can_be_read(tmp_path: Path):
+    block, task = (next(block for block in blocks("toml") if mark in block) for mark in ("based_on =", "heavy.toml"))
     (tmp_path / "heavy.toml").write_text(block)
     protocol = load_protocol(str(tmp_path / "heavy.toml"))
     assert protocol.name == "heavy" and protocol.friction == STRICT.friction and protocol.contact.cone == "pyramidal"
+    (tmp_path / "task.toml").write_text(task)
+    assert gr.load_task(str(tmp_path / "task.toml")).protocol == protocol
 
 
 def test_the_scene_can_be_read(tmp_path: Path):
