@@ -70,7 +70,7 @@ class Case:
         """Name for people, and of its files."""
         spec = self.spec
         hand, source = self.hand or spec.hand or "", self.source if spec.grasps is not None else ""
-        where = self.object.name if self.object is not None else spec.scene or spec.object or ""
+        where = self.object.name if self.object is not None else str(spec.scene or spec.object or "")
         return "/".join(filter(None, (source, hand, where))) or "example"
 
 
@@ -253,13 +253,13 @@ def _on_arm(case: Case, seed: int) -> Problem:
         GraspRefineError: no grasp is found.
     """
     spec = case.spec
-    hand, surroundings = load_hand(spec.hand or ""), load_scene(spec.scene or "")
+    hand, surroundings = load_hand(spec.hand or ""), load_scene(str(spec.scene or ""))
     whole = mount(load_hand(spec.arm or ""), hand)
     obj = load_object(surroundings.object or "", scale=surroundings.scale, unit="m")
-    scene, base = surroundings, read_pose(spec.base or "", "--base")
+    base = read_pose(str(spec.base or ""), "--base")
+    task = Task(scene=surroundings, base=base)
     if case.source == UNAWARE:
-        scene, base = None, inverse(surroundings.T_world_object) @ base
-    task = Task(scene=scene, base=base)
+        task = Task(base=inverse(surroundings.T_world_object) @ base)
     grasps = sample_grasps(hand, obj, int(str(spec.grasps).removeprefix(SAMPLE)), task=task, seed=seed)
     return problem_of(replace(whole, actuator=model_of(whole).actuator), obj, grasps, task=task)
 
