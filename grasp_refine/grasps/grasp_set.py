@@ -349,10 +349,9 @@ class GraspSet:
             numbers = {str(name): as_numbers(f"labels[{name!r}]", values, count) for name, values in labels.items()}
         except GraspRefineError as error:
             raise GraspFileError(f"GraspSet: {error}") from None
-        texts = {"hand": hand, "base_link": base_link, "joint_names": names, "object": thing}
-        arrays = {"scale": scale, "hand_pose": pose, "q": q, "targets": targets, **stages, "labels": numbers}
-        for name, value in {**texts, **arrays, "contact_links": contact_links}.items():
-            self.__dict__[name] = value  # `object` is an argument here
+        fields: dict[str, Any] = {"hand": hand, "base_link": base_link, "joint_names": names, "object": thing}
+        fields |= {"scale": scale, "hand_pose": pose, "q": q, "targets": targets, **stages, "labels": numbers}
+        self.__dict__.update(fields, contact_links=contact_links)  # `object` is an argument here
 
     def __len__(self) -> int:
         """Return the number of grasps N."""

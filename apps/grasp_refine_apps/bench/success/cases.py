@@ -12,12 +12,11 @@ import numpy as np
 
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import read_pose
-from grasp_refine.core.se3 import exp_so3, inverse, pose_from_transform, transform
+from grasp_refine.core.se3 import exp_so3, pose_from_transform, transform
 from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.files.source import hand_files
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.hands.mount import mount
-from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.input_cache import InputCache
 from grasp_refine.problem.load import load_problem
@@ -253,13 +252,12 @@ def _on_arm(case: Case, seed: int) -> Problem:
         GraspRefineError: no grasp is found.
     """
     spec = case.spec
-    hand, surroundings = load_hand(spec.hand or ""), load_scene(str(spec.scene or ""))
+    hand, task = load_hand(spec.hand or ""), spec.read_task()
     whole = mount(load_hand(spec.arm or ""), hand)
-    obj = load_object(surroundings.object or "", scale=surroundings.scale, unit="m")
-    base = read_pose(str(spec.base or ""), "--base")
-    task = Task(scene=surroundings, base=base)
+    assert task.environment is not None  # cases of arms are in scenes
+    obj = task.environment.load_object()
     if case.source == UNAWARE:
-        task = Task(base=inverse(surroundings.T_world_object) @ base)
+        task = Task(base=task.T_object_base)
     grasps = sample_grasps(hand, obj, int(str(spec.grasps).removeprefix(SAMPLE)), task=task, seed=seed)
     return problem_of(replace(whole, actuator=model_of(whole).actuator), obj, grasps, task=task)
 
