@@ -32,6 +32,18 @@ class Candidates:
     __repr__ = brief
 
 
+def check_drawing(count: int, seed: int) -> None:
+    """Refuse a number of candidates below 1, or a seed below 0.
+
+    Raises:
+        MeshError: names the value.
+    """
+    if count < 1:
+        raise MeshError(f"the number of surface candidates must be at least 1, got {count}")
+    if seed < 0:
+        raise MeshError(f"the seed must be at least 0, got {seed}")
+
+
 def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
     """Draw exactly `count` candidates of the union of `pieces`; deterministic for a seed.
 
@@ -45,10 +57,7 @@ def sample(pieces: Sequence[Piece], count: int, seed: int) -> Candidates:
         MeshError: `count` is below 1, the seed below 0, or (nearly) every point of every piece lies inside another
             piece.
     """
-    if count < 1:
-        raise MeshError(f"the number of surface candidates must be at least 1, got {count}")
-    if seed < 0:
-        raise MeshError(f"the seed must be at least 0, got {seed}")
+    check_drawing(count, seed)
     rng = np.random.default_rng(seed)
     bounds = np.stack([piece.bounds for piece in pieces])
     clearance = CLEARANCE * float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0)))

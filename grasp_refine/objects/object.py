@@ -20,6 +20,7 @@ from grasp_refine.geometry.cache import default_cache
 from grasp_refine.geometry.decomposition import Decomposition
 from grasp_refine.geometry.mesh import SUFFIXES, Holes, is_convex, load_mesh, mesh_of, watertight
 from grasp_refine.geometry.pieces import Cut, Piece, cut_meshes, hull
+from grasp_refine.geometry.sampling import check_drawing
 from grasp_refine.geometry.shapes import EMBEDDED, primitive, primitive_pieces
 from grasp_refine.geometry.surface_distance import surface_note
 from grasp_refine.geometry.units import UNITS, Unit, check_size
@@ -166,6 +167,7 @@ def load_object(
     check_kind("holes", holes, Holes)
     check_kind("candidates", candidates, int)
     check_kind("seed", seed, int)
+    check_drawing(candidates, seed)
     check_kind("cache", cache, str | Path | None)
     text = (name or "object") if is_mesh(source) else str(source)
     if not (is_number(scale) and 0 < scale < np.inf):

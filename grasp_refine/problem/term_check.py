@@ -61,7 +61,7 @@ def check_term(
     if term.least_squares:
         problem = GraspProblem(scene, goal, replace(config, terms=(term,)), prepared)
         if not problem.terms:
-            raise GraspRefineError(f"{name} has no part in these grasps: its weight is 0, or `applies` is False")
+            raise GraspRefineError(f"{name} has no part in these grasps: its weight is 0, or its applies(...) is False")
         found["least squares"] = _errors(name, "rows", problem, point, hand, tolerance)
     if term.autograd and hand.arm is None:
         from grasp_refine.refinement.objective import Objective

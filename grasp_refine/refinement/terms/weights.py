@@ -63,8 +63,8 @@ class Weights:
         for field in fields(self):
             if field.name not in Weights.__dataclass_fields__:
                 raise GraspRefineError(
-                    f"{type(self).__name__}: {field.name} is no weight of a term of ours; give your own term as one of "
-                    "`terms`"
+                    f"{type(self).__name__}: {field.name} is no weight of a term of ours; give your own term in "
+                    "terms=[...]"
                 )
             if not 0.0 <= getattr(self, field.name) < inf:
                 raise GraspRefineError(

@@ -164,7 +164,7 @@ def test_a_file_that_is_not_there_is_a_job_that_will_be_reported(tmp_path: Path)
     [
         ("", ("jobs.toml",)),
         ("job = 3", ("jobs.toml", "[[job]]")),
-        ("[[job]]\ngrasp = 'x.npz'", ("job 1", "'grasp'", "name, hand, urdf")),
+        ("[[job]]\ngrasp = 'x.npz'", ("job 1", "'grasp'", "there are name, task, protocol")),
         ("[[jobs]]\n", ("jobs.toml", "'jobs'")),
         ("[[job]]\nhand = 'leap'", ("job 1", 'grasps = "FILE"')),
         ("[[job]]\ngrasps = 3", ("job 1", "grasps", "3")),
