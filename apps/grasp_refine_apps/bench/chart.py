@@ -37,7 +37,7 @@ class Axis:
     log: bool = True
     """Whether the axis is logarithmic."""
     least: float | None = None
-    """Smallest number that is drawn; smaller ones are at this height, with a hollow marker."""
+    """Smallest number that is drawn; smaller numbers are at this height, with a hollow marker."""
     marks: tuple[float, ...] = ()
     """Numbers at which a dashed line is drawn."""
     steps: tuple[float, ...] = ()
@@ -50,7 +50,7 @@ class Chart:
 
     title: str
     rows: Sequence[Row]
-    """Points; one whose number on the horizontal axis is None is a level, a line across the panel."""
+    """Points. Without a number on the horizontal axis (None), a point is a level, a line across the panel."""
     x: Axis
     y: Sequence[Axis]
     line: Callable[[Row], str]
@@ -72,8 +72,8 @@ class Chart:
             grid = figure.subplots(len(self.y), len(panels), squeeze=False)
             for row, y in enumerate(self.y):
                 for column, panel in enumerate(panels):
-                    its = [one for one in self.rows if self.panel(one) == panel]
-                    self._draw(grid[row, column], its, y, labels)
+                    shown = [one for one in self.rows if self.panel(one) == panel]
+                    self._draw(grid[row, column], shown, y, labels)
                     grid[row, column].set_title(panel, loc="left", fontsize=9, fontweight="bold")
             handles = {
                 label: handle
@@ -86,8 +86,8 @@ class Chart:
 
     def _draw(self, axes: Axes, rows: Sequence[Row], y: Axis, labels: Sequence[str]) -> None:
         """Draw one panel."""
-        for its, set_scale in ((self.x, axes.set_xscale), (y, axes.set_yscale)):
-            if its.log and not its.steps:
+        for setting, set_scale in ((self.x, axes.set_xscale), (y, axes.set_yscale)):
+            if setting.log and not setting.steps:
                 set_scale("log")
         for k, label in enumerate(labels):
             color, marker = COLORS[k % len(COLORS)][0], MARKERS[k % len(MARKERS)]
@@ -112,13 +112,13 @@ class Chart:
             axes.plot(across[hollow], drawn[hollow], marker, color=color, markersize=4.5, markerfacecolor=PAGE)
         for mark in y.marks:
             axes.axhline(mark, color=MUTED, linewidth=0.8, dashes=(4, 3), zorder=2)
-        for axis, its in ((axes.xaxis, self.x), (axes.yaxis, y)):
-            _set_ticks(axis, its)
+        for axis, setting in ((axes.xaxis, self.x), (axes.yaxis, y)):
+            _set_ticks(axis, setting)
         axes.set(xlabel=self.x.name, ylabel=y.name)
 
 
 def entry(row: Row, key: str) -> Any:
-    """Return the entry of a row, or with a key such as "last.acc_1e6" that of its entry; None where that is None."""
+    """Return the value of a row; a key such as "last.acc_1e6" is an entry of an entry. None where an entry is None."""
     found: Any = row
     for name in key.split("."):
         found = None if found is None else found[name]
@@ -140,22 +140,22 @@ def group_rows(rows: Iterable[Row], keys: Sequence[str]) -> dict[tuple[object, .
 
 
 def _drawable(value: float | None, axis: Axis) -> bool:
-    """Return True where a number has a place on the axis."""
+    """Return True if the axis can show a number."""
     return value is not None and bool(np.isfinite(value)) and (not axis.log or value > 0 or axis.least is not None)
 
 
-def _set_ticks(axis: Any, its: Axis) -> None:
+def _set_ticks(axis: Any, setting: Axis) -> None:
     """Set ticks at 1, 2 and 5 where there are few decades, and write them with their unit."""
     from matplotlib.ticker import EngFormatter, Formatter, FuncFormatter, LogLocator, NullFormatter
 
-    factor, unit = (100.0, " %") if its.unit == "%" else (1.0, f" {its.unit}".rstrip())
+    factor, unit = (100.0, " %") if setting.unit == "%" else (1.0, f" {setting.unit}".rstrip())
     form: Formatter = FuncFormatter(lambda value, _: f"{factor * value:.6g}{unit}")
-    if its.unit in ("s", "m"):
-        form = EngFormatter(unit=its.unit)
-    if its.steps:
-        axis.set_ticks(range(len(its.steps)), list(map(form, its.steps)))
+    if setting.unit in ("s", "m"):
+        form = EngFormatter(unit=setting.unit)
+    if setting.steps:
+        axis.set_ticks(range(len(setting.steps)), list(map(form, setting.steps)))
         return
-    if its.log:
+    if setting.log:
         low, high = axis.get_view_interval()
         axis.set_major_locator(LogLocator(10, subs=(1, 2, 5) if high < 200 * low else (1,), numticks=10))
         axis.set_minor_formatter(NullFormatter())

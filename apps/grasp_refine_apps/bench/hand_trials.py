@@ -1,4 +1,4 @@
-"""Trials of hands: whether their files are read, the fingers close, and sampled grasps are refined and hold."""
+"""Trials of hands: read the files, close the fingers, sample grasps, refine and simulate them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COLUMNS = (
 def try_hand(
     load: Callable[[], Hand], name: str, objects: Sequence[str], count: int, protocol: str, seed: int
 ) -> dict[str, Any]:
-    """Return the row of a hand: what works with it, None from the first thing on that does not.
+    """Return the row of a hand: the result of each step; None from the first step that fails.
 
     Args:
         load: Reads the hand.
@@ -73,7 +73,7 @@ def try_hand(
 
 
 def table_of(rows: Sequence[Row], count: int, objects: Sequence[str], protocol: str) -> Table:
-    """Return the table of the rows of several hands; without the last column where nothing went wrong."""
+    """Return the table of the rows of several hands; without the last column where every step works."""
     columns = [column for column in COLUMNS if column.key != "trouble" or any(row["trouble"] for row in rows)]
     return Table(
         f"{count_text(count, 'sampled grasp')} on each of {', '.join(objects)}; protocol {protocol}", columns, rows

@@ -35,14 +35,14 @@ class Job:
 def run_jobs(
     todo: Sequence[Job], workers: int, progress: Callable[[float, str], None]
 ) -> tuple[list[Any], list[str], bool]:
-    """Run the jobs; return their results, in order, the errors of those that failed, and whether it was interrupted.
+    """Run the jobs; return their results, in order, the errors of failed jobs, and whether the run was interrupted.
 
-    A failing job does not end the others; an interruption ends those that are left and keeps the finished results.
+    A failing job does not end the others; an interruption ends the remaining jobs and keeps the finished results.
 
     Args:
         todo: Jobs.
         workers: Processes; with 1, all jobs run in this one.
-        progress: Called with the share of the work that is done, and its label.
+        progress: Called with the share of the work that is done, and the label of the job.
     """
     results: dict[int, Any] = {}
     problems: list[str] = []

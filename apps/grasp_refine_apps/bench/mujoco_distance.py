@@ -27,11 +27,11 @@ class MujocoBodies:
     unit: float = 1.0
     """Length of the model's unit, metres."""
     precise: bool = False
-    """Whether tolerances are tighter than MuJoCo's defaults, so that the remaining error is its own."""
+    """Whether tolerances are tighter than MuJoCo's defaults, so that only the error of its algorithm remains."""
 
     @cached_property
     def model(self) -> mujoco.MjModel | None:
-        """Model with the first body in the world, the second one on a body that moves; None: MuJoCo refuses them."""
+        """Model with the first body in the world, the second on a body that moves; None: MuJoCo refuses them."""
         spec = mujoco.MjSpec()
         if self.precise:
             spec.option.ccd_tolerance, spec.option.ccd_iterations = 1e-10, 200
@@ -65,7 +65,7 @@ class MujocoBodies:
         mujoco.mj_kinematics(model, data)
         moves = model.geom_bodyid > 0
         first, geoms = np.flatnonzero(~moves).tolist(), np.flatnonzero(moves)
-        # Poses of its geoms are computed beforehand, which only helps it.
+        # Poses of geoms are computed beforehand, which favours MuJoCo.
         center, R = data.geom_xpos[geoms], data.geom_xmat[geoms].reshape(-1, 3, 3)
         relative = inverse(T_a) @ T_b
         centers = center @ relative[:, :3, :3].mT + relative[:, None, :3, 3] / unit

@@ -25,7 +25,7 @@ MAX_LABEL_CHARACTERS = 26
 """Width of the first column in a terminal."""
 
 Only = Literal["terminal", "page"]
-"""Place of what is not shown everywhere."""
+"""Place of a part that is not shown everywhere."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Note:
     only: Only | None = "page"
     """Its place; None: everywhere."""
     verbatim: bool = False
-    """Whether lines are kept as they are."""
+    """Whether line breaks are kept."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Report:
                 yield escape(part.text)
 
     def markdown(self, document: dict[str, Any]) -> str:
-        """Return notes and tables of the page, but those that are folded, and how they were made, as Markdown."""
+        """Return the notes and unfolded tables of the page, and the command and cost of the run, as Markdown."""
         parts = []
         for part in self.parts:
             if isinstance(part, Table) and not part.folded and part.only != "terminal":

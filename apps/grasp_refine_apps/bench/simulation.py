@@ -1,10 +1,10 @@
-"""Cost of validating a grasp: ours against the protocol as it is written, on the same grasps, in CPU seconds.
+"""Cost of validating a grasp, in CPU seconds: ours against a plain loop of the protocol, on the same grasps.
 
 Run `python -m grasp_refine_apps.bench.simulation GRASPS --hand HAND --objects DIR`. The peer is a plain loop over
 MuJoCo's own functions, as a user would write it: each grasp compiles its scene, and for each direction the hand
 starts at the pregrasp, closes and the object is pushed; the first direction that fails ends the grasp. The physics
-are the same, so that both must reach the same verdicts, which is checked. Its model is ours, with one contact per
-pair of pieces; with MuJoCo 4's own default, up to four, it takes about twice as long.
+are the same: verdicts are compared, and must agree. The peer runs our model, with one contact per pair of pieces; with
+MuJoCo 4's own default, up to four, it takes about twice as long.
 """
 
 import argparse
@@ -67,7 +67,7 @@ def plain(world: World, motion: Motion) -> bool:
 
 
 def measure(hand: Hand, scene: Scene, motion: Motion) -> dict[str, float]:
-    """Measure CPU seconds per grasp of both ways, and the number of equal verdicts."""
+    """Measure CPU seconds per grasp of ours and of the peer, and the number of equal verdicts."""
     start = time.process_time()
     world = build_world(model_of(hand), scene.object, Task(DEXGRASPBENCH))
     built = time.process_time()

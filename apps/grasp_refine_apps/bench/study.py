@@ -20,7 +20,7 @@ class Study(Protocol):
         ...
 
     def jobs(self, say: Callable[[str], None]) -> Sequence[Job]:
-        """Load what is needed, with lines for people on the way, and return the jobs.
+        """Load the inputs, report progress in lines for people, and return the jobs.
 
         Raises:
             GraspRefineError: the inputs cannot be used.

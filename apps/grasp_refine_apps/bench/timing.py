@@ -34,7 +34,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: float) -> dict[Name, np.ndarray]:
-    """Measure CPU seconds of a call of each (rounds,), over all threads; element k of all is from the same round.
+    """Measure CPU seconds per call (rounds,) of each run, over all threads; elements k are from the same round.
 
     The calls alternate, so that a busy machine disturbs all alike.
 
@@ -57,7 +57,7 @@ def cpu_times(runs: Mapping[Name, Callable[[], object]], rounds: int, least_s: f
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Restrict the compiled engine to one thread, like all others: waiting for a second one would count as its time."""
+    """Restrict the compiled engine to one thread, as all others have: waiting for a second would count as CPU time."""
     if why_not_native():
         yield
         return
@@ -72,7 +72,7 @@ def one_thread() -> Iterator[None]:
 
 
 def warmed_up(scene: Scene, configs: Sequence[Config]) -> HandObject:
-    """Prepare hand and object, and refine a few grasps shortly, so that no later call builds caches or loads code."""
+    """Prepare hand and object, and refine a few grasps briefly, so that no later call builds caches or loads code."""
     prepared, few = HandObject.of(scene), scene.select(slice(WARM_UP_CALLS))
     for config in configs:
         short = replace(config, starts=1, solver=limited(config.solver, iterations=WARM_UP_CALLS))
@@ -88,7 +88,7 @@ def _timed(run: Callable[[], object], calls: int) -> float:
 
 
 def split_stages(*apart: Stage) -> dict[str, tuple[Stage, ...]]:
-    """Return each of the given stages as a part, and the rest as one more."""
+    """Return each stage of `apart` as a part, and all other stages as one more part."""
     rest = tuple(stage for stage in STAGES if stage not in apart)
     return {stage.replace(" ", ""): (stage,) for stage in apart} | {REST: rest}
 

@@ -38,14 +38,14 @@ class BenchAlign(BenchCommand):
     Two random bodies, a target contact point on each: body 2 moves by normalised gradient descent, or by
     Levenberg-Marquardt, until the witness points lie on the targets. The error of a task is
     |x_a - t_a|^2 + |x_b - t_b|^2 + (d - margin)^2 in m^2, so that 1e-6 is about a millimetre. Every combination of
-    the options is run on the same tasks. Without options, the paper's method on the embedded objects.
+    the options is run on the same tasks. Without options, the paper's method runs on the embedded objects.
     """
 
     command = "bench align"
     compared = ("solvers", *VARIED, "margins", "witnesses", "epsilon")
 
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
-    """An experiment of the paper, or one of our own: table1 (all methods), table2 (smoothing x sampling x gradients),
+    """An experiment of the paper, or our own: table1 (all methods), table2 (smoothing x sampling x gradients),
     table3 (time of a query by method), table4 (time of a backward pass), margin, step-size, coupling, solvers
     (descent, closed form, and levenberg-marquardt without and with it), patch (plain against patch witness points,
     targets on two faces), smoke (under a minute)."""
@@ -64,7 +64,7 @@ class BenchAlign(BenchCommand):
     below 1e-14 m^2. The latter differentiates by contact kinematics over neighbourhoods of its own, moves body 2 and
     runs in double precision on the CPU; a budget is the maximum number of iterations, each one query, of a task.
     closed-form places body 2 once, with opposite normals at the targets, without a derivative or an iteration.
-    closed-form-first is levenberg-marquardt with that pose as the first at which a stalled task starts again."""
+    closed-form-first is levenberg-marquardt; a stalled task restarts from that pose first."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("distance")] = None
     """Derivative of the witness points in descent."""
     neighborhoods: Annotated[DisallowNone[tuple[NeighborhoodName, ...] | None], default("adaptive")] = None
@@ -80,8 +80,8 @@ class BenchAlign(BenchCommand):
     step_sizes: Annotated[DisallowNone[tuple[float, ...] | None], default("10")] = None
     """Sizes s_r of the first steps; s_t = s_r / 1000."""
     witnesses: Annotated[DisallowNone[tuple[WitnessName, ...] | None], default("plain")] = None
-    """Witness points of the solver: plain, or patch, which takes, among all points within epsilon of the closest, those
-    nearest to the targets, for targets on two faces. With patch, all rows are also evaluated by it."""
+    """Witness points of the solver: plain, or patch, for targets on two faces. Patch takes the points nearest to the
+    targets among all points within epsilon of the closest. With it, all rows are evaluated by both."""
     epsilon: Annotated[DisallowNone[float | None], default(f"{EPSILON:g} with patch", metavar="METRES")] = None
     """Epsilon of the patch witness in metres."""
     budgets: Annotated[DisallowNone[tuple[int, ...] | None], default("2000, or the preset's")] = None

@@ -33,17 +33,17 @@ GOT_WORSE = 1
 
 @dataclass(frozen=True)
 class BenchGate:
-    """Check that nothing got slower or worse: some twenty ratios of one run, against a baseline.
+    """Check that no ratio got slower or worse: some twenty ratios of one run, against a baseline.
 
     Ratios, not times, so that the check is valid on any machine: our query against coal's, a batch against single
     grasps, the number of queries per grasp and of solved grasps. Exit code 1: a ratio is beyond its limit.
     """
 
-    baseline: Annotated[DisallowNone[Path | None], default("the one that comes along", metavar="FILE")] = None
+    baseline: Annotated[DisallowNone[Path | None], default("the baseline of the program", metavar="FILE")] = None
     """Baseline to compare with."""
     update: OptionalFile = None
-    """Compare with nothing, but write the ratios measured now as a new baseline; the entries of other collision engines
-    in this file are kept."""
+    """Write the measured ratios as a new baseline, without a comparison; entries of other collision engines in this
+    file are kept."""
     json: OptionalFile = None
     """Write all ratios to this file."""
     overwrite: Overwrite = False
@@ -82,7 +82,7 @@ class BenchGate:
         """Refuse options that do not go together.
 
         Raises:
-            GraspRefineError: names them.
+            GraspRefineError: names the options.
         """
         if self.update is not None and self.baseline is not None:
             raise GraspRefineError("--update compares with nothing: leave out --baseline")
@@ -99,11 +99,11 @@ def _progress() -> Iterator[Callable[[Group], dict[str, float]]]:
         begun: dict[Group, str] = {}
 
         def measured(group: Group) -> dict[str, float]:
-            what = f"{group}, once more" if group in begun else group
-            begun[group] = what
+            label = f"{group}, once more" if group in begun else group
+            begun[group] = label
 
             def progress(share: float) -> None:
-                bar.update(task, completed=len(begun) - 1 + share, description=what)
+                bar.update(task, completed=len(begun) - 1 + share, description=label)
 
             progress(0.0)
             return measure(group, progress)
@@ -112,7 +112,7 @@ def _progress() -> Iterator[Callable[[Group], dict[str, float]]]:
 
 
 def gate_table(verdicts: Sequence[Verdict]) -> Table:
-    """Make a table with a line for each ratio: now, before, the limit, and its meaning."""
+    """Make a table with a line for each ratio: now, before, limit and meaning."""
     lines = []
     for one in verdicts:
         notes = " (measured twice)" if one.again else ""

@@ -33,8 +33,8 @@ SetName = Literal[
 class BenchGrasp(BenchCommand):
     """Measure accuracy and speed of the refinement of grasps, by solver, batch size and budget.
 
-    All accuracies and penetrations are from a plain query of the final grasps, not from the solver. Without options,
-    Levenberg-Marquardt on the embedded Allegro examples.
+    Accuracies and penetrations come from a plain query of the final grasps, not from the solver. Without options,
+    Levenberg-Marquardt runs on the embedded Allegro examples.
     """
 
     command = "bench grasp"
@@ -42,18 +42,18 @@ class BenchGrasp(BenchCommand):
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
-    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as given, batch 1 to
+    """An experiment: targets (disturbed true grasps, batch 1 to 256), nothing (real grasps as input, batch 1 to
     256), time-to-error (all solvers at several budgets, for a plot of error over time), contacts (time by number of
     contacts, and of joints: all hands), pieces (by number of convex pieces: a box in 1 to 64), workers (grasps
     per second with 1 and 2 processes), smoke (under a minute)."""
     assets: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
-    """Folder with hands/, objects/ and grasps/normalised/, from which --sets choose, instead of --hand, --object and
-    --grasps. Without any of these, the embedded Allegro examples."""
+    """Folder with hands/, objects/ and grasps/normalised/, from which --sets chooses, instead of --hand, --object and
+    --grasps. By default, the embedded Allegro examples."""
     sets: Annotated[DisallowNone[tuple[SetName, ...] | None], default("all; sampled: of contacts only")] = None
     """Sets of grasps in the folder of assets; grasps of sampled sets are drawn."""
     tasks: Annotated[DisallowNone[tuple[Kind, ...] | None], default("both")] = None
     """targets: true grasps, whose fingertips all touch, are disturbed and must return to their contact points; nothing:
-    real grasps as given should touch and not penetrate."""
+    real grasps, as input, should touch and not penetrate."""
     solvers: Annotated[DisallowNone[tuple[SolverName, ...] | None], default("levenberg-marquardt")] = None
     """Solvers."""
     derivatives: Annotated[DisallowNone[tuple[DerivativeName, ...] | None], default("contact-kinematics")] = None
@@ -70,7 +70,7 @@ class BenchGrasp(BenchCommand):
     """Number of tasks of a set that are run at batch 1, about evenly from all objects."""
     shift: float = Disturbance.translation
     """Disturbance: translation of the root in a random direction, metres."""
-    turn: Annotated[float, default("0.2618, which is 15 degrees")] = Disturbance.rotation
+    turn: Annotated[float, default("0.2618 (15 degrees)")] = Disturbance.rotation
     """Disturbance: rotation of the root about a random axis, radians."""
     noise: float = Disturbance.joints
     """Disturbance: standard deviation of the joint values, radians, clipped to the limits."""

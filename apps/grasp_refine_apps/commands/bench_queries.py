@@ -24,7 +24,7 @@ EngineName = Literal["native", "python"]
 
 @dataclass(frozen=True)
 class BenchQueries(BenchCommand):
-    """Measure the cost of a witness query, forward and backward, against coal and MuJoCo, and what skips save.
+    """Measure the cost of a witness query, forward and backward, against coal and MuJoCo, and the work that skips save.
 
     A query finds the closest or deepest points of two bodies over all their convex pieces; its derivative gives the
     motion of these points with both bodies. Bodies and poses are generated. The peers, timed in the same run, query
@@ -35,9 +35,9 @@ class BenchQueries(BenchCommand):
     compared = ("kinds", "pieces", "vertices", "states", "batches")
 
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
-    """An experiment: full (every combination, half an hour), skips (only what skips save), smoke (in seconds)."""
+    """An experiment: full (every combination, half an hour), skips (only skipped work), smoke (in seconds)."""
     kinds: Annotated[DisallowNone[tuple[Kind, ...] | None], default("all")] = None
-    """convex: one piece against one; mixed: one against several, as a link against an object; concave: several against
+    """convex: one piece against one; mixed: one against several, such as a link and an object; concave: several against
     several. With any of these five options, all combinations of their values are measured; skips need --skips."""
     pieces: Annotated[DisallowNone[tuple[int, ...] | None], default("16")] = None
     """Number of convex pieces of each body that is not convex."""
@@ -52,7 +52,7 @@ class BenchQueries(BenchCommand):
     methods: tuple[MethodName, ...] = Measurement.methods
     """Derivatives of the witness points."""
     peers: tuple[PeerName, ...] = Measurement.peers
-    """coal-fresh: coal.distance with new objects each time; coal-reused: its ComputeDistance, with the same ones;
+    """coal-fresh: coal.distance with new objects each time; coal-reused: coal.ComputeDistance with reused objects;
     mujoco: mj_geomDistance."""
     rounds: Annotated[DisallowNone[int | None], default("7, or the preset's")] = None
     """Number of timings of each query; their median counts."""
@@ -63,7 +63,7 @@ class BenchQueries(BenchCommand):
     objects: Annotated[DisallowNone[tuple[str, ...] | None], default("mug rounded_box")] = None
     """Objects of these examples."""
     count: Annotated[DisallowNone[int | None], default("16, or the preset's")] = None
-    """Number of grasps of each example: its own, then disturbed ones."""
+    """Number of grasps of each example: the example grasps, then disturbed copies."""
     outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> QueryStudy:
@@ -78,8 +78,8 @@ class BenchQueries(BenchCommand):
                 raise GraspRefineError(f"--{name} must be at least {least}, got {min(values)}")
         study = PRESETS[self.preset] if self.preset is not None else DEFAULT
         names = tuple(chosen(name) for name in dict.fromkeys(self.engines or engines()))
-        how = replace(study.measurement, **{**self.given(Measurement), "engines": names})
-        study = replace(study, measurement=how, **self.given(QueryStudy))
+        measurement = replace(study.measurement, **{**self.given(Measurement), "engines": names})
+        study = replace(study, measurement=measurement, **self.given(QueryStudy))
         custom = any(getattr(self, name) is not None for name in self.compared)
         if custom:
             cases = cases_of(

@@ -24,9 +24,9 @@ PresetName = Literal["full", "quick", "smoke"]
 class BenchStability(BenchCommand):
     """Count wrong distances, witness points and derivatives of bodies of all kinds and sizes, in all states.
 
-    Each distance is compared with one computed in another way, and is wrong beyond 1e-8 of the diagonal + 1e-12 m +
-    1e-15 of the distance from the origin. The preset chooses the queries; each of the other options replaces its part
-    of it. Exit code 1: something is wrong.
+    Each distance is compared with an independent reference, and is wrong beyond 1e-8 of the diagonal + 1e-12 m +
+    1e-15 of the distance from the origin. The preset selects the queries, and each other option
+    replaces its part. Exit code 1: an answer is wrong.
     """
 
     command = "bench stability"

@@ -1,4 +1,4 @@
-"""`refine-grasp bench success`: success rate of grasps in simulation, as given and refined."""
+"""`refine-grasp bench success`: share of input and refined grasps that hold in simulation."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ Switch = Annotated[DisallowNone[bool | None], default(PRESET)]
 
 @dataclass(frozen=True)
 class BenchSuccess(BenchCommand):
-    """Measure how many grasps hold in simulation, as given and refined, and the CPU time of refinement.
+    """Measure how many input and refined grasps hold in simulation, and the CPU time of refinement.
 
-    Without axes, all methods on the grasps of --grasps: by default the example grasps of the embedded hand on the
-    embedded mug. With --hands, --on or --scenes, grasps are sampled for each combination. With --assets, each hand of
-    the folder, and each that comes with the program, gets sampled grasps on each object, and grasps of generators are
-    taken with their own hand. All other options of inputs hold for every case.
+    Without axes, all methods run on the grasps of --grasps: by default the example grasps of the embedded hand on the
+    embedded mug. With --hands, --on or --scenes, grasps are sampled for each combination. With --assets, grasps are
+    sampled for each hand of the folder and of the program on each object; grasps of generators are taken with their own
+    hand. All other options of inputs apply to every case.
     """
 
     command = "bench success"
 
     inputs: Annotated[Inputs, arg(name="")] = field(default_factory=Inputs)
     preset: Annotated[DisallowNone[PresetName | None], default("none")] = None
-    """An experiment, whose settings other options replace: smoke (every method on two grasps, in seconds), grippers
-    (each grasp also moved by 5 mm and turned by 10 degrees; frictions of 0.6 and 0.3, with several points for two
+    """An experiment; other options replace its settings: smoke (every method on two grasps, in seconds), grippers
+    (each grasp also moved by 5 mm and rotated by 10 degrees; frictions of 0.6 and 0.3, with several points for two
     convex pieces that touch and with one), scenes (hands on an arm in scenes: reachable, with a free trajectory, held
-    and lifted, also without knowing of the scene), assets (all hands, objects and generators of --assets under all
+    and lifted; also refined without the scene), assets (all hands, objects and generators of --assets under all
     protocols)."""
     assets: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
     """Folder with hands/NAME/*.urdf, hands/NAME_mjcf/*.xml, objects/NAME.obj, objects.csv (name, suggested_scale, diag,
     convexity) and grasps/normalised/*.npz."""
     hands: Annotated[Names, default("--hand, or all of --assets", metavar="HAND [...]")] = None
-    """Hands, as for `run --hand`; of --assets also NAME_mjcf/MODEL and embedded/NAME."""
+    """Hands, as for `run --hand`; with --assets also NAME_mjcf/MODEL and embedded/NAME."""
     on: Annotated[Names, default("--object, or all of --assets", metavar="OBJECT [...]")] = None
     """Objects, as for `run --object`; with --assets names in objects.csv."""
     scenes: Annotated[Names, default("none; with --preset scenes all of the program", metavar="SCENE [...]")] = None
@@ -63,35 +63,37 @@ class BenchSuccess(BenchCommand):
     generators: Annotated[Names, default("all of --assets", metavar="NAME [...]")] = None
     """Sources of grasps with --assets: sampled, and names of grasp files."""
     count: Count = None
-    """Number of sampled grasps of each hand on each object; of a grasp file the maximum number on each object at each
-    scale, the first ones."""
+    """Number of sampled grasps of each hand on each object; with a grasp file, the first grasps of each object at
+    each scale, at most this number."""
     generated: Count = None
     """Maximum number of grasps of each generator on each object, taken evenly from its file."""
     every: Count = None
-    """Sample grasps of each hand on every n-th object of --assets only, of each hand on others: 1/n of the time."""
+    """Sample grasps of each hand on only every n-th object of --assets, different hands on different objects: 1/n of
+    the time."""
     methods: Annotated[DisallowNone[tuple[MethodName, ...] | None], default("all, or the preset's")] = None
-    """Methods to compare: as given, with pregrasps and squeezes of our own, refined by geometry only, and refined for
-    force balance; the first one is the reference."""
+    """Methods to compare: input as given, with our own pregrasps and squeezes, refined by geometry only, and refined
+    for force balance; the first is the reference."""
     starts: Annotated[DisallowNone[tuple[int, ...] | None], default("1 6, or the preset's")] = None
     """Numbers of starts of the search for grasps that may not hold; each number is a separate run."""
     protocols: Annotated[Names, default("dexgraspbench strict, or the preset's", metavar="NAME|FILE.toml [...]")] = None
     """Protocols of the simulation: names that `refine-grasp validate --help` lists, or TOML files."""
     engines: Annotated[DisallowNone[tuple[EngineName, ...] | None], default("mujoco")] = None
-    """Engines of the simulation: with both, every grasp is tried in each, and a table shows how far they agree; drake
-    needs the extra `drake`, and several times as long."""
+    """Engines of the simulation. With both, every grasp is simulated in each, and a table shows their agreement. drake
+    needs the extra `drake`, and takes several times as long."""
     perturb: Switch = None
-    """Try each grasp once more, moved by 5 mm and turned by 10 degrees about the middle of the fingers, at random."""
+    """Simulate each grasp once more, moved by 5 mm and rotated by 10 degrees about the middle of the fingers, at
+    random."""
     shrink: Switch = None
-    """Scale objects on which no grasp is found by 0.8, again and again, down to 0.4."""
+    """Scale objects on which no grasp is found by 0.8, repeatedly, down to 0.4."""
     unaware: Switch = None
-    """Sample and refine once more without knowing of the scene, which is simulated."""
+    """Sample and refine once more without the scene, and simulate in it."""
     width: Count = None
     """Maximum number of grasps refined at once."""
     threads: Annotated[DisallowNone[int | None], default("all")] = None
     """CPU threads of the simulation; refinement uses one."""
     out: Annotated[DisallowNone[Path | None], default("none", metavar="DIR")] = None
     """Folder of results: the same command continues after an interruption, and other protocols, hands or objects add to
-    what is there. The report then shows pictures of failures."""
+    it. The report then shows pictures of failures."""
     outputs: Annotated[Outputs, arg(name="")] = field(default_factory=Outputs)
 
     def study(self) -> SuccessStudy:
@@ -106,10 +108,10 @@ class BenchSuccess(BenchCommand):
         inputs = {name: getattr(self.inputs, name) for name in ProblemSpec.__dataclass_fields__}
         own = {name: value for name, value in inputs.items() if value != getattr(ProblemSpec, name)}
         axes = replace(preset.axes, **{**self.given(Axes), "spec": replace(preset.axes.spec, **own)})
-        given = {name: value for name, value in self.given(SuccessStudy).items() if name != "axes"}
+        settings = {name: value for name, value in self.given(SuccessStudy).items() if name != "axes"}
         if self.protocols is not None or self.engines is not None:
-            given["trials"] = self._trials(preset)
-        return completed(replace(preset, axes=axes, **given))
+            settings["trials"] = self._trials(preset)
+        return completed(replace(preset, axes=axes, **settings))
 
     def _trials(self, preset: SuccessStudy) -> tuple[Trial, ...]:
         """Return each protocol in each engine.

@@ -23,8 +23,8 @@ class AlignmentResult:
     """Smallest |x_a - t_a|^2 + |x_b - t_b|^2 + (d - beta)^2 of all iterates (N, P), in square metres, by plain witness
     points."""
     last_error: np.ndarray
-    """Error of the last iterate (N, P), in square metres, which is what the paper reports; of Levenberg-Marquardt,
-    whose result is its best iterate, equal to `error`."""
+    """Error of the last iterate (N, P), in square metres, as the paper reports it. The result of Levenberg-Marquardt is
+    its best iterate: there it equals `error`."""
     T_world_a: np.ndarray
     """Poses (N, P, 4, 4) of the first bodies where the error was smallest."""
     T_world_b: np.ndarray
@@ -42,7 +42,7 @@ class AlignmentResult:
 def pad_tasks(tasks: Sequence[Tasks]) -> list[Tasks]:
     """Repeat the tasks of each pair, so that all pairs have the same number."""
     count = max(map(len, tasks))
-    return [its.take(np.arange(count) % len(its)) for its in tasks]
+    return [pair_tasks.take(np.arange(count) % len(pair_tasks)) for pair_tasks in tasks]
 
 
 def errors_at(
@@ -66,7 +66,9 @@ def errors_at(
         patch: The patch witness that the errors are measured by; None: plain witness points.
     """
     pairs = Pairs(tuple(pair.a for pair in bodies), tuple(pair.b for pair in bodies))
-    target_a, target_b = (np.stack([getattr(its, name) for its in tasks], axis=1) for name in ("target_a", "target_b"))
+    target_a, target_b = (
+        np.stack([getattr(pair_tasks, name) for pair_tasks in tasks], axis=1) for name in ("target_a", "target_b")
+    )
     found = query(pairs, T_world_a, T_world_b)
     if patch is not None:
         found = patch.refine(pairs, T_world_a, T_world_b, found, target_a, target_b)

@@ -26,7 +26,7 @@ DIAGONALS = (0.01, 0.2)
 
 @dataclass(frozen=True, eq=False)
 class BodyPair:
-    """Two bodies, the first of which is fixed."""
+    """Two bodies; the first is fixed."""
 
     name: str
     """Names of both bodies, for tables."""

@@ -32,10 +32,10 @@ class ClosedForm:
     """Desired distance in metres."""
 
     def poses(self, member: np.ndarray, T_b: np.ndarray, roll: np.ndarray) -> np.ndarray:
-        """Return poses (M, 4, 4) with opposite normals at the targets, which are the margin apart along them.
+        """Return poses (M, 4, 4) with opposite normals at the targets, and the margin between these along the normals.
 
-        Of convex bodies with a target on a vertex these poses are solutions, whatever the roll: the two planes across
-        the normal separate the bodies. Other pieces of concave ones may be in the way.
+        For convex bodies with a target on a vertex, these poses are solutions at every roll: the two planes across the
+        normal separate the bodies. Other pieces of concave bodies may be in the way.
 
         Args:
             member: Tasks (M,).
@@ -70,7 +70,7 @@ def run_closed_form(bodies: Sequence[BodyPair], tasks: Sequence[Tasks], variant:
         tasks: Tasks of each pair; some pairs may have more than others.
         variant: Its margin is used.
     """
-    watch, counts = Stopwatch(), np.array([len(its) for its in tasks])
+    watch, counts = Stopwatch(), np.array([len(pair_tasks) for pair_tasks in tasks])
     every, pair = join(*tasks), np.repeat(np.arange(len(bodies)), counts)
     pairs = Pairs(tuple(one.a for one in bodies), tuple(one.b for one in bodies))
     form = ClosedForm(pairs, pair, every, variant.margin)

@@ -52,7 +52,7 @@ def run_levenberg_marquardt(
 ) -> AlignmentResult:
     """Run the tasks of several pairs together; the result of a task does not depend on the others.
 
-    The derivative is that of contact kinematics, and a stalled task restarts without limit.
+    Witness points are differentiated by contact kinematics. A stalled task restarts without limit.
 
     Args:
         bodies: P pairs.
@@ -67,14 +67,14 @@ def run_levenberg_marquardt(
     problem = AlignProblem(
         bodies, tasks, variant.margin, seed, variant.solver_patch, watch, with_closed_form=variant.with_closed_form
     )
-    counts = np.array([len(its) for its in tasks])
+    counts = np.array([len(pair_tasks) for pair_tasks in tasks])
     first = np.cumsum(counts) - counts
     start = Point(problem.tasks.T_world_b, np.zeros((counts.sum(), 0)))
     # Caches built at the first call are not part of the loop's time.
     problem.evaluate(first, Point(start.T[first], start.q[first]), None)
     most = budget * -(-counts.sum() // problem.width)
 
-    def told(done: int, iteration: int, loss: float) -> None:
+    def report(done: int, iteration: int, loss: float) -> None:
         if iteration % 10 == 0:
             progress(min(iteration / most, 1.0))
 
@@ -86,7 +86,7 @@ def run_levenberg_marquardt(
     )
     start_cpu, start_wall = time.process_time(), time.perf_counter()
     with watch:
-        found = minimise(problem, start, settings, TOLERANCE_M2, progress=told)
+        found = minimise(problem, start, settings, TOLERANCE_M2, progress=report)
     cpu_s, wall_s = time.process_time() - start_cpu, time.perf_counter() - start_wall
     task = np.arange(counts.max())[:, None]
     member = first + task % counts
@@ -130,7 +130,7 @@ class AlignProblem:
         *,
         with_closed_form: bool = False,
     ) -> None:
-        """Set up the tasks; members are those of the first pair, then those of the second, and so on.
+        """Set up the tasks; members are the tasks of the first pair, then of the second, and so on.
 
         Args:
             bodies: P pairs.
@@ -189,7 +189,7 @@ class AlignProblem:
     def _witness(
         self, pair: np.ndarray, T_a: np.ndarray, T_b: np.ndarray, before: Witness | None, member: np.ndarray
     ) -> Witness:
-        """Query plain witness points, or those of the patch."""
+        """Query plain or patch witness points."""
         found = query_items(self.pairs, pair, T_a, T_b, previous=before)
         if self.patch is None:
             return found
@@ -214,7 +214,7 @@ class AlignProblem:
         return Point(turned(point.T, pivot, dx[:, 3:], pivot + dx[:, :3]), point.q)
 
     def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
-        """Rotate body b about its target, which is placed on that of body a.
+        """Rotate body b about its target, and place this target on the target of body a.
 
         A large random rotation from the current pose alternates with a small one from the best pose. With the closed
         form, it comes before both: at first turning as little as possible from the best pose, later with a random roll.
@@ -222,13 +222,13 @@ class AlignProblem:
         # 1: the closed form, 2: large, 0: small.
         kind = start % 3 if self.closed is not None else np.where(start % 2 == 1, 2, 0)
         w, roll = np.zeros((len(member), 3)), np.zeros(len(member))
-        for row, (m, k, its) in enumerate(zip(member.tolist(), start.tolist(), kind.tolist(), strict=True)):
+        for row, (m, k, way) in enumerate(zip(member.tolist(), start.tolist(), kind.tolist(), strict=True)):
             rng = np.random.default_rng((self.seed, self.key[m], k))
-            if its == 1:
+            if way == 1:
                 roll[row] = rng.uniform(0.0, 2.0 * np.pi) if k > 1 else 0.0
             else:
                 axis = rng.normal(size=3)
-                angle = rng.uniform(*FAR_ANGLES_RAD) if its == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
+                angle = rng.uniform(*FAR_ANGLES_RAD) if way == 2 else np.exp(rng.uniform(*np.log(NEAR_ANGLES_RAD)))
                 w[row] = axis / np.linalg.norm(axis) * angle
         T = choose(kind == 2, now.T, best.T)
         pivot = transform_points(T, self.tasks.target_b[member])

@@ -2,8 +2,8 @@
 
 The projection is convex. Eliminating the height from a half-space that bounds the overlap from above and one that
 bounds it from below gives a half-plane of the projection. Its point nearest to a goal has at most two active
-half-planes; they are found by adding the one that the present point violates most, until none is violated (an LP-type
-problem: Sharir and Welzl 1992). This is clipping by half-planes, but only by the relevant ones.
+half-planes. They are found by adding the half-plane that the present point violates most, until none is violated (an
+LP-type problem: Sharir and Welzl 1992). This is clipping by the relevant half-planes only.
 """
 
 from dataclasses import dataclass, replace
@@ -99,7 +99,7 @@ class Overlap:
         return self.o - matvec(self.m, p)
 
     def _height(self, slack: np.ndarray) -> np.ndarray:
-        """Heights z (K, F) of the planes; meaningless for steep ones."""
+        """Heights z (K, F) of the planes; meaningless for steep planes."""
         return slack / np.where(self._steep, 1.0, self.c)
 
     @cached_property

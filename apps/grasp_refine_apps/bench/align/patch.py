@@ -74,7 +74,7 @@ class Patch:
             T_world_a: Poses (..., 4, 4) of the first bodies.
             T_world_b: Poses of the second bodies.
             witness: Their witness as NumPy arrays, leading shape (...).
-            target_a: Target point (..., 3), frame of body a, metres. NaN: none, only that of body b counts.
+            target_a: Target point (..., 3), frame of body a, metres. NaN: none, only the target of body b counts.
             target_b: Target point (..., 3), frame of body b, metres. Items without either keep their witness.
         """
         shape = witness.distance.shape
@@ -223,8 +223,8 @@ class _Side:
     def half_spaces(self, frame: np.ndarray, radius: float, shift: float) -> tuple[np.ndarray, np.ndarray]:
         """Normals (M, W, 3) and offsets (M, W), in metres, of the half-spaces within `radius` of the points.
 
-        They are given in frames (M, 3, 3), world frame, whose third axes are n, about the points, for the polytopes
-        shifted by -`shift` n. Where there are fewer than W, normals are 0 and offsets infinite.
+        Half-spaces are expressed in frames (M, 3, 3), world frame, whose third axes are n, about the points, for the
+        polytopes shifted by -`shift` n. Where there are fewer than W, normals are 0 and offsets infinite.
         """
         tables = [piece.planes for piece in self.pieces]
         first = np.cumsum([0, *(len(offsets) for _, offsets in tables)])

@@ -78,11 +78,11 @@ PATCH = (
     _accuracy("patch.acc_1e6", "patch 1e-6", "Acc@1e-6 at the same poses, by patch"),
     _accuracy("patch.acc_1e8", "patch 1e-8", "Acc@1e-8 at the same poses, by patch"),
 )
-"""Accuracies by patch witness points; in a terminal they replace that of all drawn tasks."""
+"""Accuracies by patch witness points; in a terminal they replace the accuracy on all drawn tasks."""
 
 
 def report(rows: Sequence[Row], title: str) -> Report:
-    """Return the report of rows as `bench align` writes them; `title` names what is common to them."""
+    """Return the report of rows as `bench align` writes them; `title` names their common settings."""
     labelled = ordered([_shown(row, label) for row, label in zip(rows, labels_of(rows), strict=True)])
     every = pooled(labelled)
     last = at_largest_budget(labelled)
@@ -91,18 +91,18 @@ def report(rows: Sequence[Row], title: str) -> Report:
     parts += [_sweep(every, key) for key in swept(every)]
     parts += _printed(labelled, title, columns)
     for kind in kinds_of(last):
-        its = [row for row in last if row["kind"] == kind]
+        of_kind = [row for row in last if row["kind"] == kind]
         of_kind = [row for row in every if row["kind"] == kind]
         parts += [
             Table(f"Results, {kind} bodies", columns, of_kind, RESULTS, only="page"),
-            _folded(f"By features of the targets, {kind} bodies", its, columns, "target_class"),
-            _folded(f"By pair, {kind} bodies", its, columns, "pair"),
+            _folded(f"By features of the targets, {kind} bodies", of_kind, columns, "target_class"),
+            _folded(f"By pair, {kind} bodies", of_kind, columns, "pair"),
         ]
     return Report("Alignment benchmark", [part for part in parts if not isinstance(part, Table) or part.rows])
 
 
 def _shown(row: Row, label: str) -> Row:
-    """Add to a row what is shown, but not saved."""
+    """Add the derived numbers of a row, which are shown but not saved."""
     passes = row["forward_us"], row["backward_us"]
     return {
         **row,
@@ -126,14 +126,14 @@ def _printed(rows: Sequence[Row], title: str, columns: Sequence[Column]) -> Iter
     """Yield the table of each kind for a terminal, with face-face targets on lines of their own."""
     patch = f"; patch: epsilon {epsilons(rows)}" if epsilons(rows) else ""
     for kind in kinds_of(rows):
-        its = [row for row in rows if row["kind"] == kind and row["pair"] == "all"]
-        both = any(row["target_class"] == "all" for row in its)
+        of_kind = [row for row in rows if row["kind"] == kind and row["pair"] == "all"]
+        both = any(row["target_class"] == "all" for row in of_kind)
         lines = [
             {**row, "label": "  face-face"} if both and row["target_class"] == "face-face" else row
-            for row in its
+            for row in of_kind
             if row["target_class"] in ("all", "face-face")
         ]
-        pairs = f"{kind}, {count_text(its[0]['pairs'], 'pair')}"
+        pairs = f"{kind}, {count_text(of_kind[0]['pairs'], 'pair')}"
         yield Table(f"alignment, {pairs}, {title}{patch}", columns, lines, only="terminal")
 
 
@@ -205,7 +205,7 @@ def epsilons(rows: Iterable[Row]) -> str:
 
 
 def labels_of(rows: Sequence[Row], without: Iterable[str] = ()) -> list[str]:
-    """Return a short label for each row: its method, and those settings that differ among the rows of that method.
+    """Return a short label for each row: its method, and the settings that differ among the rows of that method.
 
     A patch witness is always named, with its epsilon.
 

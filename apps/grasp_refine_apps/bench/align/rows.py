@@ -81,7 +81,7 @@ def _of_group(
 def _statistics(
     tasks: Sequence[Tasks], best: Sequence[np.ndarray], last: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """Summaries of accepted tasks; of those certainly reachable; of all that were drawn; and of the last iterates."""
+    """Summaries of accepted tasks, of certainly reachable tasks, of all drawn tasks, and of the last iterates."""
     errors, final = _picked(best, masks), _picked(last, masks)
     accepted, reachable = (_picked([getattr(t, name) for t in tasks], masks) for name in ("accepted", "reachable"))
     return {
@@ -106,7 +106,7 @@ def _picked(arrays: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.nda
 
 
 def _times(variant: Variant, group: Sequence[JobResult], targets: int) -> dict[str, Any]:
-    """Costs of a variant; those of a pair are scaled to its requested number of targets."""
+    """Costs of a variant; the costs of a pair are scaled to its requested number of targets."""
     results = [one.aligned for one in group]
     iterations = np.concatenate([result.iterations[result.iterations > 0] for result in results])
     count, queries = len(iterations), int(iterations.sum())

@@ -56,7 +56,7 @@ class Tasks:
     reachable: np.ndarray
     """Tasks (N,) whose miss at the aligned pose is below `REACHABLE_MISS_M`."""
     weight: np.ndarray
-    """Number of drawn tasks that each one represents (N,): 1 for the accepted, more for the rejected ones."""
+    """Number of drawn tasks that each task represents (N,): 1 for accepted, more for rejected tasks."""
 
     def __len__(self) -> int:
         return len(self.target_class)
@@ -66,7 +66,7 @@ class Tasks:
         return take(self, index)
 
     def every(self, step: int) -> Tasks:
-        """Select every `step`-th accepted and rejected task of each class; their weights include those left out."""
+        """Select every `step`-th accepted and rejected task of each class; their weights include the tasks left out."""
         weight, kept = self.weight.copy(), []
         for index in range(len(CLASSES)):
             for accepted in (True, False):
@@ -78,7 +78,7 @@ class Tasks:
 
 
 def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | tuple[int, ...]) -> Tasks:
-    """Draw `count` accepted tasks of a pair, shared evenly among `classes`, and a sample of the rejected ones.
+    """Draw `count` accepted tasks of a pair, shared evenly among `classes`, and a sample of rejected tasks.
 
     Fewer, where too few tasks of a class are accepted. Tasks of a class depend on the pair and the seed only; pairs
     of one benchmark need different seeds, or they would share their random numbers.
@@ -96,7 +96,7 @@ def draw_tasks(pair: BodyPair, classes: Sequence[str], count: int, seed: int | t
 def aligned_poses(
     T_world_a: np.ndarray, on_a: tuple[np.ndarray, np.ndarray], on_b: tuple[np.ndarray, np.ndarray], roll: np.ndarray
 ) -> np.ndarray:
-    """Return poses (N, 4, 4) of body b that put its targets onto those of a, with opposite normals.
+    """Return poses (N, 4, 4) of body b that put its targets onto the targets of body a, with opposite normals.
 
     Args:
         T_world_a: Poses of body a (N, 4, 4).

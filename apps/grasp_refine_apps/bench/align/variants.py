@@ -30,8 +30,8 @@ TARGET_STRIDE = 8
 ADAPTIVE = Adaptive(samples=32, smallest=16.0)
 """Adaptive neighbourhoods of descent, which end as wide as the body.
 
-Narrower ones see a nearly flat patch, along which witness points seem to slide freely, and not how far the body has to
-turn: with one candidate spacing, 11 % fewer tasks on convex hulls end below 1e-8 m^2.
+A narrower neighbourhood is a nearly flat patch. Witness points seem to slide freely along it, and the required rotation
+of the body does not show: with one candidate spacing, 11 % fewer tasks on convex hulls end below 1e-8 m^2.
 """
 
 
@@ -130,7 +130,7 @@ class Variant:
         return replace(made, smoothed_self=self.coupling == "one-sided") if isinstance(made, Distance) else made
 
     def queries(self, iterations: np.ndarray) -> np.ndarray:
-        """Count the witness queries of tasks: one per iteration, and those of the method itself."""
+        """Count the witness queries of tasks: one per iteration, and the queries of the method itself."""
         inner = {"zeroth-order": 2 * ZerothOrder().samples, "finite-difference": 12}
         return iterations * (1 + inner.get(self.method, 0))
 

@@ -127,7 +127,7 @@ class Verdict:
     known: Known | None
     """Baseline; None: not available on this machine."""
     again: bool
-    """Whether it was measured twice, of which the better counts, because the first was beyond the limit."""
+    """Whether it was measured twice, because the first value was beyond the limit; the better value counts."""
 
     @property
     def ok(self) -> bool | None:
@@ -158,8 +158,8 @@ def load_baseline(path: Path, engine: str) -> dict[str, Known]:
     try:
         engines = _engines(path)
         ratios = {
-            name: {key: Known(float(one["value"]), float(one["limit"])) for key, one in its["ratios"].items()}
-            for name, its in engines.items()
+            name: {key: Known(float(one["value"]), float(one["limit"])) for key, one in entry["ratios"].items()}
+            for name, entry in engines.items()
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise GraspRefineError(f"{path}: not a baseline ({type(error).__name__}: {error}); {UPDATE}") from None
@@ -202,23 +202,23 @@ def updated(path: Path, engine: str, measured: Mapping[str, float], about: Mappi
 
 
 def judged(known: Mapping[str, Known], measure: Measure) -> list[Verdict]:
-    """Return verdicts on all ratios; a group with one beyond its limit is measured once more before.
+    """Return verdicts on all ratios; a group with a ratio beyond its limit is measured once more.
 
     Raises:
         GraspRefineError: a ratio is measured and not in the baseline, or vice versa.
     """
     verdicts: dict[str, Verdict] = {}
     for group in get_args(Group):
-        found, its = measure(group), [ratio for ratio in RATIOS if ratio.group == group]
-        wanted = {one.name for one in its} & set(known)
+        found, ratios = measure(group), [ratio for ratio in RATIOS if ratio.group == group]
+        wanted = {one.name for one in ratios} & set(known)
         if set(found) != wanted:
             new, gone = (", ".join(sorted(names)) or "nothing" for names in (set(found) - wanted, wanted - set(found)))
             raise GraspRefineError(
                 f"{group}: measured, but not in the baseline: {new}; in the baseline, but not measured: {gone}; "
                 f"{UPDATE}"
             )
-        verdicts |= {one.name: Verdict(one, found.get(one.name), known.get(one.name), False) for one in its}
-        worse = [verdicts[one.name] for one in its if verdicts[one.name].ok is False]
+        verdicts |= {one.name: Verdict(one, found.get(one.name), known.get(one.name), False) for one in ratios}
+        worse = [verdicts[one.name] for one in ratios if verdicts[one.name].ok is False]
         if worse:
             second = measure(group)
             for one in worse:

@@ -1,4 +1,4 @@
-"""Measurements of the ratios of the gate: alternating runs, of which the median over the rounds counts."""
+"""Measurements of the ratios of the gate: alternating runs; the median over the rounds counts."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def queries(progress: Callable[[float], None]) -> dict[str, float]:
         for k, case in enumerate(cases)
     )
     cold, warm = (concave[usual, state] for state in (False, True))
-    # Ratios of rows are those to our engine, cold.
+    # Rows have ratios to our engine, cold.
     over_coal = [1.0 / rows["coal-fresh", False]["forward_ratio"] for rows in (convex, single, concave)]
     first = convex[usual, False]
     found = {

@@ -59,7 +59,7 @@ class Place:
     object: str | None = None
     """Path of the object, if it is not in objects/."""
     sampled: int | None = None
-    """Number of sampled grasps; None: those of the file."""
+    """Number of sampled grasps; None: the grasps of the file."""
 
 
 PLACES: Mapping[str, Place] = MappingProxyType(

@@ -123,7 +123,7 @@ def contact_errors(error: np.ndarray, aimed: bool) -> Row:
 
 
 def deep_starts(parts: Sequence[GroupResult], aimed: bool) -> Row:
-    """Count real grasps that start deep in the object, and those that did not escape."""
+    """Count real grasps that start deep in the object, and how many did not escape."""
     if aimed:
         return {"deep_starts": None, "deep_stuck": None, "deep_stuck_grasps": None}
     deep, stuck = 0, []
@@ -164,6 +164,6 @@ STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
 
 
 def _lengths(name: str, values: np.ndarray, *statistics: str) -> Row:
-    """Statistics of lengths (N,) in metres, None of none; those that could not be measured count as the worst."""
+    """Statistics of lengths (N,) in metres, None without any; an unmeasured length counts as the largest."""
     values = np.where(np.isnan(values), np.inf, values)
     return {f"{name}_{one}_m": float(STATISTICS[one](values)) if len(values) else None for one in statistics}

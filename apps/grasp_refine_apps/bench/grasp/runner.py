@@ -85,8 +85,8 @@ class SetTask:
         many = self.variant.processes
         if many is None:
             return self.run(lambda: None, progress)
-        shares = [[its.take(slice(start, None, many)) for its in self.tasks] for start in range(many)]
-        tasks = [replace(self, tasks=tuple(its for its in share if len(its))) for share in shares]
+        shares = [[group.take(slice(start, None, many)) for group in self.tasks] for start in range(many)]
+        tasks = [replace(self, tasks=tuple(group for group in share if len(group))) for share in shares]
         found = run_together([task.run for task in tasks])
         begins, ends = zip(*(one.span for one in found if one.span is not None), strict=True)
         return SetResult(self, tuple(part for one in found for part in one.parts), (min(begins), max(ends)))
@@ -100,8 +100,8 @@ class SetTask:
             prepared = [warmed_up(tasks.scene, [config]) for tasks in self.tasks]
             ready()
             begin, total, finished, parts = time.perf_counter(), sum(map(len, self.tasks)), 0, []
-            for tasks, its in zip(self.tasks, prepared, strict=True):
-                parts.append(self._refined(tasks, its, part_of(progress, finished / total, 1.0 / total)))
+            for tasks, hand_object in zip(self.tasks, prepared, strict=True):
+                parts.append(self._refined(tasks, hand_object, part_of(progress, finished / total, 1.0 / total)))
                 finished += len(tasks)
             span = begin, time.perf_counter()
             return SetResult(self, tuple(part() for part in parts), span)

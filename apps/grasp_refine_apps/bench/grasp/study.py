@@ -100,21 +100,23 @@ class GraspStudy:
         """Yield the tasks of each variant on sets with tasks of some kind, by object and scale."""
         for name, kind, tasks in sets:
             for variant in self.variants:
-                chosen = tuple(found for its in tasks if (found := its.of(variant)) is not None)
+                chosen = tuple(found for group in tasks if (found := group.of(variant)) is not None)
                 if chosen and variant.batch == 1:
                     # Evenly from all objects.
                     each, more = divmod(self.singles, len(chosen))
-                    chosen = tuple(its.take(slice(each + (i < more))) for i, its in enumerate(chosen[: self.singles]))
+                    chosen = tuple(
+                        group.take(slice(each + (i < more))) for i, group in enumerate(chosen[: self.singles])
+                    )
                 if chosen:
                     about = variant, name, chosen[0].scene.hand.name, kind, chosen
                     yield SetTask(*about, self.seed, self.tolerance, self.threads)
 
     def rows(self, done: Sequence[SetResult]) -> list[Row]:
-        """Return the rows of each job: the pooled one, then one for each object."""
+        """Return the rows of each job: the pooled row, then a row for each object."""
         return rows(done)
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
-        """Return charts of what differs, and tables for each kind of tasks and each set."""
+        """Return charts over the settings that differ, and tables for each kind of tasks and each set."""
         rows = [_shown(row) for row in rows]
         parts: list[Note | Chart | Table] = [Note(INTRO)]
         for task, title in TITLES.items():
@@ -123,14 +125,14 @@ class GraspStudy:
                 continue
             parts += _charts(pooled, task)
             for name in dict.fromkeys(row["set"] for row in pooled):
-                its = [row for row in pooled if row["set"] == name]
+                of_set = [row for row in pooled if row["set"] == name]
                 each = [row for row in rows if (row["task"], row["set"]) == (task, name) and row["object"] != "all"]
-                heading = f"{name}, {max(row['grasps'] for row in its)} grasps, {title}"
-                parts.append(Table(heading, _brief(its, task), its, only="terminal"))
-                parts.append(Table(heading, [*NAMES, *_sizes(its), *RESULTS[task]], its, only="page"))
-                parts.append(Table(f"{name}, costs", [*NAMES, *_sizes(its), *COSTS], its, only="page"))
+                heading = f"{name}, {max(row['grasps'] for row in of_set)} grasps, {title}"
+                parts.append(Table(heading, _brief(of_set, task), of_set, only="terminal"))
+                parts.append(Table(heading, [*NAMES, *_sizes(of_set), *RESULTS[task]], of_set, only="page"))
+                parts.append(Table(f"{name}, costs", [*NAMES, *_sizes(of_set), *COSTS], of_set, only="page"))
                 if each:
-                    columns = [OBJECT, *NAMES, *_sizes(its), *RESULTS[task], *COSTS]
+                    columns = [OBJECT, *NAMES, *_sizes(of_set), *RESULTS[task], *COSTS]
                     parts.append(Table(f"{name}, by object", columns, each, only="page", folded=True))
         stuck = _stuck(rows)
         if stuck:
@@ -138,7 +140,7 @@ class GraspStudy:
         return Report("Refinement of grasps", parts)
 
     def _load(self, specs: Sequence[ProblemSpec], say: Callable[[str], None]) -> list[Tasks]:
-        """Load the grasps of a set by object and scale, at most `scenes` of these."""
+        """Load the grasps of a set by object and scale, at most `scenes` groups."""
         problems = [load_problem(spec, seed=self.seed, on_message=say) for spec in specs]
         groups = [group for problem in problems for group in problem.groups]
         if self.scenes is not None and self.scenes < len(groups):
@@ -322,7 +324,7 @@ def _sizes(rows: Sequence[Row]) -> list[Column]:
 
 
 def _brief(rows: Sequence[Row], task: Kind) -> list[Column]:
-    """Columns for a terminal; those of what differs replace the least informative ones."""
+    """Columns for a terminal; columns that differ between rows replace the least informative columns."""
     columns, sizes = list(BRIEF[task]), _sizes(rows)
     budgets = len({(row["solver"], row["budget"]) for row in rows}) > len({row["solver"] for row in rows})
     left_out = [*([WALL] if budgets or sizes else []), *(ERRORS if sizes else ())]

@@ -1,4 +1,4 @@
-"""Tasks made of grasps: true ones that were disturbed and must be recovered, or real ones as given."""
+"""Tasks made of grasps: disturbed true grasps that must be recovered, or real grasps as input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from grasp_refine_apps.bench.grasp.measures import measure_grasps
 from grasp_refine_apps.bench.grasp.variants import Variant
 
 TIP_DISTANCE_M = 0.02
-"""Largest distance (metres) of every fingertip to the object in grasps that are tried as true ones."""
+"""Largest distance (metres) of every fingertip to the object in grasps that are tried as true grasps."""
 CONTACT_TOLERANCE_M, SOLVED_LOSS_M2 = 1e-5, 1e-12
 """Largest gap and penetration (metres) of a true grasp, and its largest loss (m^2)."""
 
@@ -39,7 +39,7 @@ class Tasks:
     scene: Scene
     """Initial grasps of the tasks, and their targets if any."""
     index: np.ndarray
-    """Numbers of the grasps (N,) among those of their object, for `run --index`."""
+    """Numbers of the grasps (N,) among the grasps of their object, for `run --index`."""
 
     def __len__(self) -> int:
         return len(self.index)
@@ -174,10 +174,10 @@ def can_be_sliced(body: Body) -> bool:
 
 
 def slice_body(body: Body, count: int) -> Body:
-    """Cut the body into `count` pieces: repeatedly, the longest one is halved along its longest side.
+    """Cut the body into `count` pieces: repeatedly, the longest piece is halved along its longest side.
 
-    Outside the body distances are unchanged. Inside, the way out of a piece may be shorter than that out of the body:
-    penetrations are shallower, as they are between the pieces of any decomposition.
+    Distances outside the body are unchanged. Inside, the depth in a piece may be smaller than the depth in the body, as
+    with the pieces of any decomposition.
     """
     pieces = list(body.pieces)
     while len(pieces) < count:

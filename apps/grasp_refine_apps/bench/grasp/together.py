@@ -1,4 +1,4 @@
-"""Work that runs in several processes at the same time, and begins in all of them at once."""
+"""Work in several processes at the same time, with a common start."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_together(works: Sequence[Callable[[Callable[[], None]], Result]]) -> lis
 
 
 def _do(folder: Path, count: int, task: _Task, heartbeat: Heartbeat) -> Any:
-    """Do a work; in the folder, each of the `count` processes that is ready leaves a file."""
+    """Run the work of a process. Each of the `count` processes leaves a file in the folder when it is ready."""
 
     def ready() -> None:
         (folder / str(task.number)).touch()

@@ -85,13 +85,13 @@ def cases_of(
 
 
 def ellipsoid(rng: np.random.Generator, vertices: int, half: tuple[float, float, float], T: np.ndarray) -> Piece:
-    """Return the hull of random points on an ellipsoid, all of which are its vertices.
+    """Return the hull of random points on an ellipsoid; all of them are vertices.
 
     Args:
         rng: Generator of the points.
         vertices: Number of points.
         half: Half axes in metres.
-        T: Its pose (4, 4) in the body.
+        T: Pose (4, 4) of the ellipsoid in the body.
     """
     return hull(points_on_ellipsoid(rng, vertices, half) @ T[:3, :3].T + T[:3, 3])
 

@@ -47,7 +47,7 @@ class Measurement:
     """Seed of bodies and poses."""
 
     def job(self, case: Case) -> Job:
-        """Return the job of a case; its duration is that of the calls of a batch, and of the queries of the peers."""
+        """Return the job of a case; its duration includes the calls of a batch and the queries of the peers."""
         peers = min(MAX_PEER_QUERIES, MAX_PEER_POSES * case.piece_pairs) if self.peers else 0
         label = f"{case.kind}, {case.pieces} x {case.vertices}, {case.state}, batch {case.batch}"
         return Job(label, partial(self.rows, case), 1.0 + 1e-3 * case.batch + 5e-4 * peers)
@@ -85,7 +85,7 @@ class Measurement:
         peers = {peer: peer.loop(first, T_a[some], T_b[some]) for peer in PEERS if peer.name in self.peers}
         runs |= {("peer", peer.name): loop for peer, loop in peers.items()}
         poses = {key: len(some) if key[0] == "peer" else count for key in runs}
-        times = {key: its / poses[key] for key, its in cpu_times(runs, self.rounds, self.least_s).items()}
+        times = {key: cpu_s / poses[key] for key, cpu_s in cpu_times(runs, self.rounds, self.least_s).items()}
 
         backward = {
             f"backward_{name.replace('-', '_')}_us": 1e6 * float(np.median(times["backward", name]))

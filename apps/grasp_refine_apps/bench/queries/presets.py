@@ -20,7 +20,7 @@ CONVEX, MIXED, CONCAVE = Case("convex"), Case("mixed", 16), Case("concave", 16)
 
 
 def _sweeps() -> tuple[Case, ...]:
-    """Return cases with one thing varied at a time."""
+    """Return cases with one quantity varied at a time."""
     over_batch = (Case(one.kind, one.pieces, batch=batch) for one in (CONVEX, MIXED, CONCAVE) for batch in BATCHES)
     over_vertices = (Case(vertices=count, state=state) for state in ("near", "deep") for count in VERTICES)
     over_pieces = (Case(kind, count) for kind in ("mixed", "concave") for count in PIECES)

@@ -1,4 +1,4 @@
-"""The benchmark of witness queries: cost of each case, and what a refinement skips, by its own counters."""
+"""Benchmark of witness queries: cost of each case, and skipped work of a refinement, by its own counters."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class QueryStudy:
     examples: tuple[tuple[str, str], ...] = ()
     """Hands and objects whose example grasps show the savings of skips."""
     count: int = 16
-    """Grasps of each example: its own, then disturbed ones."""
+    """Grasps of each example: the example grasps, then disturbed copies."""
     measurement: Measurement = field(default_factory=Measurement)
     """Settings with which cases are measured."""
     workers: int = 1
@@ -82,11 +82,11 @@ class QueryStudy:
         return found
 
     def rows(self, done: Sequence[Any]) -> list[Row]:
-        """Return the rows of all cases, then those of the skips."""
+        """Return the rows of all cases, then of the skips."""
         return [row for rows in done for row in rows]
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
-        """Return charts over what varies, ratios to the peers, all numbers, and the skips."""
+        """Return charts over the quantities that vary, ratios to the peers, all numbers, and the skips."""
         queries, skipped = ([row for row in rows if row["table"] == name] for name in ("queries", "skips"))
         parts: list[Table | Chart | Note] = []
         if queries:
@@ -97,7 +97,7 @@ class QueryStudy:
 
 
 def several(scene: Scene, count: int, seed: int) -> Scene:
-    """Return `count` grasps: those of the scene, then copies of them, each disturbed at random."""
+    """Return `count` grasps: the grasps of the scene, then copies of them, each disturbed at random."""
     own = len(scene.q)
     rows = np.arange(count) % own
     T, q = scene.T_world_root[rows], scene.q[rows]
@@ -110,7 +110,7 @@ def several(scene: Scene, count: int, seed: int) -> Scene:
 
 
 def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
-    """Refine grasps and count what was done, and what would have been done without skipping.
+    """Refine grasps and count the work, and the work without skipping.
 
     Args:
         name: Names of hand and object.
@@ -121,7 +121,7 @@ def skips(name: str, scene: Scene, seed: int, progress: Progress) -> list[Row]:
     prepared, hand = HandObject.of(scene), scene.hand
     with one_thread():
         found = refine(scene, Config(seed=seed), prepared=prepared)
-    pairs = [its for its in (prepared.pairs, prepared.self_collision_pairs) if its is not None]
+    pairs = [group for group in (prepared.pairs, prepared.self_collision_pairs) if group is not None]
     judged = classify_pairs(hand)
     apart = set(candidate_pairs(hand)) - {*judged.nearly_always}
     # Each start is evaluated before its first iteration.
@@ -176,10 +176,10 @@ def _charts(rows: Sequence[Row]) -> Iterator[Chart]:
     for axis, name in SWEPT.items():
         fixed = [key for key in CASE if key != axis]
         panels = {
-            ", ".join(f"{key} {value}" for key, value in zip(fixed, values, strict=True)): its
-            for values, its in group_rows(rows, fixed).items()
+            ", ".join(f"{key} {value}" for key, value in zip(fixed, values, strict=True)): group
+            for values, group in group_rows(rows, fixed).items()
         }
-        swept = [panel for panel, its in panels.items() if len({row[axis] for row in its}) > 1][:MAX_PANELS]
+        swept = [panel for panel, group in panels.items() if len({row[axis] for row in group}) > 1][:MAX_PANELS]
         points = [
             {"panel": panel, "line": line, axis: row[axis], "s": 1e-6 * time}
             for panel in swept
@@ -206,12 +206,12 @@ def _times(row: Row) -> Iterator[tuple[str, float | None]]:
 
 
 def _printed(rows: Sequence[Row]) -> Table:
-    """Make a table with a line for each case: times of the first engine, and multiples of them of the others."""
+    """Make a table with a line for each case: times of the first engine, and multiples of them for the others."""
     others = list(dict.fromkeys(row["by"] for row in rows if row["by"] != rows[0]["by"]))
     lines = []
-    for its in group_rows(rows, CASE).values():
-        cold, warm = (next(row for row in its if row["warm"] == which) for which in (False, True))
-        ratios = {row["by"]: row["forward_ratio"] for row in its if not row["warm"]}
+    for group in group_rows(rows, CASE).values():
+        cold, warm = (next(row for row in group if row["warm"] == which) for which in (False, True))
+        ratios = {row["by"]: row["forward_ratio"] for row in group if not row["warm"]}
         per_pose = cold["queries_asked"] / cold["poses"]
         lines.append({**cold, **ratios, "bodies": _bodies(cold), "warm_us": warm["forward_us"], "per_pose": per_pose})
     what = {peer.name: peer.what for peer in PEERS}
@@ -233,13 +233,13 @@ def _printed(rows: Sequence[Row]) -> Table:
 
 
 def _errors(rows: Sequence[Row]) -> str:
-    """Describe the largest difference of each peer's distances from ours, beside its own tolerance."""
+    """Describe the largest difference of each peer's distances from ours, and the peer's tolerance."""
     worst: dict[str, Row] = {}
     for row in rows:
         if row["peer"] and row["distance_error_m"] >= worst.get(row["by"], row)["distance_error_m"]:
             worst[row["by"]] = row
-    told = (f"{name} {row['distance_error_m']:.0e} (its {row['tolerance_m']:.0e})" for name, row in worst.items())
-    return f"Largest difference of signed distances from ours, and its own tolerance, in m: {'; '.join(told)}."
+    errors = (f"{name} {row['distance_error_m']:.0e} (its {row['tolerance_m']:.0e})" for name, row in worst.items())
+    return f"Largest difference of signed distances from ours, and its own tolerance, in m: {'; '.join(errors)}."
 
 
 SKIPS = (

@@ -49,7 +49,7 @@ State = Literal[
 - contact: apart by 0, up to rounding;
 - face-face, edge-edge, vertex-vertex: two of these features lie against each other, with one of `GAPS` between them;
 - shallow, deep: from where they touch 1e-9 .. 1e-2 and 0.02 .. 0.2 diagonals inwards along the normal;
-- total: one body's middle somewhere near that of the other; concentric: at it, half of them with parallel axes.
+- total: the middle of one body near the middle of the other; concentric: equal middles, half with parallel axes.
 """
 
 STATES: tuple[State, ...] = get_args(State)

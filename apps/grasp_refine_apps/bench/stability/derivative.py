@@ -2,8 +2,8 @@
 
 The slip of points on their bodies is checked for two spheres only, where it is known: every method has to slip in the
 true direction, and exact methods have to slip by the same amount. For polytopes, whose true slip is 0 or unbounded and
-is smoothed on purpose by most methods, the checks are those that hold for any slip: the derivative of the distance,
-points that move with the bodies when these move together, bounds, and scale.
+is smoothed on purpose by most methods, the checks hold for any slip: the derivative of the distance, points that move
+with the bodies when these move together, bounds, and scale.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import Cell
 
 TOLERANCE = 1e-9
-"""Rounding of a derivative, as a share of its largest entry or of 1; that of its precision is added."""
+"""Rounding of a derivative, as a share of its largest entry or of 1; the rounding of its precision is added."""
 
 NUM_ROUNDINGS = 64.0
 """Number of roundings of the result's precision that may add up."""
@@ -70,8 +70,8 @@ class Faults:
     unbounded: np.ndarray
     """Some entry exceeds the bound of the method."""
     wrong_sign: np.ndarray
-    """Distances do not grow along the normal, points stay behind when the bodies move together, or those of two
-    spheres that are apart do not slip, slip the wrong way, or by another length with a method that is exact."""
+    """Distances do not grow along the normal, points stay behind when the bodies move together, or points of two
+    separated spheres do not slip, slip the wrong way, or by another length with a method that is exact."""
     unscaled: np.ndarray
     """The derivative at the other size differs."""
     error: np.ndarray
@@ -84,7 +84,7 @@ def judged(scene: Scene, way: cases.Derivative, method: Derivative | None = None
     Args:
         scene: Bodies and poses.
         way: Method, neighbourhood and precision.
-        method: Derivative method to check in place of that of `way`.
+        method: Derivative method to check in place of the method of `way`.
     """
     method = method_of(way) if method is None else method
     dtype = getattr(torch, way.dtype)
@@ -158,7 +158,7 @@ def _truth_normal(posed: PosedBodies) -> np.ndarray:
 
 
 def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compare the slip of points of two spheres with the true one.
+    """Compare the slip of points of two spheres with the true slip.
 
     Returns:
         Products (N,) of slips, that is of derivatives less those without any slip, with the true ones, less their
@@ -184,8 +184,8 @@ def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndar
 def _bound(scene: Scene, method: cases.Method, distance: np.ndarray) -> np.ndarray:
     """Bound (N,) of a derivative, without unit.
 
-    - contact-kinematics: curvatures are at most 4 / rho, and those of both bodies together at least 5 over the mean of
-      their diagonals; rho is the spacing of the candidates at least.
+    - contact-kinematics: curvatures are at most 4 / rho, and curvatures of both bodies together at least 5 over the
+      mean of their diagonals; rho is the spacing of the candidates at least.
     - distance, direction: slips are at most 1 - 1e-6, so that I - A B is at least 2e-6; a normal turns with the
       difference of two points over twice the spacing at least.
     - analytical: the bound of distance with 1e-11, and slips up to a million deep in a sphere: it is exact, and true

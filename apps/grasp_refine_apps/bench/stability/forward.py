@@ -1,4 +1,4 @@
-"""Distances and witness points: queried in all states and ways, and checked."""
+"""Distances and witness points: queried in all states and with all settings, and checked."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def forward_cells(task: Task) -> Iterator[Cell]:
 def _state_cells(
     task: Task, state: State, pairs_of_bodies: Sequence[tuple[PoseSampler, MujocoBodies]], refused: Sequence[str]
 ) -> Iterator[Cell]:
-    """Make the cells of a state, of those pairs of bodies that can be in it, and with those that could not be built."""
+    """Make the cells of a state, of the pairs of bodies that can be in it; bodies that could not be built count too."""
     able, others = [poser for poser, _ in pairs_of_bodies], [other for _, other in pairs_of_bodies]
     each = -(-task.queries // (len(able) + len(refused)))
     blank = Cell(
@@ -53,7 +53,7 @@ def _state_cells(
         refused=each * len(refused),
         refusal="; ".join(dict.fromkeys(refused)) or None,
     )
-    posed = [its for poser in able if (its := poser.pose(state, each)) is not None]
+    posed = [bodies for poser in able if (bodies := poser.pose(state, each)) is not None]
     second = _second_opinion(others, posed, task.mujoco) if able and task.mujoco else {}
     for way in task.forwards:
         cells = [replace(blank, **vars(way), translation=far) for far in task.translations]
@@ -76,9 +76,14 @@ def _state_cells(
             rows = slice(step * each, (step + 1) * each)
             judged = [
                 judge(
-                    found.pairs(p).rows(rows), its.truth, pairs.piece_pairs, *its.moved(far), poser.diagonal, way.dtype
+                    found.pairs(p).rows(rows),
+                    bodies.truth,
+                    pairs.piece_pairs,
+                    *bodies.moved(far),
+                    poser.diagonal,
+                    way.dtype,
                 )
-                for p, (its, poser) in enumerate(zip(posed, able, strict=True))
+                for p, (bodies, poser) in enumerate(zip(posed, able, strict=True))
             ]
             yield _counted(cell, judged, able)
 
@@ -86,7 +91,7 @@ def _state_cells(
 def _answers(pairs: Pairs, posed: Sequence[PosedBodies], way: Forward, translations: Sequence[float]) -> Witness:
     """Query (len(translations) * N, P) answers at all N poses of P pairs at the first translation, the second, ..."""
     poses = [
-        np.stack([np.concatenate([its.moved(far)[side] for far in translations]) for its in posed], axis=1)
+        np.stack([np.concatenate([bodies.moved(far)[side] for far in translations]) for bodies in posed], axis=1)
         for side in (0, 1)
     ]
     layer = WitnessLayer(pairs, ContactKinematics())
@@ -103,9 +108,9 @@ def _answers(pairs: Pairs, posed: Sequence[PosedBodies], way: Forward, translati
 def _second_opinion(others: Sequence[MujocoBodies], posed: Sequence[PosedBodies], most: int) -> dict[str, Any]:
     """Count queries of MuJoCo, at no more than `most` poses, and its wrong answers, as entries of a cell."""
     asked = wrong = 0
-    for other, its in zip(others, posed, strict=True):
+    for other, bodies in zip(others, posed, strict=True):
         some = slice(-(-most // len(others)))
-        T_a, T_b, true = its.T_a[some], its.T_b[some], its.truth.distance[some]
+        T_a, T_b, true = bodies.T_a[some], bodies.T_b[some], bodies.truth.distance[some]
         if other.model is not None:
             found = other.loop(T_a, T_b)()
             position = np.maximum(*(np.linalg.norm(T[:, :3, 3], axis=1) for T in (T_a, T_b)))

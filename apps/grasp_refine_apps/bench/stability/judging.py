@@ -152,7 +152,7 @@ def judge(
     wide = POINT_TOLERANCE * (diagonal + np.abs(truth.distance)) + allowed
     points_error = np.where(good, np.maximum(np.where(compared, off / near, 0.0), fault / wide), np.nan)
     wrong_distance, wrong_sign = good & (error > allowed), good & (opposite | contrary)
-    told = np.abs(truth.distance) > SIGN_ROUNDINGS * np.finfo(dtype).eps * (diagonal + position)
+    certain = np.abs(truth.distance) > SIGN_ROUNDINGS * np.finfo(dtype).eps * (diagonal + position)
     other = (np.sign(found.distance) != np.sign(truth.distance)) | (
         (found.status == QueryStatus.SEPARATED) != (truth.distance > 0.0)
     )
@@ -163,7 +163,7 @@ def judge(
         wrong_sign=wrong_sign,
         wrong_points=points_error > 1.0,
         compared=compared,
-        collapsed=good & told & other & ~wrong_distance & ~wrong_sign,
+        collapsed=good & certain & other & ~wrong_distance & ~wrong_sign,
         error=error,
         tolerance=allowed,
         points_error=points_error,

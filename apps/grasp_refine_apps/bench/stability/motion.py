@@ -1,11 +1,11 @@
-"""Motion of witness points, as a user computes it: through the layer, in any size and precision.
+"""Motion of witness points through the layer, as a user computes it, in any size and precision.
 
-Differentiated are some linear forms of its output,
+The differentiated quantities are linear forms of the output of the layer,
 
     L = (f_a . x_a + f_b . x_b) / D + f_n . n,     |f_a|^2 + |f_b|^2 + |f_n|^2 = 1,     and     d / D,
 
 in the twists of both bodies about their own witness points, (D dL/dv, dL/dw), D the diagonal of the larger body. So
-all numbers are without unit, and a world that is `factor` times as large must give the same ones.
+all numbers are without unit, and a world that is `factor` times as large must give the same numbers.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from grasp_refine_apps.bench.stability.cases import (
 from grasp_refine_apps.bench.stability.reference import Truth, Truths
 
 MAX_ROTATIONS = 4
-"""Largest number of relative rotations of a pair of bodies, of which the first is none."""
+"""Largest number of relative rotations of a pair of bodies; the first is the identity."""
 
 MAX_FEATURE_ROTATIONS, FEW_FEATURE_ROTATIONS, MANY_VERTEX_PAIRS = 8, 2, 20_000
 """Largest number of rotations for features, the same for large bodies, and the vertex pairs that make them large."""
@@ -86,7 +86,7 @@ class PoseSampler:
         return [self._truths(R) for R in (np.eye(3), *turns)]
 
     def can_be(self, state: State) -> bool:
-        """Return True if these bodies can be in this state: round ones have no features that could meet."""
+        """Return True if these bodies can be in this state: round bodies have no features that could meet."""
         return state not in FEATURES or all(len(piece.faces) for body in (self.a, self.b) for piece in body.pieces)
 
     def pose(self, state: State, count: int) -> PosedBodies | None:
@@ -180,7 +180,7 @@ class PoseSampler:
         return Truths(self.a.pieces, self.b.pieces, R)
 
     def _in_world(self, rng: np.random.Generator, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses (N, 4, 4) of both bodies from those of the second in the frame of the first."""
+        """Return poses (N, 4, 4) of both bodies from poses of the second in the frame of the first."""
         N = len(R)
         T_a, T_b = np.tile(np.eye(4), (2, N, 1, 1))
         turned = np.arange(N) % 2 == 1
@@ -204,7 +204,7 @@ def _against(rng: np.random.Generator, first: Feature, second: Feature, *, strai
         rng: Generator of the angle about the normal.
         first: Feature of the first body.
         second: Feature that is rotated.
-        straight: Whether their tangents shall be parallel, as those of two edges.
+        straight: Whether their tangents become parallel, as for two edges.
     """
     angle = 0.0 if straight else rng.uniform(0, 2 * np.pi)
     spin = Rotation.from_rotvec(angle * first.outward).as_matrix()
@@ -222,7 +222,7 @@ class Feature:
     """A face, an edge or a vertex of a piece."""
 
     corners: np.ndarray
-    """Corners (1, 2 or 3, 3), metres, of which its points are convex combinations."""
+    """Corners (1, 2 or 3, 3), metres; points of the feature are their convex combinations."""
     outward: np.ndarray
     """A unit vector (3,) along which no point of the piece is farther."""
     tangent: np.ndarray
@@ -234,7 +234,7 @@ class Feature:
 
 
 def face(piece: Piece, rng: np.random.Generator, towards: np.ndarray | None = None) -> Feature:
-    """Choose a face of a piece: the one that faces a direction (3,) most, or any, large ones more often."""
+    """Choose a face of a piece: the face that faces a direction (3,) most, or a random face, large faces more often."""
     area = np.where(piece.normals.any(axis=1), piece.areas, 0.0)
     k = rng.choice(len(area), p=area / area.sum()) if towards is None else (piece.normals @ towards).argmax()
     corners = piece.vertices[piece.faces[k]]
@@ -242,7 +242,7 @@ def face(piece: Piece, rng: np.random.Generator, towards: np.ndarray | None = No
 
 
 def edge(piece: Piece, rng: np.random.Generator, towards: np.ndarray | None = None) -> Feature:
-    """Choose an edge between two faces that are not in one plane: the one most towards a direction (3,), or any."""
+    """Choose an edge between faces in different planes: the most towards a direction (3,), or at random."""
     loops = np.stack([piece.faces, np.roll(piece.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     owner = np.repeat(np.arange(len(piece.faces)), 3)
     order = np.lexsort(np.sort(loops, axis=1).T)

@@ -1,4 +1,4 @@
-"""Named experiments: bodies, states and ways to query."""
+"""Named experiments: bodies, states and settings of queries."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Part:
 
 
 def forwards_of(dtypes: Sequence[DType], batches: Sequence[int], engines: Sequence[Engine]) -> list[Forward]:
-    """Return ways to query: the first value of each, then those that differ in one of them."""
+    """Return settings of queries: the first value of each, then combinations that differ in one of them."""
     first = Forward(dtypes[0], batches[0], engines[0])
     ways = [replace(first, dtype=dtype) for dtype in dtypes]
     ways += [replace(first, batch=batch) for batch in batches]

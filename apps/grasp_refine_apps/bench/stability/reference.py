@@ -1,4 +1,4 @@
-"""The truth: signed distances and witness points of convex pieces from the hull of their difference, by Qhull.
+"""Reference: signed distances and witness points of convex pieces from the hull of their difference, by Qhull.
 
 Two pieces, rotated by R, overlap at the offset t where -t lies in the polytope M = {R y - x}, x of the first piece and
 y of the second. Its hull is computed once for a rotation, in units in which the bodies are about 1 long (a power of
@@ -235,7 +235,7 @@ class Truths:
         return (lowest[:, None] - first.reach(n)[:, :, None]).reshape(len(t), -1)
 
     def _lower(self, found: Truth, k: int, t: np.ndarray, rows: np.ndarray) -> None:
-        """Replace results by those of the piece pair k where these are nearer."""
+        """Replace results by the results of the piece pair k where this pair is nearer."""
         if not len(rows):
             return
         new, size = self.difference(k).at(t[rows]), self._radius[k]

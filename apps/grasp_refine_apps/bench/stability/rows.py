@@ -67,13 +67,13 @@ class Cell:
     wrong_sign: int = 0
     """Distances of the wrong sign where the reference exceeds the tolerance."""
     wrong_points: int = 0
-    """Witness points further from the reference than the tolerance, of those compared; or, of all, not on the bodies,
-    or not the reported distance apart along the normal."""
+    """Compared witness points farther from the reference than the tolerance; and witness points off the bodies, or not
+    the reported distance apart along the normal."""
     points_compared: int = 0
     """Queries whose witness points are unique."""
     collapsed: int = 0
-    """Answers within the tolerance whose sign or status is not that of the reference, though that exceeds rounding by
-    far: gaps that are reported as contact. No fault."""
+    """Answers within the tolerance with a sign or status other than the reference, whose distance far exceeds rounding:
+    gaps that are reported as contact. No fault."""
     error_max: float | None = None
     """Largest error of a distance over its tolerance; None: nothing was compared."""
     distance_error_max_m: float | None = None
@@ -108,7 +108,7 @@ SUMMED = ("queries", "refused", "points_compared", "collapsed", "mujoco_queries"
 """Counts of rows that add up."""
 
 LARGEST = ("error_max", "distance_error_max_m", "points_error_max", "derivative_error_max")
-"""Errors of rows of which the largest counts."""
+"""Errors of rows; the largest counts."""
 
 RELATIVE_ERRORS = ("error_max", "points_error_max", "derivative_error_max")
 """Errors that are relative to their tolerance."""
@@ -138,14 +138,14 @@ def worst(rows: Iterable[Row], most: int, nearest: int) -> list[Row]:
     Args:
         rows: All rows.
         most: Largest number of rows.
-        nearest: Largest number of rows of each precision if nothing is wrong; then those with the largest errors are
-            the worst. Each precision has its own, because tolerances include the rounding of float32 poses.
+        nearest: Largest number of rows of each precision if nothing is wrong; then the rows with the largest errors
+            are the worst. Each precision has its own, because tolerances include the rounding of float32 poses.
     """
 
     def order(row: Row) -> tuple[int, float]:
         return wrong(row), error_of(row) or 0.0
 
-    each = [max(its, key=order) for its in group_rows(rows, ("kind", "state", "measure", "dtype")).values()]
+    each = [max(group, key=order) for group in group_rows(rows, ("kind", "state", "measure", "dtype")).values()]
     each = sorted((row for row in each if order(row) > (0, 0.0)), key=order, reverse=True)
     if each and wrong(each[0]):
         return [row for row in each if wrong(row)][:most]

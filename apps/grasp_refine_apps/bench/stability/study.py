@@ -40,7 +40,7 @@ ORDER: Mapping[str, tuple[Any, ...]] = MappingProxyType(
 """Key of a row -> its values in display order; values of other keys are sorted."""
 
 PRINTED_CELLS, LISTED_CELLS = (5, 2), (40, 10)
-"""Largest number of cells that are printed, and that are on a page: wrong ones, or nearest ones of each precision."""
+"""Largest number of printed cells, and of cells on a page: wrong cells, or the nearest cells of each precision."""
 
 MAX_REASONS = 20
 """Largest number of different reasons of refusal that are listed."""
@@ -59,7 +59,7 @@ class StabilityStudy:
     """Settings of a run."""
 
     tasks: tuple[Task, ...]
-    """Bodies, states and ways to query."""
+    """Bodies, states and settings of queries."""
     seed: int = 0
     """Seed of bodies and poses."""
     workers: int = 1
@@ -74,7 +74,7 @@ class StabilityStudy:
 
     def rows(self, done: Sequence[Sequence[Cell]]) -> list[Row]:
         """Return a row for each cell."""
-        return [cell.row() for its in done for cell in its]
+        return [cell.row() for cells in done for cell in cells]
 
     def report(self, rows: Sequence[Row], problems: Sequence[str]) -> Report:
         """Return counts by body, size, state and method, and the cells that are wrong or nearest to it."""
@@ -152,9 +152,12 @@ def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
     """Yield the numbers of queries and of faults in a line; one more of MuJoCo."""
     found = total(rows)
     asked = [
-        f"{total(its)['queries']} {what}"
-        for its, what in ((of_measure(rows, "forward"), "queries"), (of_measure(rows, "derivative"), "derivatives"))
-        if its
+        f"{total(measured)['queries']} {name}"
+        for measured, name in (
+            (of_measure(rows, "forward"), "queries"),
+            (of_measure(rows, "derivative"), "derivatives"),
+        )
+        if measured
     ]
     counts = (found["collapsed"], "collapsed"), (found["refused"], "refused"), (crashes, "crashed")
     wrong = count_text(found["wrong"], "fault")
@@ -165,7 +168,7 @@ def summary(rows: Sequence[Row], crashes: int) -> Iterator[str]:
 
 
 def _worst_lines(rows: Sequence[Row], seed: int) -> Iterator[str]:
-    """Yield the wrong cells, or else those nearest to it, each with the command that repeats it."""
+    """Yield the wrong cells, or else the cells nearest to it, each with the command that repeats it."""
     shown = worst(rows, *PRINTED_CELLS)
     if shown:
         yield "wrong cells, and the commands that repeat them:" if faults(shown[0]) else "nearest to being wrong:"
@@ -201,14 +204,14 @@ def _lists(rows: Sequence[Row], seed: int) -> Iterator[Table]:
         yield Table("Wrong cells, or those nearest to it", columns, listed, only="page")
     reasons = group_rows((row for row in rows if row["refused"]), ("refusal",))
     refusals = [
-        {"reason": str(why or "no reason"), "queries": total(its)["refused"], "bodies": _bodies(its)}
-        for (why,), its in [*reasons.items()][:MAX_REASONS]
+        {"reason": str(why or "no reason"), "queries": total(group)["refused"], "bodies": _bodies(group)}
+        for (why,), group in [*reasons.items()][:MAX_REASONS]
     ]
     if refusals:
         columns = [Column("reason", "reason"), Column("queries", "queries", form="d"), Column("bodies", "bodies")]
         yield Table("Refusals", columns, refusals, only="page")
     by_kind = group_rows((row for row in rows if row["mujoco_queries"]), ("kind",))
-    asked = [{"kind": kind, **total(its)} for (kind,), its in by_kind.items()]
+    asked = [{"kind": kind, **total(group)} for (kind,), group in by_kind.items()]
     if asked:
         columns = [Column("kind", "bodies"), Column("mujoco_queries", "queries", form="d")]
         columns += [Column("mujoco_wrong", "wrong", form="d")]

@@ -2,11 +2,11 @@
 
 It holds
 
-    hands/<name>/*.urdf         a hand; what our hand.toml of its name adds to it is used
+    hands/<name>/*.urdf         a hand; settings of our hand.toml of its name are added
     hands/<name>_mjcf/*.xml     MJCF models of it, in which the grasps of generators are simulated as well
     objects/<name>.obj          meshes (or .stl, .ply, ...)
-    objects.csv                 name, suggested_scale (mesh to metres), diag (of the mesh), convexity (volume / that of
-                                the hull)
+    objects.csv                 name, suggested_scale (mesh to metres), diag (of the mesh), convexity (volume / volume
+                                of the hull)
     grasps/normalised/*.npz     grasps of one generator each, in our format, on objects named like the meshes or the end
                                 of their names
 """
@@ -82,7 +82,7 @@ class ObjectCase:
 
 
 def find_hands(assets: Path) -> list[HandCase]:
-    """Return the hands of a folder, with and without MJCF models, and then those that come with the program.
+    """Return the hands of a folder, with and without MJCF models, and then the hands of the program.
 
     Raises:
         GraspRefineError: there is no folder of hands, or one of its folders has no hand, or several URDFs.
@@ -151,7 +151,7 @@ def _object_of(row: dict[str, str], meshes: dict[str, Path], where: str) -> Obje
 
 
 def matching_object(name: str, objects: Sequence[ObjectCase]) -> ObjectCase:
-    """Return the object that a generator calls `name`: that of the name, or the only one whose name ends with it.
+    """Return the object that a generator calls `name`: the object `name`, or the only object whose name ends with it.
 
     Hyphens and underscores do not count. cube_<N>mm is a cube of that size.
 

@@ -62,7 +62,7 @@ class Case:
     count: int | None = None
     """Largest number of grasps on each object at each scale, the first ones; None: all."""
     requested: int | None = None
-    """Number of grasps that are sampled, or taken from the file; None: those that there are."""
+    """Number of grasps that are sampled, or taken from the file; None: all of the file."""
 
     @property
     def name(self) -> str:
@@ -75,16 +75,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Axes:
-    """Hands, objects, scenes and sources of grasps, of which every combination is a case."""
+    """Hands, objects, scenes and sources of grasps; every combination is a case."""
 
     spec: ProblemSpec = field(default_factory=ProblemSpec)
-    """Inputs of all cases; where no axis is given, those of the only one."""
+    """Inputs of all cases; without axes, the inputs of the only case."""
     assets: Path | None = None
     """Folder of assets, from which hands, objects and generators are chosen by name."""
     hands: tuple[str, ...] = ()
-    """Hands, as for `run`, or of the assets; empty: all of the assets, or that of `spec`."""
+    """Hands, as for `run`, or of the assets; empty: all of the assets, or the hand of `spec`."""
     on: tuple[str, ...] = ()
-    """Objects, as for `run`, or of the assets; empty: all of the assets, or that of `spec`."""
+    """Objects, as for `run`, or of the assets; empty: all of the assets, or the object of `spec`."""
     scenes: tuple[str, ...] = ()
     """Scenes; their objects are grasped."""
     generators: tuple[str, ...] = ()
@@ -102,7 +102,7 @@ class Axes:
     axes; where `spec` has none."""
 
     def cases(self) -> list[Case]:
-        """Return all cases, those of a hand and an object after each other.
+        """Return all cases; cases of one hand and object follow each other.
 
         Raises:
             GraspRefineError: a hand, object, scene or generator does not exist.

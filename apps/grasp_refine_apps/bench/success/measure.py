@@ -92,7 +92,7 @@ class Measured:
     """Name of `GROUPINGS` -> label of each grasp (N,); and scale: the factor (N,) by which its object was scaled."""
     values: Mapping[str, np.ndarray]
     """Number -> its value for each grasp (N,), SI units, NaN where there is none: `COSTS`, the fields of `Metrics`, and
-    what trials measure."""
+    the measures of trials."""
     verdict: Mapping[str, np.ndarray]
     """Column of a trial -> verdict in words (N,), `HELD` for success."""
 
@@ -115,12 +115,12 @@ class Measurement:
     threads: int | None = None
     """CPU threads of the simulation; None: all cores. Refinement has one."""
     out: Path | None = None
-    """Folder of results, from which a later run takes what is there; None: nothing is kept."""
+    """Folder of results; a later run reads finished cases from it. None: nothing is kept."""
     token: str = ""
     """Name of the run: inputs are kept in memory for one run."""
 
     def run(self, case: Case, progress: Progress) -> list[Measured]:
-        """Measure a case in this process; what its file has is not computed again.
+        """Measure a case in this process; results in the file of the case are not computed again.
 
         Raises:
             GraspRefineError: an input cannot be used, or no grasp is found.
@@ -165,16 +165,16 @@ class _Kept:
     found: Found = field(default_factory=dict)
 
     @staticmethod
-    def of(case: Case, its: Measurement) -> _Kept:
-        """Return what the file of a case has, if it is of the same inputs and settings.
+    def of(case: Case, measurement: Measurement) -> _Kept:
+        """Return the results in the file of a case, if its inputs and settings are the same.
 
         Raises:
             GraspRefineError: an input does not exist.
         """
-        if its.out is None:
+        if measurement.out is None:
             return _Kept(None, "")
-        path = its.out / file_of(case.name, "cases")
-        stamp = _stamp(case, its)
+        path = measurement.out / file_of(case.name, "cases")
+        stamp = _stamp(case, measurement)
         if path.exists():
             file = load_npz(path)
             if file.name("stamp") == stamp:
@@ -187,7 +187,7 @@ class _Kept:
             save_npz(self.path, {**self.found, "stamp": np.array(self.stamp)})
 
 
-def _stamp(case: Case, its: Measurement) -> str:
+def _stamp(case: Case, measurement: Measurement) -> str:
     """Hash of all that the refined grasps of a case depend on, but the methods."""
     digests, spec = Digests(), case.spec
     files = [path for name in ("grasps", "object", "scene") if (path := Path(str(getattr(spec, name)))).exists()]
@@ -197,7 +197,14 @@ def _stamp(case: Case, its: Measurement) -> str:
         named=[str(getattr(spec, name)) for name in ("object", "object_name", "scene", "index", "grasps")],
         files=[digests.file(path)["sha256"] for path in files],
         hand=hand,
-        settings=[LAYOUT_VERSION, case.count, its.perturb, its.shrink, its.width, its.seed],
+        settings=[
+            LAYOUT_VERSION,
+            case.count,
+            measurement.perturb,
+            measurement.shrink,
+            measurement.width,
+            measurement.seed,
+        ],
     )
 
 
@@ -206,21 +213,21 @@ class _Work:
     """Measurement of one case; its problem is loaded when something is missing."""
 
     case: Case
-    its: Measurement
+    measurement: Measurement
     found: Found
 
     @cached_property
     def _cache(self) -> InputCache:
-        return cache_of(self.its.token)
+        return cache_of(self.measurement.token)
 
     @cached_property
     def _problem(self) -> Problem:
-        """The grasps, and the perturbed ones."""
-        problem, factor = load_case(self.case, self.its.seed, self._cache, shrink=self.its.shrink)
+        """The grasps, and the perturbed grasps."""
+        problem, factor = load_case(self.case, self.measurement.seed, self._cache, shrink=self.measurement.shrink)
         groups = list(problem.groups)
         sources = [self.case.source] * len(groups)
-        if self.its.perturb:
-            groups += [perturbed(group, self.its.seed) for group in problem.groups]
+        if self.measurement.perturb:
+            groups += [perturbed(group, self.measurement.seed) for group in problem.groups]
             sources += [PERTURBED] * len(problem.groups)
         thing, counts = self.case.object, [len(group.rows) for group in groups]
         labels = {
@@ -249,8 +256,8 @@ class _Work:
         key = _key(method)
         if f"{key}/stage_q" not in self.found:
             self.found |= {f"{key}/{name}": values for name, values in self._refined(method).items()}
-        for number, trial in enumerate(self.its.trials):
-            share = part_of(progress, number / len(self.its.trials), 1.0 / len(self.its.trials))
+        for number, trial in enumerate(self.measurement.trials):
+            share = part_of(progress, number / len(self.measurement.trials), 1.0 / len(self.measurement.trials))
             name = f"{key}/stamp of {', '.join(trial.columns)}"
             stamp = np.array(sha256_of(settings(trial)))
             if not (name in self.found and self.found[name] == stamp):
@@ -259,7 +266,7 @@ class _Work:
 
     def _refined(self, method: Method) -> Found:
         """Refine the grasps, if the method does; return their stages, costs and measures."""
-        problem, config, parts = self._problem, method.config(self.its.seed, self.its.width), []
+        problem, config, parts = self._problem, method.config(self.measurement.seed, self.measurement.width), []
         outcomes: list[Outcome] = []
         for group in problem.groups:
             scene, motion, costs = group.scene, None, dict.fromkeys(COSTS, np.full(len(group.rows), np.nan))
@@ -273,19 +280,19 @@ class _Work:
             measured = metrics_of(scene).values
             stages = {"stage_T": motion.T_world_root, "stage_q": motion.q}
             parts.append({"grasp_T": scene.T_world_root, "grasp_q": scene.q, **stages, **costs, **measured})
-        if self.its.out is not None and config is not None:
+        if self.measurement.out is not None and config is not None:
             refined = RefinedGrasps(problem, config, Outcome.join(outcomes))
-            path = self.its.out / file_of(self.case.name, _key(method))
+            path = self.measurement.out / file_of(self.case.name, _key(method))
             path.parent.mkdir(parents=True, exist_ok=True)
             refined.save(path if len({group.object for group in problem.groups}) == 1 else path.parent, overwrite=True)
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def _prepared(self, group: Group) -> HandObject:
         """Geometry of hand and object; caches built once for them are not timed."""
-        configs = (method.config(self.its.seed, self.its.width) for method in self.its.methods)
-        given = [config for config in configs if config is not None]
+        configs = (method.config(self.measurement.seed, self.measurement.width) for method in self.measurement.methods)
+        present = [config for config in configs if config is not None]
         key = self._problem.hand, group.scene.object
-        return self._cache.get("prepared", key, partial(warmed_up, group.scene, given))
+        return self._cache.get("prepared", key, partial(warmed_up, group.scene, present))
 
     def _tried(self, method: Method, trial: AnyTrial, progress: Progress) -> Found:
         """Try the grasps of a method."""
@@ -297,5 +304,5 @@ class _Work:
             unaware = self.case.source == UNAWARE
             tried = Tried(scene, Motion(stage_T, stage_q), Task(scene=self.case.spec.scene) if unaware else scene.task)
             share = part_of(progress, group.place[0] / len(problem), len(group.place) / len(problem))
-            parts.append(trial.run(tried, self._cache, self.its.threads, share))
+            parts.append(trial.run(tried, self._cache, self.measurement.threads, share))
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -72,12 +72,13 @@ def key_of(name: str, column: str) -> str:
 def rows(done: Sequence[Sequence[Measured]], trials: Sequence[AnyTrial]) -> list[Row]:
     """Return flat rows.
 
-    Those of all grasps come first, then those of each label of the `GROUPINGS` with several, and of combinations of
-    hand, source and object that vary; a row for each method. The first method of a case decides what held before.
+    First come the rows of all grasps, then of each label of the `GROUPINGS` with several labels, and of combinations of
+    hand, source and object that vary; a row for each method. The first method of a case decides which grasps held
+    before.
 
     Args:
         done: Results of each case, by method.
-        trials: Ways in which grasps were tried.
+        trials: Trials of the grasps.
     """
     methods = list(dict.fromkeys(one.method for case in done for one in case))
     columns = [column for trial in trials for column in trial.columns]
@@ -109,7 +110,7 @@ def _labels(one: Measured, by: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _statistics(pairs: Sequence[tuple[Measured, Measured]], masks: Sequence[np.ndarray], columns: Sequence[str]) -> Row:
-    """Numbers of some grasps, of which the first of each pair has what held before."""
+    """Numbers of some grasps; the first entry of each pair has the verdicts before."""
 
     def join(get: Callable[[Measured], np.ndarray], side: int = 1) -> np.ndarray:
         return np.concatenate([get(pair[side])[mask] for pair, mask in zip(pairs, masks, strict=True)])
@@ -175,7 +176,7 @@ def _agreement(
 
 
 def _failures(done: Sequence[Sequence[Measured]], columns: Sequence[str]) -> Iterator[Row]:
-    """Yield some grasps that fail by the last method, by trial and reason, the most frequent reasons first."""
+    """Yield some grasps that fail with the last method, by trial and reason, the most frequent reasons first."""
     for column in columns:
         places: dict[str, list[tuple[Sequence[Measured], int]]] = {}
         for case in done:

@@ -1,4 +1,4 @@
-"""The benchmark of success: how many grasps hold in simulation, as given and refined, and what refinement costs."""
+"""Benchmark of success: the share of input and refined grasps that hold in simulation, and the cost of refinement."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class SuccessStudy:
     workers: int = 1
     """Processes."""
     out: Path | None = None
-    """Folder of results, from which a later run takes what is there."""
+    """Folder of results; a later run reads finished cases from it."""
 
     @property
     def measurement(self) -> Measurement:
@@ -99,10 +99,10 @@ class SuccessStudy:
         Raises:
             GraspRefineError: a hand, object, scene or generator does not exist; or the only case cannot be loaded.
         """
-        its, cases = self.measurement, self.axes.cases()
+        measurement, cases = self.measurement, self.axes.cases()
         if len(cases) == 1:
-            Loader(cases[0].spec, self.seed, say, cache=cache_of(its.token)).problem()
-        return [Job(case.name, partial(its.run, case), case.requested or 1.0) for case in cases]
+            Loader(cases[0].spec, self.seed, say, cache=cache_of(measurement.token)).problem()
+        return [Job(case.name, partial(measurement.run, case), case.requested or 1.0) for case in cases]
 
     def rows(self, done: Sequence[Sequence[Measured]]) -> list[Row]:
         """Return the rows of all grasps and of each group by each method, as `rows.rows`."""
@@ -209,7 +209,7 @@ def _chart(rows: Sequence[Row], columns: Sequence[str]) -> Chart:
 
 
 def _pivoted(rows: Sequence[Row], methods: Sequence[str]) -> list[Row]:
-    """Return a row for each label, whose numbers are lists with that of each method; None where there is none."""
+    """Return a row for each label; each number is a list of values by method, None where a method has none."""
     found: dict[str, dict[str, Row]] = {}
     for row in rows:
         found.setdefault(row["label"], {})[row["refined"]] = row
@@ -343,7 +343,7 @@ AGREEMENT = (
 # presets
 
 OBJECTS = ("mug", "bottle", "bowl", "rounded_box", "sphere:0.03", "cylinder:0.03,0.12")
-"""Objects on which hands are tried: embedded ones, and two primitives."""
+"""Objects on which hands are tried: embedded objects, and two primitives."""
 
 ASSETS_OBJECTS = (
     *("ycb_005_tomato_soup_can", "ycb_007_tuna_fish_can", "ycb_011_banana", "ycb_013_apple", "ycb_021_bleach_cleanser"),

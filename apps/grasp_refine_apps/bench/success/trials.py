@@ -40,14 +40,14 @@ class Tried:
     motion: Motion
     """Motion that closes the hand."""
     task: Task
-    """What is around the object in simulation."""
+    """Task and scene of the object in simulation."""
 
     def world(self, protocol: Protocol, cache: InputCache) -> World:
         """Build the simulated world, or return it from the cache."""
         hand = self.scene.hand
         model = cache.get("model", hand, partial(model_of, hand))
-        given = self.scene.object, Task(protocol).over(self.task).for_simulation
-        return cache.get("world", (hand, *given), partial(build_world, model, *given))
+        content = self.scene.object, Task(protocol).over(self.task).for_simulation
+        return cache.get("world", (hand, *content), partial(build_world, model, *content))
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Trial:
     protocol: Protocol
     engine: EngineName = "mujoco"
     name: str = ""
-    """Name in tables; empty: that of the protocol."""
+    """Name in tables; empty: the name of the protocol."""
 
     @property
     def columns(self) -> tuple[str, ...]:
