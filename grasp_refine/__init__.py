@@ -23,8 +23,8 @@ neighbouring names:
 
     point_world = T_world_link @ point_link        T_world_link = T_world_root @ T_root_link(q)
 
-The *root* is the hand's base link. Its frame is that of the URDF; joints above it do not move. A point, normal or twist
-carries its frame in its name, or is in the world frame.
+The *root* is the hand's base link. Its frame is the link's frame in the URDF; joints above it do not move. A point,
+normal or twist carries its frame in its name, or is in the world frame.
 
 **Joint values** `q` (..., n) are in the order of `hand.joint_names`, which are the independent joints: joints
 that follow another one (mimic) are left out. Files name their joints; values are matched by name, never by place.

@@ -55,7 +55,7 @@ def motion(spheres: np.ndarray, T_before: np.ndarray, T_now: np.ndarray) -> np.n
     Args:
         spheres: Their bounding spheres (L, 4).
         T_before: Poses (M, L, 4, 4).
-        T_now: Later ones.
+        T_now: Later poses (M, L, 4, 4).
     """
     moved = transform_points(T_now, spheres[:, :3]) - transform_points(T_before, spheres[:, :3])
     turned = (T_now - T_before)[..., :3, :3]

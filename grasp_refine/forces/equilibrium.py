@@ -1,9 +1,9 @@
 """Equilibrium of a grasp as a term of least squares: forces that balance, solved anew at each configuration.
 
-The residual of a grasp is that of the best contact forces, a small quadratic program of its own (`wrench`). Its value
-is differentiated at the forces that solve it (Danskin 1967), with contact points and normals sliding on both surfaces
-(`witness.contact_kinematics`); the change of the forces while the hand moves makes the residual softer: what they can
-balance within the active constraints counts almost nothing (variable projection, Golub and Pereyra 1973).
+The residual of a grasp is the residual of the best contact forces, a small quadratic program of its own (`wrench`).
+Its value is differentiated at the forces that solve it (Danskin 1967), with contact points and normals sliding on both
+surfaces (`witness.contact_kinematics`); the change of the forces while the hand moves makes the residual softer: what
+they can balance within the active constraints counts almost nothing (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LOADS = np.concatenate(
 Their mean is no load: a grasp balanced under all of them is balanced without any, too."""
 
 UNSOLVED_VALUE = 1.0
-"""Value of a grasp without contacts, or whose quadratic program is not solved: that of a single contact."""
+"""Value of a grasp without contacts, or whose quadratic program is not solved: the value of a single contact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +286,7 @@ class _Moving:
 def _with_corners(moving: _Moving, columns: np.ndarray, patches: LinkPatches, balance: Balance) -> _Moving:
     """Contact points with the corners of patches, which take the columns of their links and some behind them.
 
-    The bases at corners rest: the normal is that of the object's face.
+    The bases at corners rest: the normal is the normal of the object's face.
     """
     M, C = moving.there.shape
     extra = SLOTS * (NUM_CORNERS - 1)

@@ -40,7 +40,7 @@ YIELDING_RAD_N = 0.01
 """Angle in rad by which the object may turn for each newton of a push: contacts well apart hold it by less."""
 
 MOST_YIELDING = 9.0
-"""Largest excess over that, as a share of it, and that of unstable grasps."""
+"""Largest excess over `YIELDING_RAD_N`, as a share of it; unstable grasps get it."""
 
 YIELDING_SHARE = 0.02
 """Share of that excess in the score: with more, no more of the chosen attempts hold."""

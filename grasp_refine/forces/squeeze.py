@@ -65,8 +65,8 @@ def squeeze(scene: Scene, prepared: HandObject | None = None, *, total: float = 
     grasps with an invalid pose (`Scene.posed`) become NaN.
 
     Args:
-        scene: Hand, object and grasps. The hand's `actuator` must be the one that moves it: in a simulation with
-            other ones (`HandModel.actuator`), give the hand with these.
+        scene: Hand, object and grasps. The hand's `actuator` must be the actuator that moves it: for a
+            simulation with another (`HandModel.actuator`), give the hand with that actuator.
         prepared: Of this hand and object; None: built here.
         total: Sum of the pressures in newtons.
     """

@@ -79,8 +79,8 @@ def contact_forces(
 
     They do so under each of P outer loads, which are added to F and tau; all fields of the result are (N, P, ...).
     The pressures n_k . f_k sum to 1 and none is above `MAX_PRESSURE_SHARE`, or, of a single contact, 1. Friction is at
-    most that of a pyramid of `NUM_EDGES` edges within the cone (see `programs`); its orientation about the normal is
-    that of `basis_tangents`. Where the axes rotate with everything else, the forces do too; where only they rotate, the
+    most that of a pyramid of `NUM_EDGES` edges within the cone (see `programs`), aligned with `basis_tangents` about
+    the normal. Where the axes rotate with everything else, the forces do too; where only they rotate, the
     result changes as little as a friction between that and cos(pi / NUM_EDGES) times it would change it.
 
     Args:
@@ -177,8 +177,8 @@ def turn_loads(loads: Float[np.ndarray, "P 6"], axes: Float[np.ndarray, "N 3 3"]
 def center_of_mass(obj: Object) -> Float[np.ndarray, " 3"]:
     """Centre of mass (3,) of an object of uniform density in its own frame, metres.
 
-    It is that of the mesh, where this is closed: the pieces overlap a little and fill small hollows. An open surface,
-    which may come with given pieces, has none: there it is that of the pieces, each with its own volume.
+    A closed mesh determines it: the pieces overlap a little and fill small hollows. An open surface has no volume:
+    there the pieces determine it, each with its own volume.
     """
     if obj.mesh.is_volume:
         return np.asarray(obj.mesh.center_mass, dtype=np.float64)

@@ -42,7 +42,7 @@ OUTSIDE_TOLERANCE_M = 1e-5
 """Largest distance of a vertex of the mesh outside all pieces, in metres."""
 
 MAX_KEPT_RATIO = 0.9
-"""Protrusion of several pieces over that of the hull, above which they are no gain."""
+"""Ratio of the protrusion of several pieces to the protrusion of the hull, above which they are no gain."""
 
 _SURFACE_POINTS, _MESH_POINTS = 2**13, 2**16
 """Points on the exposed surface of pieces, and on the mesh, between which protrusion is measured: 0 to 5 % too small on
@@ -254,7 +254,7 @@ def _thin_hull(points: np.ndarray) -> list[Piece]:
 
 
 def _outermost(pieces: Sequence[Piece]) -> list[Piece]:
-    """Pieces that do not lie inside another one; of two equal ones, the first."""
+    """Pieces that do not lie inside another piece; of two equal pieces, the first."""
     kept: list[Piece] = []
     for piece in sorted(pieces, key=lambda piece: -_box_volume([piece])):
         if not any((_plane_distance(piece.vertices, other) <= OUTSIDE_TOLERANCE_M).all() for other in kept):

@@ -1,4 +1,4 @@
-"""Distance between the surface of a mesh and that of its convex pieces, in either direction."""
+"""Distance between the surfaces of a mesh and of its convex pieces, in either direction."""
 
 from __future__ import annotations
 

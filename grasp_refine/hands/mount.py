@@ -25,7 +25,7 @@ MOUNT_JOINT = "mount"
 
 
 def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.ndarray, "4 4"] | None = None) -> Hand:
-    """Return a hand on an arm: one `Hand` whose base is that of the arm, and stands still.
+    """Return a hand on an arm: one `Hand` whose base is the base of the arm, and stands still.
 
     Joints of the arm come first, then joints of the hand; contacts, patches and files are the hand's. Names of
     links and joints that both have get the name of the arm as a prefix in the arm, as in ur5e_base_link.
@@ -33,9 +33,9 @@ def mount(arm: Hand, hand: Hand, link: str | None = None, T_link_hand: Float[np.
     Args:
         arm: The arm, read by `load_arm`.
         hand: The hand.
-        link: Link of the arm that the hand is fixed to; by default that of the arm's arm.toml, else its last link.
-        T_link_hand: Pose (4, 4) of the hand's base link in that link; by default that of its hand.toml (`flange`), else
-            the identity.
+        link: Link of the arm that the hand is fixed to; by default the link in the arm's arm.toml, else its last link.
+        T_link_hand: Pose (4, 4) of the hand's base link in that link; by default the pose in its hand.toml (`flange`),
+            else the identity.
 
     Raises:
         HandError: the arm has no such link or no joint that moves it, the hand is on an arm already, or the pose is not

@@ -51,10 +51,10 @@ cheap for the remaining pairs, mostly far apart; a round costs up to 0.2 s on it
 class Sampling:
     """Sampling of configurations by which `touching_pairs` finds pairs.
 
-    Measured on five hands, against 30000 other configurations: with 3000 extreme ones no pair was missed that can
-    overlap (5 seeds), with 1000 now and then one of 9 mm, with 300 several of up to 22 mm; uniform ones miss far
-    more, 3000 of them up to 19 mm, because links meet where fingers are closed. With a margin of 0 the 3000 miss
-    about one pair in two runs; from 2 mm on, none.
+    Measured on five hands, against 30000 other configurations: with 3000 extreme configurations no pair was missed that
+    can overlap (5 seeds), with 1000 now and then a pair of 9 mm, with 300 several of up to 22 mm. 3000 uniform
+    configurations miss far more, up to 19 mm, because links meet where fingers are closed. With a margin of 0 the 3000
+    miss about one pair in two runs; from 2 mm on, none.
     """
 
     uniform: int = 128

@@ -160,8 +160,8 @@ def simulate(
 
     Args:
         refined: Result of `refine`.
-        task: Another task, as of `load_task`, which counts where it names something. None: that of the refinement,
-            whose protocol, where it names none, is `scene` in a scene, else `dexgraspbench`.
+        task: Another task, as of `load_task`, which counts where it names something. None: the task of the
+            refinement, with protocol `scene` in a scene, else `dexgraspbench`, where it names none.
         engine: "mujoco", or "drake", which needs the extra `drake`.
         listener: Callbacks of the progress.
 
@@ -217,7 +217,7 @@ def margins(
     as_is: bool = False,
     listener: Listener | None = None,
 ) -> GraspMargins:
-    """Simulate each grasp in drawn worlds that differ from that of a task, and search what it holds at most.
+    """Simulate each grasp in drawn worlds around the world of a task, and search the limits of the grasp.
 
     Args:
         hand: The hand; or a problem of `load_problem`.

@@ -79,7 +79,7 @@ class Recorded:
         return Recorded({file: read_provenance(file) for file in files})
 
     def other_urdf(self, path: Path, hand: Hand, *, chosen: bool) -> list[str]:
-        """Return a note if grasps were refined with another URDF than that of the hand.
+        """Return a note if grasps were refined with another URDF than the hand's.
 
         Raises:
             GraspFileError: they were, and this one was not `chosen` by the user, whose hand may be named as ours.
@@ -146,15 +146,15 @@ class Recorded:
         return touch, avoid, notes
 
     def check_objects(self, groups: Iterable[Group], *, other: bool) -> tuple[str, ...]:
-        """Return notes on grasps that were refined on another object, or other convex pieces, than the present ones.
+        """Return notes on grasps that were refined on another object, or other convex pieces, than the present.
 
         Args:
             groups: The grasps on the present objects; pieces of objects that are not decomposed yet are not compared.
             other: Whether another object is accepted.
 
         Raises:
-            GraspFileError: the surface of an object is another one, as that of the same mesh at another scale is, and
-                that is not accepted.
+            GraspFileError: the surface of an object differs, as at another scale of the same mesh, and that is not
+                accepted.
         """
         notes, present = [], {group.key: group.scene.object for group in groups}
         for file, provenance in self.files.items():

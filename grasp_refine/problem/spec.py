@@ -45,8 +45,8 @@ class HandSpec:
     """Limits of joints that follow others (mimic): their own, or leader, the ones that follow from the other joint, for
     files whose signs contradict the limits. By default what the hand.toml says, else their own."""
     base_link: str | None = None
-    """Base link of the hand; joints above it do not move. By default that of the grasp file or the hand.toml, else the
-    palm of a hand on an arm, else the root."""
+    """Base link of the hand; joints above it do not move. By default the base of the grasp file or the hand.toml, else
+    the palm of a hand on an arm, else the root."""
     hull_limit: float = HULL_LIMIT
     """Largest distance (metres) by which the convex hull of a link's mesh may stand out of it; beyond it the mesh is
     split into its bodies, or cut. inf: hulls only."""
@@ -58,18 +58,18 @@ class SourceSpec(HandSpec, TaskSpec):
 
     hand: str | None = None
     """Hand: a name that `refine-grasp hands` lists, a folder with a hand.toml or one URDF or MJCF, a URDF or MJCF file,
-    an asset such as hands/leap, or robot_descriptions/NAME. By default that of the grasp file."""
+    an asset such as hands/leap, or robot_descriptions/NAME. By default the hand of the grasp file."""
     arm: str | None = None
     """Arm that carries the hand, and whose base stands still: ur5e, or a URDF, MJCF, folder or asset, as for a hand.
     Where the hand's own file has the arm, `base` alone. By default none: the hand floats."""
     mount: str | None = None
-    """Link of the arm that the hand is mounted on. By default that of its arm.toml, else its last link."""
+    """Link of the arm that the hand is mounted on. By default the link in its arm.toml, else its last link."""
     mount_pose: str | None = None
-    """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default that of the hand's
-    hand.toml (flange), else the same frame."""
+    """Pose of the hand's base link in that link: x,y,z,roll,pitch,yaw (metres, degrees). By default the pose in the
+    hand's hand.toml (flange), else the same frame."""
     object: str | None = None
     """Object: an embedded one (mug, bottle, bowl, rounded_box), box:x,y,z, sphere:r, cylinder:r,h, a mesh file, a
-    folder of convex pieces, or an asset such as ycb/011_banana. By default that of the grasp file."""
+    folder of convex pieces, or an asset such as ycb/011_banana. By default the object of the grasp file."""
     object_name: str | None = None
     """Name of the object in the grasp file; needed where it holds several."""
     objects: Path | None = None

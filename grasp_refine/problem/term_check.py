@@ -42,7 +42,7 @@ def check_term(
         object: The object.
         grasps: N grasps on it at which the term is not zero.
         tolerance: Largest relative error of a gradient in nine of ten grasps. Derivatives of the distance are exact;
-            how witness points slide is that of contact kinematics, which edges make less exact.
+            sliding of witness points is by contact kinematics, which edges make less exact.
 
     Returns:
         Relative errors (N,): "least squares" of the rows, "autograd" of the gradients of torch; one of them is missing

@@ -54,8 +54,8 @@ def follow_trajectories(
     Args:
         refined: Result of `refine`.
         planned: Its trajectories, of `plan_trajectories`.
-        task: Another task than that of the refinement, as of `load_task`, which counts where it names something; it
-            lifts. None: that of the refinement, by protocol `scene` where its own pushes.
+        task: Another task, as of `load_task`, which counts where it names something; it lifts. None: the task of the
+            refinement, by protocol `scene` where its own pushes.
         cache: Keeps models and worlds.
         threads: CPU threads; by default as many as there are.
 

@@ -38,7 +38,7 @@ class Refinement:
 
     T_world_root: np.ndarray
     """Poses (N, 4, 4) of the base link: the best iterate of each grasp by true loss; of several attempts to make it
-    hold (`force_closure_search`), that of the one with the best score."""
+    hold (`force_closure_search`), the pose of the attempt with the best score."""
     q: np.ndarray
     """Joint values (N, n)."""
     touching: np.ndarray

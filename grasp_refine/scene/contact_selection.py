@@ -151,7 +151,7 @@ def _nearest_of_fixed(
 
 
 def link_groups(hand: Hand, links: tuple[str, ...]) -> list[str]:
-    """The group of each link: that of the one finger which it is part of, else `PALM`."""
+    """The group of each link: of its finger, if it is part of exactly one, else `PALM`."""
     group = {contact.link: contact.group for contact in hand.contacts}
     parent = {joint.child: joint.parent for joint in hand.joints}
     carried: dict[str, set[str]] = {}

@@ -48,7 +48,7 @@ class EnvironmentBody:
     movable: bool = False
     """Whether a simulation may push it; to refinement it is at rest."""
     mass: float | None = None
-    """Mass in kg of a movable body; None: that of its volume at the density of the simulation's protocol."""
+    """Mass in kg of a movable body; None: its volume times the density of the simulation's protocol."""
 
     def __post_init__(self) -> None:
         """Refuse invalid values.

@@ -246,7 +246,7 @@ def _draw(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Up to `width` candidates inside the radius (S, B, width), from a window of the random order.
 
-    Also the mask of the real ones, and the number inside the window (S, B). There are none where the radius is NaN.
+    Also the mask of real candidates, and the number inside the window (S, B). There are none where the radius is NaN.
     """
     S, B, _ = x.shape
     squared, x_squared = surfaces.offsets(x, first, window)
@@ -267,7 +267,7 @@ def _draw(
 def _nearest(
     surfaces: Surfaces, body: np.ndarray, x: np.ndarray, normal: np.ndarray, count: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` nearest candidates with normals that agree (M, width), and the mask of the real ones.
+    """The `count` nearest candidates with normals that agree (M, width), and the mask of real candidates.
 
     Witness points x (M, 3) with normals (M, 3) are on the bodies (M,).
     """

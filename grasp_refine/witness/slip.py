@@ -198,7 +198,7 @@ def _solve(M: np.ndarray, right: np.ndarray, exact: bool) -> np.ndarray:
     """Solve M x = right for x (..., 3).
 
     Exact slips may leave a direction undetermined, such as along two parallel faces, where M is singular: there
-    the least-norm least-squares solution is taken. Clipped ones (`contract`) never do.
+    the least-norm least-squares solution is taken. Clipped slips (`contract`) never do.
     """
     if not exact:
         return np.linalg.solve(M, right[..., None])[..., 0]

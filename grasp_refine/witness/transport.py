@@ -26,7 +26,7 @@ from grasp_refine.core.se3 import body_gradient, cross, hat, matvec
 
 @dataclass(frozen=True)
 class EquivalentTransport:
-    """Addition of the resting body's transported gradient to that of the moving one, or of each to the other."""
+    """Addition of the resting body's transported gradient to the moving body's, or of each to the other."""
 
     step_translation: float
     """Step s_t in metres per unit of linear gradient."""

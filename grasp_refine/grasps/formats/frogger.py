@@ -4,7 +4,7 @@
 origin; `obj_settings` has the object's name and its pose `X_WO` in the world; its mesh is in metres. `pick_success`
 (N,) is 1 or 0, NaN where it was not tried.
 
-Its arm is that of the maker, but for its sixth joint, whose zero is a quarter turn off. Computed with it, poses of 140
+Its arm is the maker's arm, but the zero of the sixth joint is a quarter turn off. Computed with it, poses of 140
 published grasps agree within 1e-7 m with FRoGGeR's model.
 
 Source: github.com/alberthli/frogger, models/fr3_algr/fr3_algr_rh.sdf; for the arm, the Denavit-Hartenberg parameters of

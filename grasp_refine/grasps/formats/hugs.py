@@ -1,6 +1,6 @@
 """HUGS: records of HUGS-DexGraspBench, DexGraspBench's keys with a version; one grasp of one hand an .npy file.
 
-The pose is that of the palm itself, where DexGraspBench has it before the palm; `joint_names` are required, with rh_ in
+The pose is the pose of the palm itself; DexGraspBench has it before the palm; `joint_names` are required, with rh_ in
 front. The hands are Shadow, and LEAP with other fingertips than ours. Records of two hands have joints of dummy arms
 instead of poses, and are refused. What BODex writes for HUGS is of the format bodex.
 

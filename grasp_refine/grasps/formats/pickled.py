@@ -2,7 +2,7 @@
 
 Python's unpickler imports and calls whatever a pickle names. This subclass imports nothing: it has stand-ins for the
 few functions that NumPy and plain containers need, and refuses every other name and whatever makes an object. The
-size of the result is bounded by that of the pickle.
+size of the result is bounded by the size of the pickle.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def reading(
             of no format are left out, as such files lie beside grasps as well.
         format: Its format; None: recognised by its contents.
         hand: The hand that the grasps are for; needed where a file has no joint names and fits several.
-        on_file: Called with the number of files read and that of all files.
+        on_file: Called with the number of files read, and of all files.
         within: Folder that limits reading; a file may name another that describes its scene.
 
     Raises:

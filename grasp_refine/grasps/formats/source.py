@@ -15,7 +15,7 @@ from grasp_refine.core.names import is_valid
 from grasp_refine.grasps.poses import unit_poses, without_zero_quaternions
 
 MESH_FOLDERS = ("mesh", "meshes", "urdf", "mjcf", "coacd")
-"""Folders inside that of an object, whose names are not the object's."""
+"""Folders inside the folder of an object, whose names are not the object's."""
 MAX_NUMBERS = 2**24
 """Most numbers of one array, which take 128 MiB as float64, whatever they take in the file."""
 ROTATION_TOLERANCE = 1e-3

@@ -1,8 +1,8 @@
 """UniDexGrasp: one .npz file per grasp, in a folder named after its object; read, not written.
 
-`qpos` is that of DexGraspNet, a pickled dict of named values in the object's frame. `scale` is the inverse of that of
-the mesh: 12.5 is 0.08. `plane` (a, b, c, d) is the table, a x + b y + c z + d = 0 in the same frame and in metres, with
-its normal upwards; the pose of the hand does not depend on it, and it is not read.
+`qpos` is that of DexGraspNet, a pickled dict of named values in the object's frame. `scale` is the inverse of
+the mesh's scale: 12.5 is 0.08. `plane` (a, b, c, d) is the table, a x + b y + c z + d = 0 in the same frame and in
+metres, with its normal upwards; the pose of the hand does not depend on it, and it is not read.
 
 Source: github.com/PKU-EPIC/UniDexGrasp, dexgrasp_policy/dexgrasp/tasks/shadow_hand_grasp.py.
 """

@@ -63,7 +63,7 @@ class Mechanism:
 
     @staticmethod
     def of(name: str, base_link: str, tree: Tree, joints: Sequence[Joint]) -> Mechanism:
-        """Return that of the joints of a hand, which are below `base_link` in the tree of its file."""
+        """Return the mechanism of the joints of a hand, which are below `base_link` in the tree of its file."""
         moving = {joint.name for joint in joints if joint.movable and joint.mimic is None}
         return Mechanism(name, tree.path, base_link, joints, [joint for joint in tree.joints if joint in moving])
 

@@ -20,7 +20,7 @@ LIMIT_ROUNDING = {"revolute": 1e-3, "continuous": 1e-3, "prismatic": 1e-5}
 def followed(joint: Joint, joints: Mapping[str, Joint]) -> Mimic:
     """The independent joint that `joint` follows through all mimic joints between; itself, where it is independent.
 
-    The coupling is that of `joint` to that one.
+    The coupling maps the value of the independent joint to the value of `joint`.
     """
     coupling = Mimic(joint.name, 1.0, 0.0)
     while joint.mimic is not None:
@@ -49,7 +49,7 @@ def mimic_map(
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Parts of the values of m movable joints that are not linear in the n independent ones."""
+    """Parts of the values of m movable joints that are not linear in the n independent joints."""
 
     leader: Int[np.ndarray, " m"]
     """Index (m,) of the independent joint that each follows."""

@@ -153,7 +153,7 @@ def _kind(kind: mujoco.mjtJoint, limited: bool) -> str:
 
 
 def _effort(model: mujoco.MjModel, joint: int) -> float | None:
-    """Return the greatest torque or force on a joint: by its own limit, else by that of its actuators."""
+    """Return the greatest torque or force on a joint: by its own limit, else by the limit of its actuators."""
     if model.jnt_actfrclimited[joint]:
         return float(np.abs(model.jnt_actfrcrange[joint]).max())
     own = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])

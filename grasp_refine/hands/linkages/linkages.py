@@ -33,10 +33,11 @@ CLOSED_M = 2e-5
 """Largest distance in metres between the ends of a closed chain."""
 
 MAX_DEGREE, CURVE_ERROR = 4, 1e-6
-"""Largest degree of a polynomial, that of MuJoCo's equalities, and error in rad or m at which a lower one is enough."""
+"""Largest degree of a polynomial, as in MuJoCo's equalities, and error in rad or m at which a lower degree is
+enough."""
 
 SPRING_PREFERENCE = 10.0
-"""Weight of joints with springs where a joint is chosen whose value is that of a mode."""
+"""Weight of joints with springs where a joint is chosen to represent a mode."""
 
 TIE = 1e-3
 """Share by which columns differ in length that count as equally long."""

@@ -40,7 +40,7 @@ def pinned_links(
     Args:
         base_link: Link that the first joints hang from.
         joints: All joints, parents before children.
-        independent: Names of the n independent ones.
+        independent: Names of the n independent joints.
         bodies: Link -> its collision geometry, of links with any.
     """
     leader = dict(zip(*_leaders(joints, independent), strict=True))

@@ -156,8 +156,8 @@ def servo_settings(
     times its own limit; several actuators add up. In a coupled group M_j is divided by the joint's ratio: stiffness and
     limit apply to a tendon whose length is the sum of ratio x joint value, as in `Hand.actuator`. Limits of
     the actuator force at joints and tendons count too. Set points are within the ctrlrange of all actuators of a joint
-    or group. Armature and dry friction are the joint's own, and so is damping, to which that of the servos is
-    added. A joint that nothing drives has the limit 0.
+    or group. Armature and dry friction are the joint's own, and so is damping, to which the damping of the
+    servos is added. A joint that nothing drives has the limit 0.
 
     Args:
         independent: The independent joints.

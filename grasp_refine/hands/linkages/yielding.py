@@ -16,10 +16,10 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class YieldingMode:
-    """One mode of a linkage, at K values of its driven joint; its unit is that of one of its joints, rad or m."""
+    """One mode of a linkage, at K values of its driven joint; its unit is the unit of one of its joints, rad or m."""
 
     joint: str
-    """The passive joint whose value is that of the mode: one with a spring, where there is one."""
+    """The passive joint that represents the mode: with a spring, if any has one."""
     driver: str
     """The driven joint."""
     values: Float[np.ndarray, " K"]

@@ -71,7 +71,7 @@ def _solve_within_bounds(
     """Return steps dx (batch, n) within bounds that minimise |J dx + r|^2 + lambda dx . W dx.
 
     A primal-dual active-set method (Hintermueller, Ito and Kunisch 2003): unknowns that go beyond a bound are held
-    there, held ones that would come back are released, and the others are solved for again. That mostly settles
+    there, held unknowns that would come back are released, and the others are solved for again. That mostly settles
     within five passes. It may cycle, though: the last three passes release nothing, and unknowns that are still
     outside then are clipped.
     """

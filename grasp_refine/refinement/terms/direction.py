@@ -1,4 +1,4 @@
-"""Direction: contact normals are the wanted ones. The force that a link exerts points along its normal."""
+"""Direction: contact normals match the wanted normals. The force that a link exerts points along its normal."""
 
 from __future__ import annotations
 

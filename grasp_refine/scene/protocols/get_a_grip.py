@@ -9,9 +9,9 @@ offsets. `docs/dataset_generation.md`: 5 offsets.
 Differences: labels stay labels there; grasps above 0.5 are taken as good ones to vary
 (`scripts/augment_grasp_config_dicts.py`), grasps from 0.9 on to train the sampler (`docs/model_training.md`). Here a
 grasp holds from 0.5 on. Offsets are uniform in a sphere instead of a cube, and on the table: shifts along it, turns
-about its normal. Collisions are the largest penetration of DexGraspBench instead of a factor of the label; that at
-least three links touch, and only allowed ones, is not asked. PhysX has another contact model, and its table a friction
-of 1.0.
+about its normal. Collisions are the largest penetration of DexGraspBench instead of a factor of the label. Not
+required here: at least three touching links, and contact of allowed links only. PhysX has another contact model, and
+its table a friction of 1.0.
 """
 
 from math import radians

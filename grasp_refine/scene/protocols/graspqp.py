@@ -9,9 +9,9 @@ half of the trials is a success. The text of the paper was not available.
 
 Differences: there, the pushes of an axis follow each other, a trial succeeds if the object stays along any of three
 axes, and trials repeat; here the trials are the six pushes, each from the same state; three must be held.
-PhysX has another contact model, and no torsional friction: it is that of DexGraspBench here, as are the motion of the
-hand, the contacts and the largest penetration. No rotation is a failure, as there; checks are 0.1 instead of 0.33 s
-apart.
+PhysX has another contact model, and no torsional friction. Here torsional friction, the motion of the hand, the
+contacts and the largest penetration are as in DexGraspBench. No rotation is a failure, as there; checks are 0.1 instead
+of 0.33 s apart.
 """
 
 from math import tau

@@ -24,8 +24,9 @@ def wilson(held: np.ndarray, count: np.ndarray | float) -> tuple[np.ndarray, np.
 def mean_interval(held: Bool[np.ndarray, "N K"]) -> tuple[float, float, float]:
     """Return the mean share of N grasps held in K shared draws with its interval of 95 %: mean, lower, upper.
 
-    It is that of `wilson` for as many independent trials as have the variance of the mean over the draws: from K, where
-    all grasps are lost in the same draws, to N K. It states how much other draws would change the mean of these grasps.
+    It is the interval of `wilson` for as many independent trials as have the variance of the mean over the draws: from
+    K, where all grasps are lost in the same draws, to N K. It states how much other draws would change the mean of
+    these grasps.
     """
     count, draws = held.shape
     mean, most = float(held.mean()), float(count * draws)
@@ -38,9 +39,9 @@ def mean_interval(held: Bool[np.ndarray, "N K"]) -> tuple[float, float, float]:
 def difference_interval(before: Bool[np.ndarray, "N K"], after: Bool[np.ndarray, "N K"]) -> tuple[float, float, float]:
     """Return by how much the mean share of N grasps rose in the same K draws, with its interval of 95 %.
 
-    That of Bonett and Price (J. Educ. Behav. Stat. 2012) for pairs, taken over the means of the draws. Two draws more,
-    one for and one against, each as large as the largest change of a draw and at least that of a single grasp, keep it
-    from being empty where nothing differs.
+    The interval of Bonett and Price (J. Educ. Behav. Stat. 2012) for pairs, over the means of the draws. Two more
+    draws, one for and one against, each as large as the largest change of a draw and at least the change of a single
+    grasp, keep it from being empty where nothing differs.
     """
     count, draws = before.shape
     change = after.mean(axis=0) - before.mean(axis=0)
