@@ -33,7 +33,7 @@ GOT_WORSE = 1
 
 @dataclass(frozen=True)
 class BenchGate:
-    """Check that no ratio got slower or worse: some twenty ratios of one run, against a baseline.
+    """Check that speed and accuracy did not get worse: some twenty ratios of one run, against a baseline.
 
     Ratios, not times, so that the check is valid on any machine: our query against coal's, a batch against single
     grasps, the number of queries per grasp and of solved grasps. Exit code 1: a ratio is beyond its limit.

@@ -161,11 +161,10 @@ def _slips(scene: Scene, motion: Motion, method: cases.Method, rounding: np.ndar
     """Compare the slip of points of two spheres with the true slip.
 
     Returns:
-        Products (N,) of slips, that is of derivatives less those without any slip, with the true ones, less their
-        possible rounding: positive where points slip the right way. And for methods that are exact the largest error
-        (N,) over its tolerance, else 0: of all nine numbers for finite differences, and of both points for
-        `Analytical`, which smooths the normal, and whose system of both slips is as ill conditioned as the gap is
-        small.
+        Products (N,) of slips with the true slips, less their possible rounding: positive where points slip the right
+        way. A slip is a derivative less the derivative without slip. And for exact methods the largest error (N,) over
+        its tolerance, else 0: of all nine numbers for finite differences, and of both points for `Analytical`, which
+        smooths the normal. Its system of both slips is as ill conditioned as the gap is small.
     """
     true, rigid = motion.forms @ sphere_motion(scene), rigid_motion(motion)
     slip = true - rigid

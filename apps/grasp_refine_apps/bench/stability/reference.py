@@ -7,7 +7,7 @@ two, so that scaling is exact). Then all offsets are points p = -t, and with out
     inside:  d = max_f (n_f . p - offset_f),  the nearest facet,
     outside: d = the distance to the nearest triangle.
 
-Neither iterates, neither shares a line with the engines, and the error is some 1e-15 of the size. Radii are
+Both are direct and share no code with the engines; the error is some 1e-15 of the size. Radii are
 subtracted. Where both pieces are points or segments, M is only a point, a segment or a parallelogram.
 """
 

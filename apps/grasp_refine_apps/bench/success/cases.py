@@ -60,7 +60,7 @@ class Case:
     object: ObjectCase | None = None
     """The object with its classes; None: they are not known."""
     count: int | None = None
-    """Largest number of grasps on each object at each scale, the first ones; None: all."""
+    """Largest number of grasps on each object at each scale, taken from the first on; None: all."""
     requested: int | None = None
     """Number of grasps that are sampled, or taken from the file; None: all of the file."""
 
