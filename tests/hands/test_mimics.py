@@ -98,7 +98,7 @@ def test_limits_that_meet_in_one_value_may_be_rounded(seed: int) -> None:
 def test_followers_may_take_their_limits_from_the_joint_that_they_follow() -> None:
     """A left hand mirrored by its signs, whose limits are still those of the right one."""
     joints = [joint("a", 0.2, 0.8), joint("b", 0, 0.8, ("a", -0.5, 0.1)), joint("c", 0, 1, ("b", 2.0, 0.0))]
-    with refused(HandError, URDF, "'b'", "follower-limits"):
+    with refused(HandError, URDF, "'b'", "follower_limits"):
         limit_by_followers(joints, URDF)
     (a, b, c), notes = limit_by_followers(joints, URDF, "leader")
     assert notes == [] and (a.lower, a.upper) == (0.2, 0.8)

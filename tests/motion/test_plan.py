@@ -71,7 +71,7 @@ def grasp(hand: Hand, thing: Object, *bodies: EnvironmentBody) -> tuple[Scene, M
     if hand.arm is not None:
         ours = GraspSet.of(hand, T_palm[None], np.zeros((1, len(hand.joint_names))))
         of_hand = replace(ours, base_link=hand.palm, joint_names=hand.joint_names[-1:], q=fingers[:1])
-        placed, _ = on_arm(of_hand, hand, T_BASE, clearance=arm_clearance(hand, thing, None))
+        placed, _ = on_arm(of_hand, hand, T_BASE, clearance=arm_clearance(hand, thing, Task()))
         q = np.concatenate([np.tile(placed.q[:, hand.arm_joints], (3, 1)), fingers], axis=1)
         T = np.tile(T_BASE, (3, 1, 1))
     environment = Environment(bodies, np.eye(4)) if bodies else None

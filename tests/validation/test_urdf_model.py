@@ -250,13 +250,13 @@ BALL_MASS = 1000 * 4 / 3 * np.pi * 0.01**3
         ),
         (
             BALL,
-            "mass and inertia of b are those of solid pieces of 1000 kg/m^3: the URDF gives no mass",
+            "mass and inertia of b assume solid pieces of 1000 kg/m^3: the URDF gives no mass",
             BALL_MASS,
             [0.4 * BALL_MASS * 1e-4] * 3,
         ),
         (
             weight(0, 1, 1, 1) + BALL,
-            "mass and inertia of b are those of solid pieces of 1000 kg/m^3: the URDF gives no mass",
+            "mass and inertia of b assume solid pieces of 1000 kg/m^3: the URDF gives no mass",
             BALL_MASS,
             [0.4 * BALL_MASS * 1e-4] * 3,
         ),

@@ -307,7 +307,7 @@ def test_a_hand_that_is_not_at_hand(workplace: Path, capfd: pytest.CaptureFixtur
     ):
         assert main(["convert", source, output, "--to", to]) == 0
         out, error = capfd.readouterr()
-        assert "poses and joints" in out and "'sawyer' is not at hand" in error
+        assert "poses and joints" in out and "hand 'sawyer' is unknown here" in error
     assert json.loads(Path("c.json").read_text()) == gripper
     # Whatever needs the hand asks for it.
     message = refused(capfd, "convert", "b.npz", "x", "--to", "bodex")

@@ -111,7 +111,7 @@ def test_a_table_of_a_hundred_is_sorted_opened_and_marked(
     page.click("Random")
     until(lambda: shown.controller.state.number != 0, "another grasp")
 
-    shown.controller.show(14)
+    shown.controller.grasps.show(14)
     page.click("Bad")
     until(lambda: shown.controller.state.collection.mark(14) == "bad", "grasp 14 is marked bad")
     assert opened(path).mark(14) == "bad"
@@ -149,7 +149,7 @@ def test_a_row_is_opened_again_after_another_way_of_leaving_it(
     for _ in range(2):
         page.page.locator(".gr-table tbody tr").nth(3).click()
         shown.wait_for_number(3)
-        shown.controller.show(1)
+        shown.controller.grasps.show(1)
         until(lambda: page.page.locator(".gr-open td").first.inner_text() == "1", "grasp 1 in the table")
 
 
@@ -186,9 +186,9 @@ def test_the_last_page_goes_when_its_last_grasp_leaves_the_list(
 ) -> None:
     shown = show(opened(save_example_results(tmp_path / "results.npz", 16)))
     shown.panel._list(mark=NO_MARK)
-    shown.controller.show(15)
+    shown.controller.grasps.show(15)
     assert "16 to 16 of 16" in shown.panel.table.content
-    shown.controller.mark(15, "bad")
+    shown.controller.grasps.mark(15, "bad")
     content = shown.panel.table.content
     assert "16 to 16" not in content and "1 to 15 of 15" in content and "16" in content.partition("1 to 15 of 15")[2]
 

@@ -148,17 +148,17 @@ def test_the_table_says_what_fails(capsys: pytest.CaptureFixture[str]):
     from rich.console import Console
 
     verdicts = judged(known(), Measuring(values() | {"steps": 100.0}))
-    Console(width=110).print(gate_table(verdicts))
+    Console(width=110).print(gate_table(verdicts).printed())
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
     assert re.search(r"steps +100 +0\.\d+ +≤ 0\.\d+ +FAIL .*\btwice\b", lines["steps"])
     assert re.search(r"solved +0\.\d+ +0\.\d+ +≥ 0\.\d+ +ok ", lines["solved"])
-    assert re.search(r"engines +- +- +\w", lines["engines"])
+    assert re.search(r"engines +– +– +\w", lines["engines"])
     assert not re.search(r"\b(ok|FAIL)\b", lines["engines"])
 
 
 def test_the_table_says_that_what_it_is_compared_with_may_have_got_faster():
     worse = Measuring(values() | {"steps": 100.0, "backward": 100.0})
-    table = gate_table(judged(known(), worse))
+    table = gate_table(judged(known(), worse)).printed()
     # Both are measured again, and only the ratio of two times of ours may owe its rise to the other one.
     said = {
         name: what.removeprefix(BY_NAME[name].what)
