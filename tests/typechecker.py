@@ -13,6 +13,7 @@ typechecker = beartype(
                 float: float | int | np.floating | np.integer,
                 # Its many protocols refuse a list of tuples, which NumPy takes.
                 ArrayLike: object,
+                ArrayLike | None: object,
             }
         )
     )

@@ -304,13 +304,14 @@ RESERVED = frozenset(
 """Names of other entries and columns of result files, JSON and indices, which no measure may have."""
 
 
-def _check(measure: Measure) -> None:
+def _check(measure: object) -> None:
     """Refuse other types, and names that mean something else in files.
 
     Raises:
         GraspRefineError: names the measure.
     """
     check_kind("measure", measure, Measure)
+    assert isinstance(measure, Measure)
     taken = RESERVED | {entry for one in _OURS for entry in _entries(one)}
     if not taken.isdisjoint(_entries(measure)):
         raise GraspRefineError(f"the name of measure '{measure.name}' is taken: files have an entry of this name")

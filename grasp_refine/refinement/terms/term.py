@@ -209,7 +209,7 @@ def checked_rows(term: Term, state: State, width: np.ndarray) -> Iterator[LinkRo
     """
     count, dof = len(state.member), 6 + state.q.shape[1]
     for part in term.rows(state, width):
-        if not isinstance(part, LinkRows | JointRows):
+        if not isinstance(part, (LinkRows, JointRows)):  # a union would be made anew at each step
             raise GraspRefineError(
                 f"{type(term).__name__}: rows must yield JointRows or LinkRows, got {describe_value(part)}"
             )

@@ -175,10 +175,6 @@ def test_tables_compare_what_belongs_together():
         assert texts(printed, "acc_1e6") == ["62.0", "80.0", "1.0", "42.0", "60.0", "1.0"]
         assert texts(found[f"Results, {kind} bodies"], "acc_1e6") == ["62.0", "80.0", "42.0", "60.0"]
         assert texts(found[f"Results, {kind} bodies"], "budget_label") == ["10", "100", "10", "100"]
-        features = found[f"By features of the targets, {kind} bodies"]
-        assert texts(features, "target_class") == ["face-face"] * 2 + ["face-vertex"] * 2
-        assert texts(features, "acc_1e6") == ["1.0", "1.0", "22.3", "12.3"]
-        assert texts(found[f"By pair, {kind} bodies"], "pair") == ["mug / bowl"] * 2
 
 
 def test_patch_witnesses_are_shown_where_they_were_measured():
