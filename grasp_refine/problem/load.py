@@ -234,9 +234,9 @@ class Loader:
 
         The factor of a scene's own object is not applied twice, where the file has it already as results have.
         """
-        scales, environment = grasps.scale[rows], self.environment()
-        if environment is not None and environment.object is not None:
-            scales = np.where(np.isclose(scales, environment.scale, rtol=1e-9), 1.0, scales)
+        scales, (own, factor) = grasps.scale[rows], self.spec.scene_object()
+        if own is not None:
+            scales = np.where(np.isclose(scales, factor, rtol=1e-9), 1.0, scales)
         return scales * self.spec.scale
 
     def read_object(self, source: ObjectSource, scale: float) -> Object:
