@@ -5,14 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import pytest
 
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.jobs import validating
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
 from grasp_refine_apps.viewer.model.collection import Collection
@@ -21,6 +26,9 @@ from running_processes import PATIENCE_S
 
 if TYPE_CHECKING:
     from websocket_page import Page
+
+SHORT = replace(DEXGRASPBENCH, name="short", checks=2)
+"""A protocol whose pushes take 0.4 s of simulation."""
 
 
 def example(**options: object) -> Problem:
@@ -62,6 +70,12 @@ def settled(viewer: Controller, seconds: float = PATIENCE_S) -> None:
     while viewer.state.job is not None:
         assert time.monotonic() < end, f"still doing {viewer.state.job}"
         time.sleep(0.005)
+
+
+def short_trials(patch: pytest.MonkeyPatch) -> str:
+    """Let the viewer know `SHORT`; return its name."""
+    patch.setattr(validating, "PROTOCOLS", {**PROTOCOLS, SHORT.name: SHORT})
+    return SHORT.name
 
 
 def ignored() -> Control:

@@ -1,4 +1,4 @@
-"""The example, a server, headless Chromium, pages in it, and viewers in processes of their own."""
+"""The example, its controller and scene, a server, headless Chromium, and viewers in processes of their own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import pytest
 
 from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
 from grasp_refine.problem.problem import Problem
-from open_viewer import example
+from grasp_refine_apps.viewer.drawing.view import View
+from grasp_refine_apps.viewer.jobs.controller import Controller
+from open_viewer import controller, example
 from viewer_process import Viewer, start_viewer_process
 
 if TYPE_CHECKING:
@@ -42,6 +44,22 @@ def server() -> Iterator[Any]:
     opened = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     yield opened
     opened.stop()
+
+
+@pytest.fixture
+def viewer(problem: Problem) -> Iterator[Controller]:
+    """A controller that shows the first grasp of the problem."""
+    made = controller(problem)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def view(server: Any, viewer: Controller) -> View:
+    """The scene of the viewer, drawn on a server without a browser."""
+    made = View(server, viewer)
+    made.draw(viewer.state)
+    return made
 
 
 @pytest.fixture

@@ -23,8 +23,7 @@ from made_results import save_example_results
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 
 
-def ignore(*told: object) -> None:
-    """Nothing."""
+def ignore(*told: object) -> None: ...
 
 
 @pytest.fixture(scope="module")
