@@ -115,11 +115,13 @@ class SearchResult:
 
 
 @dataclass(frozen=True, eq=False)
-class _Attempt:
+class Attempt:
     """M grasps after all phases of an attempt."""
 
     minimum: Minimum
+    """Minima of the last phase."""
     goal: Goal
+    """Links that touch in that phase."""
     score: np.ndarray
     """Score (M,), lower is better; infinite where the attempt failed."""
     pinches: np.ndarray
@@ -176,7 +178,7 @@ def search(
         progress: As for `minimise`.
         on_iteration: Called after each iteration of all attempts.
     """
-    search = _Search(scene, prepared, config, status, progress, on_iteration)
+    search = Search(scene, prepared, config, status, progress, on_iteration)
     rows = np.flatnonzero(status == Status.RUNNING)
     closed = search.attempt(rows, search.initial(rows), (CLOSE,))
     search.touching[rows] = closed.goal.touching
@@ -199,7 +201,7 @@ def search(
     return search.result()
 
 
-class _Search:
+class Search:
     """Best attempt at each grasp so far, and the cost of all attempts."""
 
     def __init__(
@@ -211,6 +213,7 @@ class _Search:
         progress: Progress | None,
         on_iteration: IterationCallback | None,
     ) -> None:
+        """Begin with the input grasps, without an attempt; arguments are as for `search`."""
         N, L = len(scene.q), len(scene.links)
         self.scene, self.prepared, self.config = scene, prepared, config
         self.progress, self.on_iteration = progress, on_iteration
@@ -230,7 +233,7 @@ class _Search:
             point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
         )
         goal = replace(Goal.nothing(N, L), direction=scene.direction)
-        self.best = _Attempt(minimum, goal, np.full(N, np.inf), np.zeros(N, dtype=bool))
+        self.best = Attempt(minimum, goal, np.full(N, np.inf), np.zeros(N, dtype=bool))
 
     def initial(self, rows: np.ndarray) -> Point:
         """Return the input grasps."""
@@ -256,7 +259,7 @@ class _Search:
         """Return the rows of grasps that are not good yet and have CPU time left."""
         return rows[(self.best.score[rows] > self.good) & (self.cpu[rows] < self.config.seconds)]
 
-    def take(self, rows: np.ndarray, found: _Attempt, pinch_share: float = 1.0) -> None:
+    def take(self, rows: np.ndarray, found: Attempt, pinch_share: float = 1.0) -> None:
         """Keep attempts at different grasps that are better than the best so far, pinches only by that share."""
         best = self.best.score[rows]
         least = np.where(self.best.pinches[rows] & (found.score > self.good), pinch_share, 1.0) * best - SAME_SCORE
@@ -267,7 +270,7 @@ class _Search:
         place[kept] = len(place) + np.flatnonzero(better | never)
         self.best = take(join(self.best, found), place)
 
-    def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> _Attempt:
+    def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> Attempt:
         """Return the grasps `rows` from some starts, through some phases."""
         scene, prepared = self._scene(rows), self.prepared
         point = self.free.project(rows, start)
@@ -281,7 +284,7 @@ class _Search:
             bodies_and_witness = prepared.bodies, prepared.object.body, known.frames.T_world_link, known.witness
             score = score + patch_misses(scene.regions, *bodies_and_witness).miss.max(axis=1) / MISS_SCALE_M
         usable = ~np.isin(found.status, UNUSABLE)
-        return _Attempt(found, goal, np.where(usable, score, np.inf), pinches)
+        return Attempt(found, goal, np.where(usable, score, np.inf), pinches)
 
     def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """Return the grasps `rows` of the scene after a phase, and its goal."""

@@ -170,7 +170,7 @@ class GraspProblem:
         if previous is not None:
             before = previous.witness
             bound = np.fmax(bound, before.distance - motion(spheres, previous.T_link, T))
-        if self.config.weights.penetration == 0 and not self.config.terms:
+        if self.config.weights.penetration == 0 and not self.config.terms and self.scene.regions is None:
             bound = np.where(np.isfinite(bound), np.inf, bound)
         T_object = np.broadcast_to(np.eye(4), T.shape)
         cutoff = np.where(touching, np.inf, NEAR_DISTANCE_M)

@@ -46,13 +46,6 @@ REGIONS = ContactRegions(
 )
 """Regions whose borders are all over the objects."""
 
-CASES = [
-    (name, way)
-    for name, kind in term_kinds().items()
-    for way, has in (("least squares", kind.least_squares), ("autograd", kind.autograd))
-    if has
-]
-
 
 @pytest.fixture(scope="module", params=list(OBJECTS))
 def many(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
@@ -74,35 +67,37 @@ def beside(margin: float) -> Environment:
 
 
 def with_goal(scene: Scene, name: str) -> Goal:
-    """Three links touch, one of them along a normal; for the term of contacts, two of them at targets."""
+    """Three links touch, one of them along a normal; for contacts two of them at targets, for regions one."""
     rng, goal = np.random.default_rng(2), goal_of(scene, ContactSelection(links=scene.links[:3]))
     targets = np.full((2, COUNT, len(scene.links), 3), np.nan)
     direction = targets[0].copy()
     n = rng.normal(size=(COUNT, 3))
     direction[:, 0] = n / np.linalg.norm(n, axis=-1, keepdims=True)
-    if name == "contact":
-        targets[:, :, :2] = rng.normal(size=(2, COUNT, 2, 3)) * [[[[0.02]]], [[[0.03]]]]
+    if aimed := {"contact": 2, "region": 1}.get(name):
+        targets[:, :, :aimed] = rng.normal(size=(2, COUNT, aimed, 3)) * [[[[0.02]]], [[[0.03]]]]
     return replace(goal, target_link=targets[0], target_object=targets[1], direction=direction)
 
 
-@pytest.mark.parametrize(("name", "way"), CASES)
-def test_every_term_has_the_gradient_of_finite_differences(many: Scene, name: str, way: str) -> None:
-    itself = name == "self_penetration"
+@pytest.mark.parametrize("name", term_kinds())
+def test_every_term_has_the_loss_and_gradient_of_finite_differences_both_ways(many: Scene, name: str) -> None:
+    """Least squares and autograd have the same loss, and its central differences."""
+    itself, kind = name == "self_penetration", term_kinds()[name]
     scene = shallow(many, COUNT, 5 * DEPTH if itself else DEPTH, itself=itself)
     goal, nothing = with_goal(scene, name), dict.fromkeys(term_kinds(), 0.0)
     weights = Weights(**{**nothing, name: WEIGHT})
     config = Config(weights=weights, margin=1e-3, clearance=5e-4, derivative=FiniteDifference(step=1e-4))
-    config = config if way == "least squares" else replace(config, solver=Adam())
-    problem = (GraspProblem if way == "least squares" else Objective)(scene, goal, config)
     # Not where the hands began, so that there is something to stay near to.
     dx = np.random.default_rng(3).normal(size=(COUNT, 8)) * [5e-4, 5e-4, 5e-4, 0.02, 0.02, 0.02, 5e-4, 0.02]
     if name == "joint_limits":
         dx[:, 6:] = [0.03, 0.7]
-    first = Point(integrate(scene.T_world_root, dx[:, :6]), scene.q + dx[:, 6:])
+    first, rows = Point(integrate(scene.T_world_root, dx[:, :6]), scene.q + dx[:, 6:]), np.arange(COUNT)
+    problems = [GraspProblem(scene, goal, config)] if kind.least_squares else []
+    problems += [Objective(scene, goal, replace(config, solver=Adam()))] if kind.autograd else []
 
-    expected = finite_differences(problem, first)
-    scale = np.linalg.norm(expected, axis=1)
-    error = relative_errors(gradients(problem, first), expected, SMALLEST_GRADIENT)
-    assert (scale > SMALLEST_GRADIENT).sum() >= 3
-    # A face or an edge may change within a step, or by a new query.
-    assert np.sort(error)[-2] < TOLERANCES.get(name, EXACT), error
+    expected, loss = finite_differences(problems[0], first), problems[0].evaluate(rows, first, None).loss
+    assert (np.linalg.norm(expected, axis=1) > SMALLEST_GRADIENT).sum() >= 3
+    for problem in problems:
+        np.testing.assert_allclose(problem.evaluate(rows, first, None).loss, loss, rtol=1e-6, atol=1e-12)
+        error = relative_errors(gradients(problem, first), expected, SMALLEST_GRADIENT)
+        # A face or an edge may change within a step, or by a new query.
+        assert np.sort(error)[-2] < TOLERANCES.get(name, EXACT), (type(problem).__name__, error)
