@@ -67,17 +67,42 @@ def test_a_tendon_has_the_share_of_its_tension(tmp_path: Path) -> None:
     assert shares.sum() == pytest.approx(0.5) and shares[0, at[0]] == pytest.approx(0.5)
 
 
-def test_set_points_that_end_near_the_joint_value_bound_one_direction(hand: Hand) -> None:
-    """A joint that rests 0.1 rad before the last set point makes kp x 0.1 that way, and as much as ever the other."""
-    n = len(hand.joint_names)
-    ends = np.tile([-np.inf, np.inf], (n, 1))
-    ends[0, 1] = 0.3
-    actuator = replace(hand.actuator, kp=np.full(n, 4.0), force_limit=np.full(n, 3.0), set_points=ends)
+@pytest.mark.parametrize("side", [0, 1], ids=["lower", "upper"])
+def test_set_points_that_end_near_the_joint_value_bound_one_direction(hand: Hand, side: int) -> None:
+    """Rest 0.1 rad before the last set point: kp x 0.1 that way, and after giving way more; any torque the other way.
+
+    A slide gives way by 0.1 m per radian, and an actuator without stiffness makes nothing, wherever its set points end.
+    """
+    n, sign = len(hand.joint_names), (-1.0, 1.0)[side]
+    slide, last = int(np.flatnonzero(hand.slides)[0]), n - 1
+    ends, kp = np.tile([-np.inf, np.inf], (n, 1)), np.full(n, 4.0)
+    ends[[0, slide, last], side] = sign * np.array([0.3, 0.03, 0.0])
+    kp[last] = 0.0
+    actuator = replace(hand.actuator, kp=kp, force_limit=np.full(n, 3.0), set_points=ends)
     bounded, q = replace(hand, actuator=actuator), np.zeros((2, n))
-    q[:, 0] = 0.2, 0.35
-    least, greatest = torque_bounds(bounded, q)
-    np.testing.assert_allclose(greatest[:, 0], [0.4, 0.0], atol=1e-12)
-    assert (greatest[:, 1:] == 3.0).all() and (least == -3.0).all()
-    shares = limit_shares(bounded, np.ones((2, n)), q)
+    q[:, 0], q[:, slide] = sign * np.array([0.2, 0.35]), sign * 0.02
+    bounds = torque_bounds(bounded, q)
+    others = np.setdiff1d(np.arange(n), [0, slide, last])
+    np.testing.assert_allclose(sign * bounds[side][:, 0], [0.4, 0.0], atol=1e-12)
+    np.testing.assert_allclose(sign * bounds[side][:, slide], 0.04, atol=1e-12)
+    assert (sign * bounds[side][:, others] == 3.0).all() and (-sign * bounds[1 - side][:, :last] == 3.0).all()
+    assert not bounds[side][:, last].any()
+    shares = limit_shares(bounded, sign * np.ones((2, n)), q)
     np.testing.assert_allclose(shares[:, 0], 1.0 / (4.0 * np.array([0.1 + GIVE_RAD, GIVE_RAD - 0.05])))
-    np.testing.assert_allclose(limit_shares(bounded, -np.ones((2, n)), q), 1.0 / 3.0)
+    np.testing.assert_allclose(shares[:, slide], 1.0 / (4.0 * (0.01 + 0.1 * GIVE_RAD)))
+    np.testing.assert_allclose(limit_shares(bounded, -sign * np.ones((2, n)), q)[:, :last], 1.0 / 3.0)
+
+
+def test_set_points_of_a_tendon_end_where_its_length_does(tmp_path: Path) -> None:
+    """Its length is the sum of ratio x joint value, the same for all of its joints."""
+    hand = claw(tmp_path, coupled=True)
+    group, n = hand.coupled[1], len(hand.joint_names)
+    at, ratio = [hand.joint_names.index(name) for name in group.joints], np.array(group.ratio)
+    q = np.random.default_rng(3).normal(size=(5, n)) * 0.1
+    ends = np.tile([-np.inf, np.inf], (n, 1))
+    ends[at] = [-0.2, 0.3]
+    bounded = replace(hand, actuator=replace(hand.actuator, force_limit=np.full(n, np.inf), set_points=ends))
+    least, greatest = torque_bounds(bounded, q)
+    length = np.tile((q[:, at] @ ratio)[:, None], (1, len(at)))
+    np.testing.assert_allclose(greatest[:, at], bounded.stiffness[at] * np.maximum(0.3 - length, 0.0))
+    np.testing.assert_allclose(least[:, at], bounded.stiffness[at] * np.minimum(-0.2 - length, 0.0))

@@ -15,7 +15,7 @@ from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 
-FEWER = settings(max_examples=max(10, settings().max_examples // 2))
+FEWER = settings(max_examples=max(6, settings().max_examples // 5))
 
 BALL = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 LIMIT = '<limit lower="-4" upper="4" effort="3" velocity="1"/>'
@@ -208,27 +208,6 @@ def test_gradients_of_poses_are_as_in_the_jacobian(made: Made, T: np.ndarray, se
     covector = np.concatenate([force, np.cross(world, force)], axis=1)[None]
     pulled = chain.to_joint_space(frames, covector, np.arange(len(links)))[0, :, 6:].sum(axis=0)
     np.testing.assert_allclose(gradient[0].numpy(), pulled, rtol=0, atol=1e-12 * reach(made, T))
-
-
-@given(made_hands(), st.lists(seeds, min_size=2, max_size=5), st.integers(0, 4))
-def test_poses_do_not_depend_on_the_batch(made: Made, batch: list[int], alone: int) -> None:
-    """To 1e-13 of each item alone, whatever was asked of the same chain before."""
-    links = [f"l{k}" for k in range(len(made.joints) + 1)]
-    q = np.array([drawn_values(made, seed) for seed in batch])
-    rng = np.random.default_rng(batch[0])
-    T = np.array([exact_exp(rng.normal(size=6)).astype(float) for _ in batch])
-    chain, kinematics = Chain(made.hand, links), Kinematics(made.hand, links)
-    whole, row = chain(T, q), alone % len(batch)
-    both = kinematics(torch.from_numpy(T), torch.from_numpy(q)).numpy()
-    for rows in ([row], list(range(len(batch)))[::-1]):
-        part = chain(T[rows], q[rows])
-        np.testing.assert_allclose(part.T_world_link, whole.T_world_link[rows], rtol=0, atol=1e-13)
-        np.testing.assert_allclose(part.axes, whole.axes[rows], rtol=0, atol=1e-13)
-        found = kinematics(torch.from_numpy(T[rows]), torch.from_numpy(q[rows])).numpy()
-        np.testing.assert_allclose(found, both[rows], rtol=0, atol=1e-13)
-    again = chain(T, q)
-    np.testing.assert_array_equal(again.T_world_link, whole.T_world_link)
-    np.testing.assert_array_equal(again.axes, whole.axes)
 
 
 @given(roots(), axes(), angles(), st.sampled_from(DTYPES))

@@ -320,43 +320,6 @@ def test_run_refines_the_others_of_a_file(
     assert len(load_grasps("poisoned/allegro_rounded_box.npz")) == 9
 
 
-def test_a_batch_goes_on_around_poison(files: Path, workplace: Path) -> None:
-    """A file with bad grasps, an object without size, one of nine light years, and one that is no mesh."""
-    Path("torn.obj").write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    Path("jobs.toml").write_text(
-        f"""
-        [[job]]
-        grasps = "{files}/clean.npz"
-        [[job]]
-        grasps = "{files}/poisoned.npz"
-        [[job]]
-        grasps = "{files}/clean.npz"
-        name = "tiny"
-        object = "box:0.1,0.1,0.1"
-        scale = 1e-300
-        [[job]]
-        grasps = "{files}/clean.npz"
-        name = "vast"
-        object = "box:0.1,0.1,0.1"
-        scale = 1e18
-        [[job]]
-        grasps = "{files}/clean.npz"
-        name = "torn"
-        object = "torn.obj"
-        """
-    )
-    options = ("--geometry-only", "--iterations", "20", "--index-format", "csv", "--no-report", "--workers", "1")
-    assert main(["batch", "jobs.toml", "--out", "out", "--json", "batch.json", *options]) == 1
-    check_results(Path("out/clean/allegro_rounded_box_00000.npz"), Path("out/poisoned/allegro_rounded_box_00000.npz"))
-    document = strict(Path("batch.json").read_text())
-    whole = {job["job"]: (job["shards"], job["complete"]) for job in document["jobs"]}
-    assert whole["clean"] == whole["poisoned"] == (1, 1)
-    said = " ".join(failed["message"] for failed in document["failed"])
-    assert len(document["failed"]) == 3 and "torn.obj" in said and said.count("box:0.1,0.1,0.1") == 2
-    statuses = [grasp["status"] for grasp in document["grasps"] if grasp["job"] == "poisoned"]
-    assert [statuses[row] for row in BAD] == LABELS
-
-
 def test_other_formats_leave_out_what_is_not_finite(
     files: Path, workplace: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,12 +1,8 @@
 """Whole refinements of round fingertips, whose losses are known in closed form: true losses, limits, grasps alone."""
 
-import os
-import subprocess
-import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +24,6 @@ from grasp_refine.refinement.refine import Refinement, refine
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
@@ -243,49 +238,3 @@ def test_nothing_is_remembered_between_refinements(hand: Hand, ball: Object, see
         found = refine(scene, config, prepared=shared)
         for name in ("T_world_root", "q", "status", "loss", "iterations", "queries"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=f"{plan}, {other}")
-
-
-# threads
-
-MANY = """
-import sys
-import numpy as np, torch
-from pathlib import Path
-from claw import around, claw
-from grasp_refine.refinement.config import Config
-from grasp_refine.objects.object import load_object
-from grasp_refine.refinement.refine import refine
-from grasp_refine.refinement.solvers.adam import Adam
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
-
-folder, threads = Path(sys.argv[1]), int(sys.argv[2])
-torch.set_num_threads(threads)
-scene = around(claw(folder), load_object("sphere:0.03", candidates=64), 160, 5)
-names = ("T_world_root", "q", "status", "loss", "iterations", "queries")
-arrays = {}
-for k, config in enumerate((Config(LevenbergMarquardt(iterations=3), starts=1), Config(Adam(iterations=3)))):
-    found = refine(scene, config)
-    arrays |= {f"{name}{k}": getattr(found, name) for name in names}
-np.savez(folder / f"{threads}.npz", **arrays)
-"""
-
-
-@pytest.mark.slow
-def test_results_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
-    """160 grasps, enough for two threads: one thread and three, in processes of their own."""
-    root = Path(__file__).resolve().parents[2]
-    for threads in ("1", "3"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-        variables = {
-            **os.environ,
-            **dict.fromkeys(names, threads),
-            "PYTHONPATH": f"{root}:{root / 'apps'}:{root / 'tests'}",
-        }
-        subprocess.run([sys.executable, "-c", MANY, str(tmp_path), threads], env=variables, check=True)
-    one, three = (np.load(tmp_path / f"{threads}.npz") for threads in (1, 3))
-    assert (one["status0"] != Status.NO_TARGET).mean() > 0.5
-    for name in one.files:
-        if name[:-1] in ("status", "iterations", "queries"):
-            np.testing.assert_array_equal(three[name], one[name], err_msg=name)
-        else:
-            np.testing.assert_allclose(three[name], one[name], rtol=0, atol=1e-9, err_msg=name)

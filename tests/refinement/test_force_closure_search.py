@@ -377,6 +377,7 @@ def test_a_grasp_alone_is_the_same_grasp(
     scene: Scene, held: Refinement, prepared: HandObject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone, several starts are tried at once; together, one after the other. The first good one counts."""
+    monkeypatch.setattr(force_closure_search, "STARTS_AT_ONCE", 4)
     monkeypatch.setattr(force_closure_search, "GOOD_SCORE", float(np.median(score(prepared, held))))
     together = refine(scene, CONFIG, prepared=prepared)
     tried = int(np.argmax(together.starts))
