@@ -64,11 +64,11 @@ def ball(radius: float = RADIUS) -> Object:
     return load_object(f"sphere:{radius}", unit="m", candidates=16)
 
 
-def two_balls() -> Object:
-    """Two balls that touch, so that there are several pieces."""
+def two_balls(first: tuple[float, float] = (0.02, -0.02), second: tuple[float, float] = (0.02, 0.02)) -> Object:
+    """Two balls that touch, so that there are several pieces; of each its radius, and its place along y."""
     mesh = load_object(f"sphere:{RADIUS}", candidates=16).mesh
     none = np.zeros((0, 3), dtype=int)
-    pieces = [Piece(np.array([[0.0, y, 0.0]]), none, 0.02) for y in (-0.02, 0.02)]
+    pieces = [Piece(np.array([[0.0, y, 0.0]]), none, radius) for radius, y in (first, second)]
     return Object("two balls", mesh, convex=False, supplied=tuple(pieces), candidates=16)
 
 

@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, PdControllerGains
+from pydrake.multibody.tree import Joint, JointActuator, JointIndex, PdControllerGains
 
 REST_SPEED = 1e-3
 """Speed in rad/s or m/s from which on the dry friction of a joint is fully developed."""
@@ -20,6 +20,8 @@ class Actuation:
         self._plant = plant
         self.rest: list[float] = []
         """Set points of the actuators before they are driven, in the order in which they were added."""
+        self._last: dict[JointIndex, JointActuator] = {}
+        """Last actuator of each joint: it has the inertia of all, as Drake takes a joint's from its last one."""
 
     def add(
         self,
@@ -45,7 +47,11 @@ class Actuation:
         actuator = self._plant.AddJointActuator(f"{joint.name()} {number}", joint, limit)
         actuator.set_controller_gains(PdControllerGains(p=stiffness, d=damping))
         actuator.set_default_gear_ratio(1.0)
+        if (before := self._last.get(joint.index())) is not None:
+            armature += before.default_rotor_inertia()
+            before.set_default_rotor_inertia(0.0)
         actuator.set_default_rotor_inertia(armature)
+        self._last[joint.index()] = actuator
         self.rest.append(rest)
         return number
 

@@ -1,0 +1,249 @@
+"""Worlds in Drake against the same worlds in MuJoCo: poses, depths, motion of every kind of joint, servo and tie."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.se3 import exp_se3, pose_from_transform, transform, transform_from_pose
+from grasp_refine.hands.files.defaults import Actuator
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
+from grasp_refine.scene.protocols.tabletop import TABLETOP
+from grasp_refine.scene.task import Task
+from grasp_refine.validation.engines.drake.contacts import touching_pairs
+from grasp_refine.validation.engines.drake.plant import rigid
+from grasp_refine.validation.engines.drake.rows import Plants, Rows
+from grasp_refine.validation.engines.mujoco.hand_model import HandModel
+from grasp_refine.validation.engines.mujoco.stepping import Conditions
+from grasp_refine.validation.engines.mujoco.stepping import Rows as MujocoRows
+from grasp_refine.validation.engines.mujoco.world import OBJECT_GEOM, World, build_world
+from gripper import ball, two_balls
+
+MESH = '<asset><mesh name="wedge" vertex="0 0 0  0.04 0 0  0 0.03 0  0 0 0.03  0.02 0.02 0.02"/></asset>'
+TREE = """<body name="palm"><inertial pos="0 0 0" mass="1e4" diaginertia="1e3 1e3 1e3"/>
+  <geom name="palm" type="box" size="0.02 0.03 0.01"/>
+  <body name="mount" pos="0.03 0.01 0.02" euler="20 30 40"><geom type="mesh" mesh="wedge" mass="0.02" pos="0 0.01 0"/>
+    <body name="first" pos="0.01 0.02 0.1" euler="10 -20 30">
+      <joint name="turn" axis="1 2 0.5" pos="0.01 0 -0.01" ref="20" stiffness="0.3" springref="50" damping="0.004"
+        armature="2e-5"/>
+      <geom name="capsule" type="capsule" size="0.008" fromto="0.01 0 0 0.05 0.01 0" mass="0.03"/>
+      <body name="cap" pos="0.06 0.01 0" euler="0 60 0"><geom type="ellipsoid" size=".01 .02 .015" mass="0.02"/></body>
+      <body name="second" pos="0.05 0 0.01">
+        <joint name="push" type="slide" axis="0 1 1" ref="0.004" damping="0.5" armature="0.01" stiffness="40"/>
+        <joint name="bend" axis="0 1 0" pos="0 0 0.01" damping="0.002" armature="{armature}"/>
+        <geom type="cylinder" size="0.01 0.02" pos="0.02 0 0.01" euler="70 0 0" mass="0.03"/>
+        <body name="tip" pos="0.04 0 0.02"><geom type="sphere" size="0.012" mass="0.01"/></body>
+      </body></body></body>
+  <body name="other" pos="-0.08 0 0.05"><joint name="other" axis="0 0 1" damping="0.002" armature="{armature}"/>
+    <geom name="other" type="box" size="0.01 0.01 0.03" pos="0.02 0.01 0" mass="0.03"/></body></body>"""
+"""A hand with all kinds of geoms, welded bodies, two joints of one body, and reference positions; degrees."""
+
+TENDON = """<tendon><fixed name="sum" stiffness="{force}" damping="0.1">
+  <joint joint="bend" coef="-0.7"/><joint joint="other" coef="1.5"/></fixed></tendon>"""
+SERVOS = """<actuator>
+    <position joint="turn" kp="0.2" kv="0.002" gear="-3" ctrlrange="-1 0.7"/>
+    <position joint="turn" kp="5" gear="0.5" forcerange="-0.3 0.3"/>
+    <position joint="push" kp="150" kv="1" gear="2"/>
+    <position {on} kp="{kp}" gear="-2" forcerange="-{force} {force}"/>
+    <position joint="other" kp="0.3"/>
+  </actuator>"""
+EXACT = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("BOX", "CAPSULE", "SPHERE")]
+"""Kinds of geoms of whose depths Drake makes no error."""
+JOINTS = ("other", "bend", "turn", "push")
+
+
+def rich(*, tendon: bool = False) -> HandModel:
+    """The hand, its joints in another order than in the tree; with a tendon so heavy that its chain weighs little."""
+    armature, on, force = (0.02, 'tendon="sum"', 20.0) if tendon else (2e-5, 'joint="bend"', 0.05)
+    servos = SERVOS.format(on=on, kp=10 * force, force=force)
+    return model(TREE.format(armature=armature), JOINTS, MESH, TENDON.format(force=force) * tendon, servos)
+
+
+def model(tree: str, joints: tuple[str, ...], *others: str) -> HandModel:
+    """Return a hand of a tree of bodies, with one value for each joint."""
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{tree}</worldbody>{''.join(others)}</mujoco>")
+    names, m = {body.name: body.name for body in spec.bodies[1:]}, len(joints)
+    return HandModel(spec, "palm", np.eye(4), joints, np.eye(m), np.zeros(m), names, (), Actuator(*np.zeros((5, m))))
+
+
+def random_poses(count: int, seed: int) -> np.ndarray:
+    return pose_from_transform(exp_se3(np.random.default_rng(seed).normal(size=(count, 6)) * [0.1, 0.1, 0.1, 1, 1, 1]))
+
+
+def both(world: World, conditions: Conditions) -> tuple[Rows, MujocoRows]:
+    """Simulations in Drake and in MuJoCo."""
+    running = np.ones(len(conditions.friction), dtype=bool)
+    return Plants(world).simulations(world, conditions, running, 1), MujocoRows(world, conditions, running, 1)
+
+
+def joints(rows: Rows) -> np.ndarray:
+    """Values (N, m) of the joints in Drake."""
+    return rows.state()[:, -rows._moving.shape[1] :][:, rows._plant.joints]
+
+
+def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
+    """An object at each geom in turn, at random joint values and poses of the root."""
+    world = build_world(rich(), ball(), Task(TABLETOP, table=Plane((0.6, 0.0, 0.8), offset=-0.05)))
+    model = world.model
+    geoms = np.flatnonzero(np.array(world.link_of_geom) >= 0)
+    count, rng = 4 * len(geoms), np.random.default_rng(0)
+    drake, other = both(world, Conditions.nominal(world, count))
+    root, values = random_poses(count, 1), rng.uniform([-1, -1, -1, -0.01], [1, 1, 1, 0.01], (count, 4))
+    place, data = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)), mujoco.MjData(model)
+    (of_object,), ends, poses = np.flatnonzero(world.link_of_geom == OBJECT_GEOM), np.zeros(6), []
+    for row in range(count):
+        data.qpos[world.root_at : world.root_at + 7], data.qpos[world.joints_at] = root[row], values[row]
+        mujoco.mj_kinematics(model, data)
+        geom = int(geoms[row % len(geoms)])
+        data.qpos[world.object_at :][:3] = data.geom_xpos[geom] + rng.normal(size=3) * 0.1
+        mujoco.mj_kinematics(model, data)
+        apart = mujoco.mj_geomDistance(model, data, int(of_object), geom, 1.0, ends)
+        place[row, :3] = data.geom_xpos[of_object] + (1 + 0.003 / apart) * (ends[3:] - ends[:3])
+        data.qpos[world.object_at :][:3] = place[row, :3]
+        mujoco.mj_kinematics(model, data)
+        poses.append(transform(data.geom_xmat.reshape(-1, 3, 3), data.geom_xpos))
+    for rows in (drake, other):
+        rows.place(root, values, place)
+    plant = drake._plant
+    context = plant.diagram.CreateDefaultContext()
+    of_plant = plant.plant.GetMyMutableContextFromRoot(context)
+    for row in range(count):
+        plant.start.SetPoseInParentFrame(of_plant, rigid(transform_from_pose(root[row])))
+        plant.plant.SetPositionsAndVelocities(of_plant, drake._moving[row])
+        query = plant.plant.get_geometry_query_input_port().Eval(of_plant)
+        for identity, geom in plant.geoms.items():
+            np.testing.assert_allclose(query.GetPoseInWorld(identity).GetAsMatrix4(), poses[row][geom], atol=1e-9)
+    found, expected = (rows.touching(np.arange(count)) for rows in (drake, other))
+    np.testing.assert_array_equal(found.links, expected.links)
+    alone, exact = expected.links.sum(axis=1) == 1, np.array(np.isin(model.geom_type[geoms], EXACT).tolist() * 4)
+    assert alone[exact].sum() > 6 and alone[~exact].sum() > 6 and found.links.any(axis=0).all()
+    np.testing.assert_allclose(found.depth[alone], 0.003, atol=6e-4)
+    np.testing.assert_allclose(found.depth[alone & exact], 0.003, atol=1e-6)
+    np.testing.assert_allclose(found.depth_table, expected.depth_table, atol=1e-4)
+    assert (found.depth_table > 0.01).any() and (found.depth_table == 0).any()
+
+
+@pytest.mark.parametrize("tendon", [False, True])
+def test_hand_and_object_move_as_in_mujoco(tendon: bool) -> None:
+    """Gears, force limits, ctrlrange, springs, armature, damping, tendon; and a wrench at the centre of mass."""
+    protocol = replace(DEXGRASPBENCH, timestep=1e-4)
+    world = build_world(rich(tendon=tendon), two_balls((0.02, 0.012), (0.03, -0.02)), Task(protocol))
+    assert np.linalg.norm(world.model.body_ipos[world.object_body]) > 0.005
+    conditions = replace(
+        Conditions.nominal(world, 3),
+        mass=np.array([0.1, 0.1, 0.3]),
+        gain=np.array([1.0, 1.5, 1.0]),
+        force_limit=np.array([1.0, 0.6, 1.0]),
+    )
+    rng = np.random.default_rng(3)
+    start = rng.uniform([-0.5, -0.5, 0, -0.005], [0.5, 0.5, 0.6, 0.005], (3, 4))
+    aim = rng.uniform(-1.5, 1.5, (3, 5)) * [1, 1, 0.02, 1, 0.5]
+    aim[2] = 0.0
+    root, place = random_poses(3, 4), random_poses(3, 5) + [1.0, 0, 0, 0, 0, 0, 0]
+    wrench = rng.normal(size=(3, 6)) * [2, 2, 2, 0.01, 0.01, 0.01]
+    rows = both(world, conditions)
+    for one in rows:
+        one.place(root, start, place)
+        one.drive(root, aim)
+        one.push(wrench)
+    moved = []
+    for _ in range(3):
+        for one in rows:
+            one.step(150)
+        moved.append([joints(rows[0]) - start, rows[1].batch.qpos[:, world.joints_at] - start])
+        poses = [one.object_poses() for one in rows]
+        np.testing.assert_allclose(poses[0], poses[1], atol=5e-4)
+    found, expected = np.array(moved).transpose(1, 0, 2, 3)
+    largest = np.abs(expected).max(axis=(0, 1))
+    assert (largest > [0.2, 0.2, 0.2, 2e-3]).all()
+    assert (np.abs(found - expected).max(axis=(0, 1)) < 0.02 * largest).all()
+    assert np.linalg.norm(poses[0][:, :3, 3] - transform_from_pose(place)[:, :3, 3], axis=1).min() > 0.005
+
+
+TIED = """<body name="palm"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+  <body name="left"><joint name="left" axis="0 1 0" damping="0.05" ref="-20"/><geom size="0.01" pos="0 0 0.02"/>
+    <body name="bar" pos="0 0 0.05"><joint name="bar" axis="0 1 0" damping="0.01"/><geom size="0.005"/></body></body>
+  <body name="right" pos="0.04 0 0"><joint name="right" axis="0 1 0" damping="0.05" {more}/><geom size="0.01"/>
+    <body name="end" pos="0.01 0.02 0.05" euler="0 30 60"><geom size="0.004"/></body></body>
+  <body name="twin" pos="0 0.04 0" euler="0 30 0"><joint name="twin" axis="0 1 0" damping="0.01"/>
+    <geom size="0.01" pos="0 0 0.02"/></body>
+  <body name="follower" pos="0 -0.05 0"><joint name="follower" axis="0 1 0" ref="10" damping="0.01"/>
+    <geom size="0.01" pos="0 0 0.02"/></body></body>"""
+LEFT = '<actuator><position joint="left" kp="20"/></actuator>'
+TIES = f"""<contact><exclude body1="left" body2="bar"/><exclude body1="bar" body2="right"/></contact>
+  <equality><connect body1="bar" body2="end" anchor="0.04 0 0"/><weld body1="left" body2="twin"/>
+    <joint joint1="follower" joint2="left" polycoef="0.1 0.5"/></equality>{LEFT}"""
+NAMES = ("left", "bar", "right", "twin", "follower")
+
+
+def driven(hand: HandModel, *aim: float, steps: int = 400) -> np.ndarray:
+    """Return the values of the joints of a hand in Drake after some time at set points."""
+    world = build_world(hand, ball(), Task(DEXGRASPBENCH))
+    rows, _ = both(world, Conditions.nominal(world, 1))
+    origin = np.array([[0.0, 0, 0, 1, 0, 0, 0]])
+    rows.place(origin, world.model.qpos0[world.joints_at][None], origin + [0, 0, -1, 0, 0, 0, 0])
+    rows.drive(origin, np.array([aim]))
+    rows.step(steps)
+    return joints(rows)[0]
+
+
+@pytest.mark.parametrize("aim", [0.5, -0.9])
+def test_ties_of_bodies_and_joints_hold(aim: float) -> None:
+    """A parallelogram, closed at a part of its other side; a welded twin; and a follower, from reference positions."""
+    left, bar, right, twin, follower = driven(model(TIED.format(more=""), NAMES, TIES), aim)
+    turned = left + np.radians(20)
+    assert left == pytest.approx(aim, abs=0.01)
+    np.testing.assert_allclose([-bar, right, twin], turned, atol=2e-3)
+    assert follower == pytest.approx(np.radians(10) + 0.1 + 0.5 * turned, abs=2e-3)
+
+
+def test_limits_and_dry_friction_of_joints_stop_them() -> None:
+    """At 0.3 rad; at rest below the friction; and where the servo no longer overcomes it."""
+    servos = LEFT.replace("</actuator>", '<position joint="right" kp="1"/></actuator>')
+    stopped = model(TIED.format(more='range="-60 17.188733853924695"'), NAMES, servos)
+    assert driven(stopped, 0.0, 2.0)[2] == pytest.approx(0.3, abs=0.01)
+    rough = model(TIED.format(more='frictionloss="0.2"'), NAMES, servos)
+    assert abs(driven(rough, 0.0, 0.15)[2]) < 0.01
+    assert driven(rough, 0.0, 0.6, steps=1200)[2] == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("geom", "more", "count"),
+    [
+        ("", "", 19),
+        ("", '<contact><exclude body1="twin" body2="end"/><exclude body1="twin" body2="left"/></contact>', 17),
+        ('contype="2" conaffinity="2"', "", 14),
+        ('contype="2" conaffinity="1"', "", 19),
+        ('contype="0" conaffinity="0"', '<contact><pair geom1="twin" geom2="left"/></contact>', 14),
+    ],
+)
+def test_pairs_that_may_touch_are_as_in_mujoco(geom: str, more: str, count: int) -> None:
+    """Within so large a margin all pairs are contacts, but for those that are never tried."""
+    tree = TIED.format(more="").replace('<geom size="0.01" pos="0 0 0.02"/>', '<geom size="0.01"/>')
+    for name in ("left", "twin"):
+        place = tree.index("<geom", tree.index(f'name="{name}"')) + len("<geom")
+        tree = f'{tree[:place]} name="{name}" {geom if name == "twin" else ""}{tree[place:]}'
+    compiled = build_world(model(tree, NAMES, more, LEFT), ball(), Task(DEXGRASPBENCH)).model
+    compiled.geom_margin[:] = compiled.pair_margin[:] = 10.0
+    data = mujoco.MjData(compiled)
+    mujoco.mj_forward(compiled, data)
+    found = {tuple(sorted(pair)) for pair in touching_pairs(compiled)}
+    assert found == {tuple(sorted(pair)) for pair in data.contact.geom.tolist()} and len(found) == count
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        f'<equality><joint joint1="left" joint2="right" polycoef="0 1 1"/></equality>{LEFT}',
+        '<actuator><position site="s" kp="1"/></actuator>',
+    ],
+)
+def test_parts_that_drake_has_no_counterpart_of_are_refused(more: str) -> None:
+    with pytest.raises(GraspRefineError, match="drake"):
+        driven(model(TIED.format(more="").replace("<geom", '<site name="s"/><geom', 1), NAMES, more), 0.0)
+    world = build_world(model(TIED.format(more=""), NAMES, LEFT), ball(), Task(DEXGRASPBENCH))
+    with pytest.raises(GraspRefineError, match="mujoco"):
+        both(world, replace(Conditions.nominal(world, 1), default_contact=np.array([True])))
