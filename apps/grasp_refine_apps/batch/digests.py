@@ -19,6 +19,8 @@ from grasp_refine.objects.source import ObjectSource
 from grasp_refine.problem.spec import AUTO, NEAREST, ProblemSpec, SourceSpec
 from grasp_refine.results.document import settings
 from grasp_refine.results.result_files import fingerprint
+from grasp_refine.scene.protocols.protocol import Protocol
+from grasp_refine.scene.protocols.protocol_file import load_protocol
 
 LAYOUT_VERSION = 1
 """Version of the layout of result files; a new number makes all results outdated."""
@@ -55,6 +57,7 @@ class Digests:
         """Begin with an empty cache."""
         self._files: dict[Path, dict[str, str]] = {}
         self._hands: dict[tuple[Any, ...], tuple[str, str]] = {}
+        self._protocols: dict[str, Protocol] = {}
 
     def file(self, path: Path) -> dict[str, str]:
         """Path and sha256 of a file or a folder, as `results.result_files.fingerprint`."""
@@ -87,6 +90,12 @@ class Digests:
             self._hands[key] = (toml.name or name, sha256_of(contents))
         return self._hands[key]
 
+    def _protocol(self, source: str) -> Protocol:
+        """Protocol of a name or a file, which is read once."""
+        if source not in self._protocols:
+            self._protocols[source] = load_protocol(source)
+        return self._protocols[source]
+
     def object(self, source: ObjectSource) -> str:
         """Hash of a mesh file or a folder of pieces; the name of an object without a file."""
         path = Path(source.source)
@@ -97,7 +106,9 @@ class Digests:
         described = {
             name: value for name, value in settings(inputs).items() if name not in (*CONTENT_INPUTS, *IGNORED_INPUTS)
         }
-        # Files of regions count by their contents, and nothing does where there are none.
+        # Files of a protocol and of regions count by their contents, and nothing does where there are no regions.
+        if isinstance(inputs.protocol, str):
+            described["protocol"] = settings(self._protocol(inputs.protocol))
         for name in VERBS:
             specs = described.pop(name)
             depends |= {name: [spec_digest(spec) for spec in specs]} if specs else {}
@@ -109,20 +120,24 @@ class Digests:
         )
 
 
-def _meshes(path: Path, seen: tuple[Path, ...] = ()) -> list[Path]:
-    """Existing meshes, and included files with more of them, that a URDF or MJCF file names."""
+def _meshes(path: Path, seen: tuple[Path, ...] = (), folders: tuple[Path, ...] = ()) -> list[Path]:
+    """Existing meshes, and included files with more of them, that a URDF or MJCF file names.
+
+    `folders` are those for meshes of the files that include this one, whose meshes may be there as well.
+    """
     text = path.read_text(encoding="utf-8", errors="replace")
-    found, folders = [], sorted(set(_MESH_FOLDER.findall(text)))
+    folders = (*folders, path.parent, *(path.parent / name for name in sorted(set(_MESH_FOLDER.findall(text)))))
+    found = []
     for name in sorted(set(_MESH_NAME.findall(text))):
         try:
             files = [resolve_mesh(name, path)]
         except HandError:
             # Missing meshes are reported when the hand is loaded; MJCF files may name a folder for their meshes.
-            files = [file for folder in folders if (file := path.parent / folder / name).is_file()]
+            files = [file for folder in folders if (file := folder / name).is_file()]
         found += files
         for file in files:
             if file.suffix.lower() in MJCF_SUFFIXES and file not in (*seen, path):
-                found += _meshes(file, (*seen, path))
+                found += _meshes(file, (*seen, path), folders)
     return found
 
 

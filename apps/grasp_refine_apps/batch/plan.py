@@ -57,6 +57,8 @@ class ShardTask:
     """Hash of the object's files."""
     object_source: ObjectSource
     """Source of the object."""
+    task_digest: str
+    """Hash of the settings of the job, and of the files of its scene, protocol, regions and targets."""
     scales: tuple[float, ...]
     """Scales of the object, as `Sources.read_object` takes them."""
     rows: np.ndarray
@@ -162,6 +164,7 @@ class Planner:
         named = inputs.hand or read.grasps.hand
         hand, digest = digests.hand(named, inputs, loader.on_message)
         of_job = partial(ShardTask, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
+        of_job = partial(of_job, task_digest=task_digest(loader, digests))
         for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps.object, object_name=name, index=None)
@@ -192,6 +195,7 @@ class Planner:
                 object=name,
                 object_digest=digests.object(where),
                 object_source=where,
+                task_digest=task_digest(loader, digests),
                 scales=(inputs.scale * (1.0 if where.asset is None else where.asset.scale),),
                 rows=nothing,
                 index=nothing,
@@ -200,7 +204,6 @@ class Planner:
             yield self._shard(task, loader, hand, number, digests)
 
     def _shard(self, task: ShardTask, loader: Loader, hand: str, number: int, digests: Digests) -> Shard:
-        environment = loader.environment()
         stamp = digests.stamp(
             loader.spec,
             **self.depends,
@@ -210,7 +213,7 @@ class Planner:
             object=[task.object, task.object_digest],
             rows=task.rows,
             sampled=task.sampled,
-            **({} if environment is None else {"scene": environment.digest}),
+            **_scene(loader),
         )
         stem = _shorten(f"{object_folder(hand)}_{object_folder(task.object)}")
         first, *rest = (_shorten(object_folder(part)) for part in task.job.split("/") if part)
@@ -225,6 +228,17 @@ class Planner:
             stamp=stamp,
             task=task,
         )
+
+
+def task_digest(loader: Loader, digests: Digests) -> str:
+    """Hash of `ShardTask.task_digest` as files are now."""
+    return digests.stamp(loader.spec, **_scene(loader))
+
+
+def _scene(loader: Loader) -> dict[str, str]:
+    """Hash of the scene as an entry of a stamp; none where there is no scene."""
+    environment = loader.environment()
+    return {} if environment is None else {"scene": environment.digest}
 
 
 def part_of(shards: tuple[Shard, ...], part: int, parts: int) -> tuple[Shard, ...]:

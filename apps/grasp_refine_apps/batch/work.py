@@ -26,7 +26,7 @@ from grasp_refine.refinement.solvers.iterate import Progress
 from grasp_refine.results.document import settings
 from grasp_refine.results.verdict import advice, should_hold
 from grasp_refine_apps.batch.digests import Digests
-from grasp_refine_apps.batch.plan import ShardTask
+from grasp_refine_apps.batch.plan import ShardTask, task_digest
 from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.processes.task import Failed, Heartbeat
 from grasp_refine_apps.processes.torch_threads import limit_torch_threads
@@ -165,13 +165,14 @@ def problem_of(task: ShardTask, seed: int, cache: InputCache, heartbeat: Heartbe
     inputs = task.inputs
     loader = Loader(inputs, seed, say, say, cache)
     heartbeat("loading", 0.0)
+    path = loader.grasp_path() if task.sampled is None else None
+    planned = (task.source.get("sha256"), *task.hand, task.object, task.object_digest, task.task_digest)
+    cache.get("unchanged", (inputs, *planned), lambda: check_unchanged(task, loader, path))
     if task.sampled is not None:
         count, draw = task.sampled
         return loader.prepare(loader.to_sample(count), draw=draw)
-    path = loader.grasp_path()
+    assert path is not None
     read = loader.read(path)
-    planned = (task.source["sha256"], *task.hand, task.object, task.object_digest)
-    cache.get("unchanged", (inputs, *planned), lambda: _check_unchanged(task, loader, path))
     some = replace(read, grasps=read.grasps.select(task.rows))
     # Targets were read with the file.
     targets = NEAREST if inputs.targets == NEAREST else AUTO
@@ -199,19 +200,21 @@ def unusable_objects(shards: Sequence[Shard], progress: Callable[[int], None]) -
     return failed
 
 
-def _check_unchanged(task: ShardTask, loader: Loader, path: Path) -> None:
-    """Refuse grasps, a hand or an object that changed since the shard was planned.
+def check_unchanged(task: ShardTask, loader: Loader, path: Path | None) -> None:
+    """Refuse inputs that changed since the shard was planned; `path` is that of its grasps, None if they are sampled.
 
     Raises:
         GraspRefineError: names the changed input; the stamp would be wrong.
     """
-    digests, (source, hand) = Digests(), task.hand
-    named = replace(loader, spec=replace(loader.spec, object_name=task.object))
-    where = named.named_objects(loader.read(path).grasps, path)
+    digests, (source, hand), where = Digests(), task.hand, task.object_source
+    if path is not None:
+        named = replace(loader, spec=replace(loader.spec, object_name=task.object))
+        where = named.named_objects(loader.read(path).grasps, path)[task.object]
     for what, planned, now in (
-        (str(path), task.source["sha256"], digests.file(path)["sha256"]),
+        (str(path), task.source.get("sha256"), None if path is None else digests.file(path)["sha256"]),
         (f"hand {source}", hand, digests.hand(source, loader.spec, loader.on_message)[1]),
-        (f"object {task.object}", task.object_digest, digests.object(where[task.object])),
+        (f"object {task.object}", task.object_digest, digests.object(where)),
+        ("scene, protocol, regions or targets", task.task_digest, task_digest(loader, digests)),
     ):
         if now != planned:
             raise GraspRefineError(f"{what}: changed since the batch was planned; give the same command again")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights
@@ -18,7 +17,6 @@ from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.batch.work import ShardWork
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.processes.task import Sign
-from refusals import refused
 
 EXAMPLES = resource_dir("robots") / "allegro"
 QUICK = Config(weights=Weights(wrench=0.0), solver=LevenbergMarquardt(iterations=5))
@@ -84,22 +82,3 @@ def test_each_table_is_simulated_by_itself(grasps: Path, tmp_path: Path):
         content(found.path)["simulation_displacement_m_before"]
         != content(next(shard for shard in both if shard.task.job == "low").path)["simulation_displacement_m_before"]
     )
-
-
-@pytest.mark.parametrize("what", ["grasps", "hand", "object"])
-def test_what_changed_since_it_was_planned_is_refused(grasps: Path, tmp_path: Path, what: str):
-    """A stamp says what a result was made of: it must not be put on a result of something else."""
-    hand = Path(shutil.copytree(EXAMPLES, tmp_path / "hand"))
-    mesh = tmp_path / "box.off"
-    mesh.write_text("OFF\n4 4 0\n0 0 0\n0.1 0 0\n0 0.1 0\n0 0 0.1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")
-    (shard, _) = planned(tmp_path / "out", grasps, batch=what, hand=str(hand), object=str(mesh)).shards
-    if what == "grasps":
-        shutil.copy(EXAMPLES / "example_bottle.npz", grasps)
-    elif what == "hand":
-        urdf = hand / "allegro.urdf"
-        urdf.write_text(urdf.read_text() + "<!-- another -->\n")
-    else:
-        mesh.write_text(mesh.read_text().replace("0.1", "0.11"))
-    with refused(GraspRefineError, "changed"):
-        worked(shard)
-    assert not shard.path.exists()
