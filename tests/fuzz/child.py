@@ -66,7 +66,7 @@ class Watch:
                 writes = writes or (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR))
                 if not self.may(os.fsdecode(arguments[0]), bool(writes)):
                     self.seen.append(f"{'write' if writes else 'open'} {os.fsdecode(arguments[0])[:200]}")
-            elif event.startswith(NEVER):
+            elif event.startswith(NEVER) and not (event == "subprocess.Popen" and self.reader.starts_programs):
                 self.seen.append(f"{event} {str(arguments)[:200]}")
             elif event.startswith(CHANGING):
                 # What is moved or linked has a second name, where it goes.

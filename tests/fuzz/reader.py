@@ -42,6 +42,8 @@ class Reader:
     """Seconds of CPU that one input may take; inputs have at most 64 KiB."""
     beyond: Callable[[Path], bool] = lambda path: False
     """Whether a file outside of the folder may be read all the same."""
+    starts_programs: bool = False
+    """Whether it may read in a child process."""
 
 
 def secrets(folder: Path) -> None:

@@ -9,6 +9,7 @@ from fuzz import (
     job_lists,
     manifests,
     meshes,
+    mjcfs,
     npz_files,
     object_names,
     uploads,
@@ -20,6 +21,7 @@ READERS = {
     reader.name: reader
     for reader in (
         urdfs.READER,
+        mjcfs.READER,
         meshes.READER,
         npz_files.READER,
         foreign_grasps.READER,

@@ -8,10 +8,9 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
-from lxml import etree
 
-from fuzz.mutations import NUMBERS
 from fuzz.reader import Reader, plain, written
+from fuzz.xml import changed_numbers, changed_xml
 from grasp_refine.geometry.mesh import SUFFIXES
 from grasp_refine.hands.files.description import joints_fixed_and_mimicking, links_with_visuals
 from grasp_refine.hands.files.visuals import load_visuals
@@ -71,7 +70,6 @@ FILES += (
     "x/" * 3000,
     "/dev/zero",
 )
-LONGEST_TREE = 200
 
 
 def seeds() -> list[tuple[str, bytes]]:
@@ -84,46 +82,14 @@ def prepare(folder: Path) -> None:
     written(folder, {"meshes/cube.obj": CUBE})
 
 
-def change(random: Random, name: str, content: bytes) -> bytes:
-    """One to four elements changed, moved, doubled or left out."""
-    if random.random() < 0.02:
-        deep = random.choice((100, 3000))
-        return b"<robot>" + b"<link name='x'>" * deep + b"</link>" * deep + b"</robot>"
-    try:
-        root = etree.fromstring(content)
-    except (etree.XMLSyntaxError, ValueError):
-        return content
-    for _ in range(random.choice((1, 1, 2, 4))):
-        found = [element for element in root.iter() if isinstance(element.tag, str)]
-        if len(found) < 2:
-            break
-        element, other = random.choice(found[1:]), random.choice(found)
-        kind = random.randrange(8)
-        try:
-            if kind < 4 and element.attrib:
-                key = random.choice(list(element.attrib))
-                element.set(key, _attribute(random, key, element.get(key, "")))
-            elif kind == 4 and element.attrib:
-                del element.attrib[random.choice(list(element.attrib))]
-            elif kind == 5:
-                element.getparent().remove(element)
-            elif kind == 6 and len(found) < LONGEST_TREE:
-                other.append(etree.fromstring(etree.tostring(element)))
-            else:
-                element.tag = random.choice([part.tag for part in found])
-        except (ValueError, etree.XMLSyntaxError):
-            pass
-    return etree.tostring(root)
-
-
-def _attribute(random: Random, key: str, value: str) -> str:
+def attribute(random: Random, key: str, value: str) -> str:
+    """Return a changed value of an attribute."""
     if key in ("name", "link", "joint", "type"):
         return random.choice((*NAMES, "revolute", "fixed", "prismatic", "continuous", "floating"))
-    if key == "filename":
-        return random.choice(FILES)
-    numbers = value.split() or ["0"]
-    numbers[random.randrange(len(numbers))] = random.choice(NUMBERS).decode()
-    return " ".join(numbers * random.choice((1, 1, 1, 2)))
+    return random.choice(FILES) if key == "filename" else changed_numbers(random, value)
+
+
+change = changed_xml(attribute, "robot", "link")
 
 
 def read(path: Path) -> Hashable:
