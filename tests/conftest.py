@@ -12,6 +12,9 @@ from grasp_refine.collision.engine import VARIABLE, why_not_native
 # One thread, as the commands take: of two processes of tests on two cores, each would wait for the other's threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+SLOW_LIMIT_S = 1800
+"""Seconds after which a test marked `slow` fails; those of others are in pyproject.toml."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="I/N", help="run one of N parts of the chosen tests: those of number I, from 0")
@@ -19,7 +22,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of one part; a test stays in its part whatever is added to others."""
+    """Keep the tests of one part, whatever is added to others, and give slow tests more time."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW_LIMIT_S))
     if (part := config.getoption("--part")) is None:
         return
     number, _, count = part.partition("/")

@@ -57,7 +57,20 @@ WORDS = tuple(
     b"<!DOCTYPE <!ENTITY &x; <![CDATA[ ]]> &#10; &#0; nuser_body= maxhullvert= <!-- -->".split()
 )
 KINDS = ("hinge", "slide", "ball", "free", "mesh", "plane", "hfield", "sdf", "ellipsoid", "box", "fixed", "auto")
-KEYS = ("name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "mesh", "material", "type")
+KEYS = (
+    "name",
+    "class",
+    "childclass",
+    "joint",
+    "joint1",
+    "joint2",
+    "body",
+    "body1",
+    "body2",
+    "mesh",
+    "material",
+    "type",
+)
 
 
 def seeds() -> list[tuple[str, bytes]]:
