@@ -16,7 +16,7 @@ import torch
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets, load_grasps, match_joints, save_npz
-from grasp_refine.grasps.rows import choose_rows
+from grasp_refine.grasps.rows import best_rows, choose_rows, row_numbers, rows_where
 from grasp_refine.hands.files.tree import Joint, Mimic
 from grasp_refine.hands.hand import Actuator, Hand, load_hand
 from refusals import assert_names
@@ -597,3 +597,42 @@ def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
 def test_rows_that_do_not_exist(mixed: GraspSet, object_name, index, named: tuple[str, ...]):
     with expected(GraspFileError, *named):
         choose_rows(mixed.object, object_name=object_name, index=index)
+
+
+NAN = np.nan
+
+
+@pytest.mark.parametrize(
+    ("condition", "rows"),
+    [
+        ("a>=2", [1, 3, 4]),
+        ("a>2", [4]),
+        ("a<=2", [0, 1, 3]),
+        ("a<2", [0]),
+        (" a = 2.0 ", [1, 3]),
+        ("a>-9", [0, 1, 3, 4]),
+    ],
+)
+def test_conditions_hold_for_rows_with_the_value(condition: str, rows: list[int]):
+    assert rows_where({"a": np.array([-1.0, 2.0, NAN, 2.0, 3.0])}, condition).tolist() == rows
+
+
+@pytest.mark.parametrize("condition", ["a", "a=", "a==1", "b=1", "a=x", "a=1 2"])
+def test_other_conditions_are_refused(condition: str):
+    with expected(GraspFileError, condition.strip().partition("=")[0]):
+        rows_where({"a": np.zeros(2)}, condition)
+
+
+def test_best_rows_are_the_largest_values_of_each_object_and_never_nan():
+    objects = np.array(["mug", "can", "mug", "can", "mug", "mug", "box"])
+    values = np.array([NAN, 1.0, 2.0, NAN, 5.0, 2.0, NAN])
+    assert best_rows(values, objects, 1).tolist() == [1, 4]
+    assert best_rows(values, objects, 2).tolist() == [1, 2, 4], "of equal values the first"
+    assert best_rows(values, objects, 9).tolist() == [1, 2, 4, 5]
+
+
+def test_numbers_and_masks_choose_rows():
+    assert row_numbers([2, -3], 3).tolist() == [2, -3] and row_numbers([True, False, True], 3).tolist() == [0, 2]
+    for wrong in ([3], [-4], [0.5], [[0]], [True, False], "a"):
+        with expected(GraspFileError, "rows"):
+            row_numbers(wrong, 3)

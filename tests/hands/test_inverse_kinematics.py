@@ -1,6 +1,7 @@
 """Inverse kinematics of arms: poses that are reached are reached exactly, others are said to be out of reach."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,8 +85,6 @@ def test_poses_beyond_the_arm_are_out_of_reach(whole: Hand, kinematics: ArmKinem
 
 def test_limits_hold_where_the_only_way_is_beyond_them(whole: Hand) -> None:
     """A pose that needs a joint beyond its limit is out of reach once the limit is narrow."""
-    from dataclasses import replace
-
     q = np.tile(whole.rest, (1, 1))
     T = ArmKinematics(whole).palm(np.eye(4)[None], q)
     upper = whole.upper.copy()
@@ -98,6 +97,30 @@ def test_limits_hold_where_the_only_way_is_beyond_them(whole: Hand) -> None:
     assert not narrow.solve(np.eye(4), q[:, ~whole.arm_joints], T).reached[0]
     values, reached = narrow.follow(np.eye(4)[None], np.where(whole.arm_joints, rest, q), T)
     assert not reached[0] and -1.5 <= values[0, 0] <= -1.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_joints_leave_limits_at_which_they_start(whole: Hand, side: float) -> None:
+    """All start at a limit; the pose is inside, or one joint must stay at its limit with the least error left."""
+    arm, rest = whole.arm_joints, whole.rest
+    near, far = (np.where(arm, rest + side * step, rest) for step in (0.0, 0.5))
+    bounds = {"lower": np.where(arm, np.minimum(near, far), whole.lower),
+              "upper": np.where(arm, np.maximum(near, far), whole.upper)}  # fmt: skip
+    kinematics = ArmKinematics(replace(whole, **bounds))
+    start, wanted = near[None], np.where(arm, rest + side * np.linspace(0.1, 0.3, len(rest)), rest)[None]
+    T_base = T_BASE[None]
+    found, reached = kinematics.follow(T_base, start, kinematics.palm(T_base, wanted))
+    assert reached.all()
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+    beyond = wanted.copy()
+    beyond[0, 0] = rest[0] - side * 0.02
+    T = kinematics.palm(T_base, beyond)
+    found, reached = kinematics.follow(T_base, start, T, iterations=300)
+    assert not reached[0] and found[0, 0] == near[0]
+    at, J = kinematics.jacobian(T_base, found)
+    error = np.concatenate([T[0, :3, 3] - at[0, :3, 3], log_so3(T[0, :3, :3] @ at[0, :3, :3].T)])
+    pull = J[0].T @ (error * np.repeat([1.0, ROTATION_M_PER_RAD**2], 3))
+    assert side * pull[0] < -1e-4 and np.abs(pull[1:]).max() < 1e-6
 
 
 def test_jacobian_is_the_finite_difference_of_the_palm(whole: Hand, kinematics: ArmKinematics) -> None:

@@ -24,7 +24,8 @@ from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import links_of
 from grasp_refine.validation.validate import model_of
-from linkage_gripper import INNER_M, XML, passive_angles, write_gripper
+from linkage_gripper import DRIVER_M, FINGER_M, INNER_M, PIVOTS_M, XML, passive_angles, write_gripper
+from made_hands import BALL, joint, link, made_hand
 
 DRIVEN = {"right_driver_joint", "left_driver_joint"}
 
@@ -96,15 +97,26 @@ def test_it_is_a_hand_of_one_joint(hand: Hand) -> None:
     assert hand.actuator.kp == pytest.approx(50.0) and hand.actuator.force_limit == pytest.approx(5.0)
 
 
-def test_chains_of_the_hand_are_closed(hand: Hand) -> None:
+LINKS = ("right_inner", "right_finger", "left_inner", "left_finger")
+
+
+def worst_gap(hand: Hand) -> float:
+    """Largest distance in metres between the ends of a chain over the range of the drive."""
     q = np.linspace(hand.lower, hand.upper, 40)
-    links = ("right_inner", "right_finger", "left_inner", "left_finger")
-    T = Chain(hand, links)(np.tile(np.eye(4), (40, 1, 1)), q).T_world_link
+    T = Chain(hand, LINKS)(np.tile(np.eye(4), (40, 1, 1)), q).T_world_link
+    gaps = []
     for row, sign in ((0, 1.0), (2, -1.0)):
         tip = transform_points(T[:, row], np.array([sign * INNER_M[0], 0.0, INNER_M[1]]))
-        ends = transform_points(T[:, row + 1], np.array([[-0.02 * sign, 0.0, 0.0]]))
-        assert np.linalg.norm(tip - ends, axis=1).max() < 1e-5
-    torch_T = Kinematics(hand, links)(torch.eye(4, dtype=torch.float64).repeat(40, 1, 1), torch.as_tensor(q))
+        ends = transform_points(T[:, row + 1], np.array([[-FINGER_M * sign, 0.0, 0.0]]))
+        gaps.append(np.linalg.norm(tip - ends, axis=1).max())
+    return max(gaps)
+
+
+def test_chains_of_the_hand_are_closed(hand: Hand) -> None:
+    assert worst_gap(hand) < 1e-5
+    q = np.linspace(hand.lower, hand.upper, 5)
+    T = Chain(hand, LINKS)(np.tile(np.eye(4), (5, 1, 1)), q).T_world_link
+    torch_T = Kinematics(hand, LINKS)(torch.eye(4, dtype=torch.float64).repeat(5, 1, 1), torch.as_tensor(q))
     np.testing.assert_allclose(torch_T.numpy(), T, atol=1e-12)
 
 
@@ -159,20 +171,21 @@ def test_it_grasps_refines_and_holds(hand: Hand) -> None:
     assert simulate(refined).held[:, 1].sum() >= 2
 
 
-def test_an_equality_may_be_a_polynomial(tmp_path: Path) -> None:
-    """x1 - r1 = c0 + c1 (x2 - r2) + c2 (x2 - r2)^2, exactly."""
-    path = tmp_path / "curve.xml"
-    path.write_text(
-        """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.02"/>
-        <body name="a" pos="0.03 0 0"><joint name="a" ref="0.1" range="-1 1"/><geom size="0.01"/></body>
-        <body name="b" pos="-0.03 0 0"><joint name="b" ref="0.2" range="-2 2"/><geom size="0.01"/></body>
-        </body></worldbody>
-        <equality><joint joint1="b" joint2="a" polycoef="0.05 0.5 0.3 0 0"/></equality></mujoco>"""
-    )
-    hand = load_hand(path, candidates=64)
-    q = np.linspace(-1.0, 1.0, 9)[:, None]
-    matrix, offset, names = hand.mimic_map()
-    values = q @ matrix.T + offset + hand.curves(q)
-    expected = 0.2 + 0.05 + 0.5 * (q[:, 0] - 0.1) + 0.3 * (q[:, 0] - 0.1) ** 2
-    assert hand.joint_names == ("a",)
-    np.testing.assert_allclose(values[:, names.index("b")], expected, atol=1e-12)
+def test_a_urdf_whose_axes_point_the_other_way_keeps_the_chains_closed(tmp_path: Path) -> None:
+    """The drive turns backwards there, and so does one finger."""
+    write_gripper(tmp_path)
+    parts = [link("palm", BALL)]
+    for side, sign in (("right", 1), ("left", -1)):
+        driver, inner = PIVOTS_M
+        for part, parent, (x, z), way in (
+            ("driver", "palm", driver, -1), ("finger", f"{side}_driver", DRIVER_M, -sign), ("inner", "palm", inner, 1),
+        ):  # fmt: skip
+            name, turn = f"{side}_{part}", -sign * way
+            limits = (-0.9, 0.0) if part == "driver" else (-1.6, 1.6)
+            hinge = joint(
+                f"{name}_joint", parent, name, at=(sign * x, 0, z), axis=(0, turn, 0), limits=limits, effort=5
+            )
+            parts += [link(name, BALL), hinge]
+    hand = made_hand(tmp_path, *parts, name="linkage", toml='mjcf = "linkage.xml"')
+    assert hand.joint_names == ("right_driver_joint",) and (hand.lower[0], hand.upper[0]) == pytest.approx((-0.9, 0.0))
+    assert worst_gap(hand) < 1e-5

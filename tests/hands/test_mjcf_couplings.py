@@ -21,7 +21,8 @@ PARTS = (
 )
 
 MJCF = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.01"/>
-  <body name="a1" pos="0.05 0 0.02" euler="0 {ref} 0"><joint name="rh_A1" axis="0 1 0" ref="{ref}"/><geom size="0.01"/>
+  <body name="a1" pos="0.05 0 0.02" euler="0 {turn} 0"><joint name="rh_A1" axis="0 {first} 0" ref="{ref}"/>
+    <geom size="0.01"/>
     <body name="a2" pos="0 0 0.04"><joint name="rh_A2" axis="0 {sign} 0"/><geom size="0.01"/>
       <body name="a3" pos="0 0 0.04"><joint name="rh_A3" axis="0 1 0"/><geom size="0.01"/></body></body></body>
   <body name="b1" pos="-0.05 0.03 0.02"><joint name="rh_B1" axis="1 0 0"/><geom size="0.01"/></body>
@@ -32,9 +33,10 @@ TENDON = """<tendon><fixed name="pull"><joint joint="rh_A2" coef="{}"/><joint jo
   <position name="other" joint="rh_B1" kp="3"/>{}</actuator>"""
 
 
-def loaded(folder: Path, parts: str, *, sign: int = 1, ref: float = 0.0, toml: str = "") -> Hand:
-    """The hand of `PARTS` with an MJCF."""
-    (folder / "r.xml").write_text(MJCF.format(parts=parts, sign=sign, ref=ref))
+def loaded(folder: Path, parts: str, *, sign: int = 1, first: int = 1, ref: float = 0.0, toml: str = "") -> Hand:
+    """The hand of `PARTS` with an MJCF, in which A2 turns by `sign` x and A1 by `first` x as much."""
+    text = MJCF.format(parts=parts, sign=sign, first=first, ref=ref, turn=first * ref)
+    (folder / "r.xml").write_text(text)
     return made_hand(folder, *PARTS, name="r", toml=f'mjcf = "r.xml"\n{toml}')
 
 
@@ -107,18 +109,24 @@ EQUALITY = """<equality><joint joint1="rh_A2" joint2="rh_A1" polycoef="0.1 0.5 {
   <position name="other" joint="rh_B1" kp="3"/></actuator>"""
 
 
-def test_a_joint_equality_is_a_mimic_joint_that_moves_as_in_the_mjcf(tmp_path: Path) -> None:
-    hand = loaded(tmp_path, EQUALITY.format(0, "true"), sign=-1, ref=0.3)
+@pytest.mark.parametrize("bend", [0.0, 0.3])
+@pytest.mark.parametrize(("first", "sign"), [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_a_joint_equality_is_a_mimic_joint_that_moves_as_in_the_mjcf(
+    tmp_path: Path, first: int, sign: int, bend: float
+) -> None:
+    """There x2 = 0.1 + 0.5 (x1 - 0.3) + bend (x1 - 0.3)^2, and either joint may turn the other way."""
+    hand = loaded(tmp_path, EQUALITY.format(bend, "true"), sign=sign, first=first, ref=0.3)
     assert hand.joint_names == ("A1", "A3", "B1")
-    # There x2 = 0.1 + 0.5 (x1 - 0.3), and x2 turns the other way.
-    mimic = hand.joints_by_name["A2"].mimic
-    assert mimic is not None and mimic.joint == "A1"
-    np.testing.assert_allclose([mimic.multiplier, mimic.offset], [-0.5, 0.05])
+    q = np.array([[0.8, 0.2, -0.4], [-0.9, 0.2, 0.1], [0.3, 0.0, 0.0]])
+    matrix, offset, names = hand.mimic_map()
+    values = q @ matrix.T + offset + hand.curves(q)
+    x = first * q[:, 0] - 0.3
+    np.testing.assert_allclose(values[:, names.index("A2")], sign * (0.1 + 0.5 * x + bend * x**2), atol=1e-12)
     model = mjcf_model(hand, tmp_path / "r.xml")
     compiled = model.spec.compile()
     data = mujoco.MjData(compiled)
-    q = np.array([0.8, 0.2, -0.4])
-    for name, value in zip(model.joints, model.matrix @ q + model.offset, strict=True):
+    there = model.matrix @ q[0] + model.offset + (0.0 if model.curves is None else model.curves(q[0]))
+    for name, value in zip(model.joints, there, strict=True):
         data.joint(name).qpos = value
     mujoco.mj_forward(compiled, data)
     residual = data.efc_pos[: data.ne]
@@ -130,7 +138,7 @@ def test_a_tendon_does_not_tie_what_follows_the_other_way_in_the_urdf(tmp_path: 
     write_urdf(tmp_path, *PARTS[:-1], follower, name="r")
     tied = """<tendon><fixed name="t"><joint joint="rh_A2" coef="2"/><joint joint="rh_B1" coef="-1"/></fixed></tendon>
       <equality><tendon tendon1="t"/></equality><actuator><position joint="rh_B1"/></actuator>"""
-    (tmp_path / "r.xml").write_text(MJCF.format(parts=tied, sign=1, ref=0.0))
+    (tmp_path / "r.xml").write_text(MJCF.format(parts=tied, sign=1, first=1, ref=0.0, turn=0.0))
     hand = load_hand(tmp_path / "r.urdf", mjcf=tmp_path / "r.xml", candidates=16)
     assert hand.joint_names == ("A1", "A2", "A3")
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptive_gripper import write_adaptive_gripper
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_so3, inverse, log_so3, matvec, transform
 from grasp_refine.hands.chain import Chain, integrate
@@ -67,6 +68,19 @@ def test_hand_on_an_arm_moves_as_both_parts_do(arm: Hand, hand: Hand) -> None:
     T_flange = Chain(arm, ["tool0"])(base, q[:, :6]).T_world_link[:, 0]
     expected = Chain(hand, tips)(T_flange @ T_MOUNT, q[:, 6:]).T_world_link
     np.testing.assert_allclose(Chain(whole, tips)(base, q).T_world_link, expected, atol=1e-12)
+
+
+def test_linkage_hand_on_an_arm_keeps_its_chains_modes_and_compliance(arm: Hand, tmp_path: Path) -> None:
+    hand = load_hand(write_adaptive_gripper(tmp_path), candidates=64)
+    whole = mount(arm, hand, "tool0", T_MOUNT)
+    q, base, links = random_q(whole, 3), np.tile(np.eye(4), (3, 1, 1)), ["left_pad", "right_finger", "right_bar"]
+    T_flange = Chain(arm, ["tool0"])(base, q[:, :6]).T_world_link[:, 0]
+    expected = Chain(hand, links)(T_flange @ T_MOUNT, q[:, 6:]).T_world_link
+    np.testing.assert_allclose(Chain(whole, links)(base, q).T_world_link, expected, atol=1e-12)
+    assert hand.compliance is not None and hand.compliance[0] > 0.0
+    np.testing.assert_array_equal(whole.compliance, [*np.zeros(6), *hand.compliance])
+    np.testing.assert_allclose(whole.stiffness, [*arm.actuator.kp, *hand.stiffness])
+    assert whole.modes == hand.modes and whole.yielding == hand.yielding
 
 
 def test_names_that_both_have_get_the_prefix_of_the_arm(arm: Hand, hand: Hand) -> None:

@@ -6,10 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
+import linkage_gripper
 from adaptive_gripper import BAR_M, PIVOT_M, SPRING_NM_PER_RAD, SPRING_RAD, adaptive_gripper, write_adaptive_gripper
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.linkages.linkages import CLOSED_M, Linkage, linkages
-from grasp_refine.hands.linkages.transmission import transmission_compliance
+from grasp_refine.hands.linkages.transmission import TIMESTEP_S, transmission_compliance
+from grasp_refine.hands.linkages.yielding import YieldingMode
 
 DRIVER = "right_driver"
 
@@ -79,14 +81,49 @@ def test_slopes_are_as_in_the_twists(hand: Hand) -> None:
         np.testing.assert_allclose(mode.slope(link, q), differences, atol=1e-8)
 
 
+def test_bounds_are_between_those_at_known_values_and_give_way_with_the_springs() -> None:
+    """Where a limit holds at one of two values, the bound is the spring's torque at the other."""
+    least, greatest = np.array([-1.0, -3.0, -np.inf]), np.array([np.inf, 2.0, 4.0])
+    stiffness = np.array([10.0, 20.0, 60.0])
+    mode = YieldingMode("spring", "drive", np.array([0.0, 1.0, 3.0]), {}, least, greatest, stiffness)
+    at = np.array([0.0, 0.5, 1.0, 2.0, 9.0])
+    np.testing.assert_allclose(mode.bounds(at), [[-1.0, -2.0, -3.0, -3.0, -3.0], [2.0, 2.0, 2.0, 3.0, 4.0]])
+    more = 0.1 * np.array([10.0, 15.0, 20.0, 40.0, 60.0])
+    np.testing.assert_allclose(mode.bounds(at, 0.1), mode.bounds(at) + np.array([-1.0, 1.0])[:, None] * more)
+
+
 def test_compliance_is_in_series_with_the_actuator(hand: Hand) -> None:
     assert hand.compliance is not None
-    compliance = float(hand.compliance[0])
-    assert 0.002 < compliance < 0.05
-    assert hand.stiffness[0] == pytest.approx(1.0 / (1.0 / hand.actuator.kp[0] + compliance))
-    softer, linkage = solved(adaptive_gripper(solref="0.02 1"))
-    assert transmission_compliance(softer, linkage, ["right_pad", "left_pad"]) > 2.0 * compliance
-    assert transmission_compliance(softer, linkage, ["palm"]) == 0.0
+    assert hand.stiffness[0] == pytest.approx(1.0 / (1.0 / hand.actuator.kp[0] + hand.compliance[0]))
+
+
+@pytest.mark.parametrize("seconds", [0.008, 0.012])
+def test_compliance_is_the_work_of_soft_equalities(seconds: float) -> None:
+    """In statics an equality of MuJoCo gives way by its force times R / (k d); the driven joint stands still."""
+    soft = f'solref="{seconds} 1" solimp="0.99 0.99 0.001"'
+    model = mujoco.MjSpec.from_string(linkage_gripper.XML.replace(linkage_gripper.STIFF, soft)).compile()
+    (linkage,) = linkages(model, {"right_driver_joint", "left_driver_joint"}).linkages
+    model.opt.timestep, data = TIMESTEP_S, mujoco.MjData(model)
+    linkage.place(model, data, 0.5 * sum(linkage.range))
+    mujoco.mj_forward(model, data)
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    J = data.efc_J.reshape(-1, model.nv)[rows]
+    give = (data.efc_R / (data.efc_KBIP[:, 0] * data.efc_KBIP[:, 2]))[rows]
+    drive = model.joint("right_driver_joint").dofadr[0]
+    passive = np.arange(model.nv) != drive
+    # How all joints move with the driven one.
+    rate = np.linalg.lstsq(J[:, passive], -J[:, drive], rcond=None)[0]
+    jacobian, force, torque = np.zeros((3, model.nv)), np.zeros(model.nv), 0.0
+    for side in ("right", "left"):
+        mujoco.mj_jacBodyCom(model, data, jacobian, None, model.body(f"{side}_finger").id)
+        way = jacobian[:, passive] @ rate + jacobian[:, drive]
+        force += way @ jacobian / np.linalg.norm(way)
+        torque += np.linalg.norm(way)
+    held = np.linalg.lstsq(J[:, passive].T, force[passive], rcond=None)[0]
+    expected = (give * held**2).sum() / torque**2
+    tips = ["right_finger", "left_finger"]
+    assert transmission_compliance(model, linkage, tips) == pytest.approx(expected, rel=0.05)
+    assert transmission_compliance(model, linkage, ["palm"]) == 0.0
 
 
 def test_hands_without_closed_chains_have_none(tmp_path: Path) -> None:

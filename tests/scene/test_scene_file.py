@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,13 +84,49 @@ def test_bodies_are_where_the_file_says(tmp_path: Path) -> None:
     assert found.up == pytest.approx([0.0, 0.0, 1.0])
 
 
-def test_the_digest_is_of_what_is_where_around_the_object(tmp_path: Path) -> None:
-    table, ball = "[table]\nposition = [0, 0, {z}]\n", "[[body]]\nsphere = 0.03\nposition = [0.1, 0, {z}]\n"
-    named = ('[object]\nname = "mug"\nposition = [0, 0, {z}]\n', table, ball)
-    first = read(tmp_path, "".join(named).format(z=0.5)).digest
-    assert first == read(tmp_path, "".join(named).format(z=0.7)).digest
-    assert first != read(tmp_path, "".join(named).format(z=0.5).replace("0.03", "0.031")).digest
-    assert first != read(tmp_path, "".join(named[:2]).format(z=0.5)).digest
+DIGESTED = """lift = 0.1
+[object]
+name = "mug"
+position = [0, 0, 0.5]
+avoid = "above:z=0.01"
+[table]
+position = [0, 0, 0.5]
+[[body]]
+name = "ball"
+sphere = 0.03
+position = [0.1, 0, 0.5]
+margin = 0.002
+movable = true
+mass = 0.2
+[[body]]
+name = "post"
+box = [0.1, 0.1, 0.1]
+position = [0.3, 0, 0.5]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("0.5]", "0.7]", True),
+        ('name = "mug"', 'name = "bottle"', True),
+        ("sphere = 0.03", "sphere = 0.031", False),
+        ("[0.1, 0, 0.5]", "[0.1, 0.001, 0.5]", False),
+        ("margin = 0.002", "margin = 0.004", False),
+        ("mass = 0.2", "mass = 0.3", False),
+        ("movable = true\nmass = 0.2\n", "", False),
+        ('"ball"', '"tin"', False),
+        ("lift = 0.1", "lift = 0.2", False),
+        ("above:z=0.01", "above:z=0.02", False),
+        ("avoid", "touch", False),
+        ("0.5]\navoid", "0.5]\nrpy = [90, 0, 0]\navoid", False),
+    ],
+)
+def test_the_digest_is_of_what_is_where_around_the_object(tmp_path: Path, old: str, new: str, same: bool) -> None:
+    assert old in DIGESTED
+    first, second = read(tmp_path, DIGESTED), read(tmp_path, DIGESTED.replace(old, new))
+    assert (first.digest == second.digest) == same
+    assert replace(first, bodies=first.bodies[::-1]).digest == first.digest
 
 
 @pytest.mark.parametrize("name", list_scenes())

@@ -19,7 +19,7 @@ from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
-from grasp_refine.scene.surroundings import Surroundings, choose_bodies
+from grasp_refine.scene.surroundings import Surroundings, choose_bodies, scene_depths
 from grasp_refine.scene.task import Task
 from sliding_gripper import around_object, sliding_gripper
 
@@ -61,19 +61,26 @@ def brute_force(of: Surroundings, T: np.ndarray) -> np.ndarray:
     return query(Pairs(of.pairs.a, of.pairs.b), T[:, of.link], T_b).distance
 
 
-def test_all_pairs_that_are_near_are_found_while_hands_move(scene: Scene) -> None:
-    of, T = surroundings(scene, clutter(12, 0.09))
+def margins(of: Surroundings) -> np.ndarray:
+    """Margins (C,) of the bodies of all pairs."""
+    return np.array([of.environment.bodies[k].margin for k in of.body])
+
+
+def test_all_pairs_that_are_near_are_found_while_hands_fly_through(scene: Scene) -> None:
+    """Steps of 2 cm, more than the reach: bounds that forgot a part of the motion would miss what comes near."""
+    of, _ = surroundings(scene, clutter(12, 0.09))
     rng, previous, queried = np.random.default_rng(4), None, []
-    every = T.shape[0] * len(of.link)
-    T_root, q = scene.T_world_root, scene.q
-    for _ in range(6):
+    T_root, q = scene.T_world_root.copy(), scene.q
+    T_root[:, 0, 3] -= 0.1
+    for _ in range(10):
         T = HandObject.of(scene).chain(T_root, q).T_world_link
         expected = brute_force(of, T)
         with Stopwatch() as watch:
             previous = of.near(T, REACH, previous, most=len(of.link))
-        assert sum(watch.scene_pairs.values()) == every and watch.scene_pairs["query"] >= (previous.column >= 0).sum()
+        counts = watch.scene_pairs
+        assert sum(counts.values()) == expected.size and counts["query"] >= (previous.column >= 0).sum()
         assert (previous.bound <= expected + 1e-9).all()
-        near = expected - of.margin < REACH
+        near = expected - margins(of) < REACH
         found = np.zeros_like(near)
         row, place = np.nonzero(previous.column >= 0)
         found[row, previous.column[row, place]] = True
@@ -81,16 +88,38 @@ def test_all_pairs_that_are_near_are_found_while_hands_move(scene: Scene) -> Non
         distance = previous.witness.distance[row, place]
         assert distance == pytest.approx(expected[row, previous.column[row, place]], abs=1e-9)
         queried.append(previous.num_queries.sum())
-        T_root = integrate(T_root, rng.normal(size=(len(T), 6)) * 2e-3)
+        T_root = integrate(T_root, np.array([[0.02, 0, 0, 0, 0, 0]]) + rng.normal(size=(len(T), 6)) * 2e-3)
         q = np.clip(q + rng.normal(size=q.shape) * 2e-3, scene.hand.lower, scene.hand.upper)
     assert max(queried) < near.size / 2
 
 
+@pytest.mark.parametrize("count", [3, 30])
+def test_depths_are_of_the_deepest_pair_of_a_link_that_counts(scene: Scene, count: int) -> None:
+    """Margins aside; more grasps than are measured at once, one of which is nowhere."""
+    environment = clutter(count, 0.07)
+    T = np.tile(surroundings(scene, environment)[1], (12, 1, 1, 1))
+    T[:, :, :3, 3] += np.random.default_rng(3).uniform(-0.05, 0.05, (len(T), 1, 3))
+    T[5] = np.nan
+    prepared, counts = HandObject.of(scene), np.array([True, False, True, True])
+    found = scene_depths(environment, prepared.bodies, T, counts)
+    of = Surroundings.measured(environment, prepared.bodies)
+    assert of is not None
+    distance = np.where(counts[of.link], brute_force(of, np.nan_to_num(T)), np.inf)
+    expected = np.maximum(-distance.min(axis=1), 0.0)
+    expected[5] = np.nan
+    np.testing.assert_allclose(found.depth, expected, atol=1e-9)
+    inside = np.flatnonzero(expected > 0)
+    assert 5 < len(inside) < len(T)
+    deepest = distance.argmin(axis=1)[inside]
+    np.testing.assert_array_equal(found.link[inside], of.link[deepest])
+    np.testing.assert_array_equal(found.body[inside], of.body[deepest])
+
+
 def test_the_nearest_pairs_count_where_there_are_too_many(scene: Scene) -> None:
     of, T = surroundings(scene, clutter(30, 0.05))
-    expected = np.sort(brute_force(of, T) - of.margin, axis=1)[:, :5]
+    expected = np.sort(brute_force(of, T) - margins(of), axis=1)[:, :5]
     found = of.near(T, REACH, most=5)
-    slack = np.sort(found.witness.distance - of.margin[found.column], axis=1)
+    slack = np.sort(found.witness.distance - margins(of)[found.column], axis=1)
     assert slack == pytest.approx(expected, abs=1e-9)
 
 
@@ -155,12 +184,27 @@ def test_grasps_that_are_not_finite_have_nothing_near_and_leave_others_alone(sce
 
 
 def test_bodies_count_whose_boxes_the_grown_box_of_the_links_meets(scene: Scene) -> None:
-    near, far = clutter(5, 0.1), clutter(5, 2.0, seed=1)
-    _, T = surroundings(scene, near)
+    """And what hangs is as far as it comes while the object is lifted."""
+    environment = replace(clutter(40, 0.3), lift=0.05)
+    _, T = surroundings(scene, environment)
+    T = T[:2].copy()
+    T[1] = np.nan
     spheres = HandObject.of(scene).bounding_spheres
-    assert choose_bodies(near, spheres, T, 0.25).tolist() == [0, 1, 2, 3, 4]
-    assert choose_bodies(far, spheres, T, 0.25).tolist() == []
-    assert choose_bodies(far, spheres, T, 3.0).tolist() == [0, 1, 2, 3, 4]
+    center = T[0, :, :3, :3] @ spheres[:, :3, None]
+    center = center[..., 0] + T[0, :, :3, 3]
+    box = np.array([-0.3, 0.0, -0.1]), np.array([-0.2, 0.1, 0.1])
+    for slack, more in ((0.12, None), (0.25, None), (0.12, box)):
+        low, high = (center - spheres[:, 3:]).min(axis=0) - slack, (center + spheres[:, 3:]).max(axis=0) + slack
+        if more is not None:
+            low, high = np.minimum(low, more[0] - slack), np.maximum(high, more[1] + slack)
+        bounds = []
+        for k, T_body in enumerate(environment.T_object_body):
+            corners = [piece.transformed(T_body).bounds for piece in environment.cleared(k).pieces]
+            bounds.append([np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))])
+        meets = [bool(((first <= high) & (last >= low)).all()) for first, last in bounds]
+        assert 0 < sum(meets) < 40
+        assert choose_bodies(environment, spheres, T, slack, more).tolist() == np.flatnonzero(meets).tolist()
+    assert choose_bodies(environment, spheres, T[1:], 1.0).tolist() == []
 
 
 def test_bodies_that_are_far_change_nothing_to_the_last_bit(scene: Scene) -> None:
