@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from grasp_refine.collision.culling import bounding_sphere, motion, nothing_near, query_near
+from grasp_refine.collision.culling import bounding_sphere, motion, query_near
 from grasp_refine.collision.query import Pairs, QueryStatus, query
 from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
@@ -26,13 +26,6 @@ def test_balls_hold_their_bodies(name: str) -> None:
     for piece in body.pieces:
         assert (np.linalg.norm(piece.vertices - ball[:3], axis=1) + piece.radius <= ball[3] + 1e-12).all()
     assert (np.linalg.norm(body.candidates.points - ball[:3], axis=1) <= ball[3] + 1e-12).all()
-
-
-def test_one_ball_is_its_own_ball() -> None:
-    body = build_body("ball", [sphere(0.02, (0.1, 0.2, 0.3))])
-    np.testing.assert_allclose(bounding_sphere(body)[:3], [0.1, 0.2, 0.3], atol=1e-15)
-    # That of the bounding box may be a little wide, never too narrow.
-    assert bounding_sphere(body)[3] >= 0.02 - 1e-15
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-2, 1.0, 3.0])
@@ -93,12 +86,3 @@ def test_poses_that_are_not_finite_are_asked_and_said_to_be_so() -> None:
     found = query_near(pairs, bound, T, random_poses(4, 8), np.full((4, 1), 0.003), None)
     far = QueryStatus.FAR
     np.testing.assert_array_equal(found.status[:, 0], [far, QueryStatus.NOT_FINITE, far, far])
-
-
-def test_nothing_near_has_no_points_and_keeps_its_bounds() -> None:
-    bound = np.array([[0.1, 0.2]])
-    found = nothing_near(bound)
-    assert not found.valid.any() and not found.num_queries.any() and not found.point_a.any()
-    np.testing.assert_array_equal(found.distance, bound)
-    found.distance[0, 0] = 9.0
-    assert bound[0, 0] == 0.1

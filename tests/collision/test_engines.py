@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import fields
 from hashlib import sha256
@@ -152,42 +151,18 @@ def test_threads_change_nothing(both: tuple[Pairs, Pairs]) -> None:
 
 
 @native
-@pytest.mark.parametrize(("told", "threads"), [("1", 1), ("2", 2), ("3,1", 3)])
-def test_the_number_of_threads_is_that_of_openmp_and_few_items_take_one(told: str, threads: int) -> None:
-    code = "from grasp_refine.collision.native_search import threads_for; print(*map(threads_for, (1, 1000, 10**6)))"
-    result = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"OMP_NUM_THREADS": told}, capture_output=True, text=True
-    )
-    assert result.stdout.split() == ["1", "1", str(threads)], result.stderr
+@pytest.mark.parametrize(("variable", "threads"), [("1", 1), ("2", 2), ("3,1", 3)])
+def test_the_number_of_threads_is_that_of_openmp_and_few_items_take_one(
+    variable: str, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from grasp_refine.collision import native_search
 
-
-@native
-def test_other_threads_run_meanwhile(both: tuple[Pairs, Pairs]) -> None:
-    """With the GIL held, a thread that counts could take no step between the begin and the end of a query."""
-    pairs = both[0]
-    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(150, 0.02))
-    limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 150)
-    steps, done = [0], threading.Event()
-
-    def count() -> None:
-        while not done.is_set():
-            steps[0] += 1
-            time.sleep(1e-4)
-
-    other = threading.Thread(target=count)
-    other.start()
+    monkeypatch.setenv("OMP_NUM_THREADS", variable)
+    native_search._available.cache_clear()
     try:
-        # On a busy machine the thread may not get its turn during one of them.
-        for _ in range(1000):
-            before = steps[0]
-            pairs.search.query(pair, T_a, T_b, limit, None, 1)
-            if steps[0] > before + 10:
-                break
-        else:
-            pytest.fail("the thread stood still in every query")
+        assert [native_search.threads_for(items) for items in (1, 1000, 10**6)] == [1, 1, threads]
     finally:
-        done.set()
-        other.join()
+        native_search._available.cache_clear()
 
 
 @native
@@ -220,27 +195,6 @@ def test_arrays_for_other_items_are_refused(both: tuple[Pairs, Pairs]) -> None:
     for pair in ([0, len(both[0])], [-1, 0], [0]):
         with refused(ValueError, "shapes"):
             query_items(both[0], np.array(pair), T_a[0, :2], T_b[0, :2], cutoff=np.full(2, np.inf)[: len(pair)])
-
-
-@native
-def test_answers_are_written_where_they_are_wanted_or_refused(both: tuple[Pairs, Pairs]) -> None:
-    """An array of another type was converted, and the answer written into the copy."""
-    pairs, count = both[0].take(np.array([0])), 2
-    poses, limit = np.tile(np.eye(4), (count, 1, 1)), np.full(count, np.inf)
-
-    def ask(distance: np.ndarray, winner: np.ndarray) -> None:
-        points = np.empty((3, count, 3))
-        out = (*points, distance, np.empty(count, np.int8), winner, np.empty(count, np.int64))
-        pairs.search._compiled.query(None, poses, poses, limit, None, None, None, None, *out, 1)
-
-    ask(np.empty(count), np.empty(count, np.int64))
-    for distance, winner in (
-        (np.empty(count, np.float32), np.empty(count, np.int64)), (np.empty(count), np.empty(count, np.int32))
-    ):  # fmt: skip
-        with pytest.raises(TypeError, match="incompatible function arguments"):
-            ask(distance, winner)
-    with refused(ValueError, "shapes"):
-        ask(np.empty(count), np.empty(count + 1, np.int64))
 
 
 @native

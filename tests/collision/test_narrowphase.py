@@ -157,19 +157,6 @@ def test_a_radius_moves_the_surface_out() -> None:
     np.testing.assert_allclose(support_gap(thick, b, T, swept.normal), swept.distance, atol=2e-8)
 
 
-def test_both_bodies_may_have_a_radius_and_a_place_of_their_own() -> None:
-    rod = capsule(0.01, [0.05, 0, -0.02], [0.05, 0, 0.02])
-    thick = Piece(box([0.02, 0.02, 0.02]).vertices, box([0.02, 0.02, 0.02]).faces, radius=0.005)
-    # Turned by a quarter about z, the rod stands at y = 0.05 in the frame of the box.
-    T = np.eye(4)[None].copy()
-    T[0, :3, :3] = exp_so3(np.array([0.0, 0.0, np.pi / 2]))
-    found = ask(thick, rod, T)
-    assert found.distance[0] == pytest.approx(0.05 - 0.01 - 0.01 - 0.005, abs=1e-9)
-    np.testing.assert_allclose(found.normal, [[0, 1, 0]], atol=1e-6)
-    back = ask(rod, thick, inverse(T))
-    assert back.distance[0] == pytest.approx(found.distance[0], abs=1e-9)
-
-
 # traps
 
 
@@ -244,32 +231,6 @@ def test_capsules_whose_axes_cross_are_parted_across_both(turn: float, offset: f
         assert found.distance[0] == pytest.approx(-0.2, abs=1e-11)
         assert abs(found.normal[0] @ perpendicular[i]) == pytest.approx(1.0, abs=1e-6)
         assert support_gap(a, a, T[i : i + 1], found.normal)[0] == pytest.approx(-0.2, abs=1e-9)
-
-
-ROUND = {
-    "1000 vertices": (ellipsoid_hull(5, 1000), ellipsoid_hull(6, 1000)),
-    "discs": (cylinder(0.5, 0.8, sides=200), hull([*cylinder(0.4, 0.6, sides=200).vertices[::2], [0.0, 0.0, 1.0]])),
-}
-
-
-@pytest.mark.parametrize("name", ROUND)
-def test_no_way_out_of_round_bodies_is_shorter_than_the_depth(name: str) -> None:
-    """EPA ended after 64 iterations, wherever it was: up to 2e-3 of the size too deep."""
-    a, b = ROUND[name]
-    size = max(a.diagonal, b.diagonal)
-    T = poses(12, 8, 0.02 * size)
-    T[:4, :3, :3] = np.eye(3)
-    T[::2, :3, 3] = a.bounds.mean(axis=0) - T[::2, :3, :3] @ b.bounds.mean(axis=0)
-    found = ask(a, b, T)
-    assert (found.distance < 0).all()
-    for i in range(len(T)):
-        normals = np.concatenate([a.normals, -b.normals @ T[i, :3, :3].T])
-        ways = normals[np.linalg.norm(normals, axis=1) > 0.5]
-        gaps = support_gap(a, b, np.broadcast_to(T[i], (len(ways), 4, 4)), ways)
-        assert found.distance[i] >= gaps.max() - 1e-8 * size
-        np.testing.assert_allclose(
-            found.distance[i], support_gap(a, b, T[i : i + 1], found.normal[i : i + 1]), atol=1e-9
-        )
 
 
 def test_depths_of_balls_of_hundreds_of_vertices_are_as_in_the_hull_of_their_differences() -> None:
@@ -408,12 +369,12 @@ def test_an_answer_that_stays_wild_is_a_failure(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize(("a", "b"), TIED)
 def test_an_answer_does_not_depend_on_what_was_asked_before(a: Piece, b: Piece) -> None:
     """Where support points are not unique a query once began its search for them where the last one had ended."""
-    T = poses(60, 18, 0.05)
+    T = poses(20, 18, 0.05)
     T[::2, :3, :3] = np.eye(3)
     fresh = [ask(a, b, pose[None]) for pose in T]
     used = Pairs((piece_body(a), piece_body(b)), (piece_body(b), piece_body(a)))
-    guess = closest(used, poses(60, 19, 0.1))
-    for order in (np.arange(60), np.arange(60)[::-1], np.random.default_rng(0).permutation(60)):
+    guess = closest(used, poses(20, 19, 0.1))
+    for order in (np.arange(20), np.random.default_rng(0).permutation(20)):
         found = closest(used, T[order])
         closest(used, inverse(T), pair=1)
         closest(used, T, previous=guess)

@@ -49,17 +49,6 @@ def brute_force(a: Body, b: Body, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarra
     return query(Pairs(first, second), np.broadcast_to(T_a, shape), np.broadcast_to(T_b, shape)).distance
 
 
-@pytest.mark.parametrize(("spread", "penetrating"), [(0.03, True), (0.2, False)])
-def test_the_minimum_over_pieces_is_that_of_brute_force(spread: float, penetrating: bool) -> None:
-    a, b = cluster(0), cluster(1)
-    T_a, T_b = scattered(8, 5, spread)
-    found = query(Pairs((a,), (b,)), T_a, T_b)
-    assert ((found.distance < 0) == penetrating).mean() > 0.5
-    every = brute_force(a, b, T_a, T_b)
-    np.testing.assert_allclose(found.distance[:, 0], every.min(axis=1), atol=1e-8)
-    assert found.num_queries.mean() < 0.5 * every.shape[1]
-
-
 @pytest.fixture(scope="module")
 def many_pieces() -> tuple[Body, Body]:
     return cluster(3, 12), cluster(4, 10)
@@ -92,20 +81,6 @@ def test_bodies_of_many_pieces_get_the_minimum_of_brute_force(many_pieces: tuple
             assert not cut.point_a[~near].any() and not cut.normal[~near].any() and (cut.winner[~near] == -1).all()
 
 
-def test_the_cutoff_hides_only_what_is_farther() -> None:
-    a, b = cluster(0), cluster(1)
-    T_a, T_b = scattered(200, 9, 0.15)
-    pairs = Pairs((a,), (b,))
-    full, cut = query(pairs, T_a, T_b), query(pairs, T_a, T_b, cutoff=0.01)
-    near = full.distance < 0.01
-    assert near.any() and not near.all()
-    np.testing.assert_array_equal(cut.status[near], full.status[near])
-    np.testing.assert_allclose(cut.distance[near], full.distance[near], atol=1e-12)
-    assert (cut.status[~near] == QueryStatus.FAR).all()
-    assert not cut.valid[~near].any() and not cut.point_a[~near].any()
-    assert cut.num_queries.sum() < full.num_queries.sum()
-
-
 def test_nothing_is_below_a_cutoff_that_is_no_number() -> None:
     T_a, T_b = scattered(5, 3, 0.1)
     cutoff = np.full((5, 2), np.inf)
@@ -125,17 +100,6 @@ def test_poses_of_another_number_of_pairs_are_refused() -> None:
     pairs, T = Pairs((cluster(0),) * 3, (cluster(1),) * 3), np.tile(np.eye(4), (4, 2, 1, 1))
     with refused(CollisionError, "(batch, 3, 4, 4)", "(4, 2, 4, 4)"):
         query(pairs, T, T)
-
-
-def test_the_last_answer_changes_the_work_and_not_the_result() -> None:
-    a, b = cluster(0), cluster(1)
-    T_a, T_b = scattered(100, 11, 0.1)
-    pairs = Pairs((a,), (b,))
-    last = query(pairs, T_a, T_b)
-    T_b[..., :3, 3] += 1e-3
-    cold, warm = query(pairs, T_a, T_b), query(pairs, T_a, T_b, previous=last)
-    np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-8)
-    assert warm.num_queries.sum() <= cold.num_queries.sum()
 
 
 def test_bodies_are_kept_alive_and_normals_are_copies() -> None:

@@ -159,41 +159,6 @@ def random_grasps(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return -0.03 * normal + 0.004 * rng.normal(size=normal.shape), normal
 
 
-def test_the_value_is_between_nothing_and_one(free: Hand, coupled: Hand, ball: Object) -> None:
-    point, normal = random_grasps(30, 0)
-    distance = 0.01 * np.random.default_rng(1).normal(size=(30, 4))
-    for hand in (free, coupled):
-        found = of(hand, ball, point.tolist(), normal.tolist(), distance.tolist())
-        assert (found.value >= 0.0).all() and (found.value <= 1.0).all() and (found.score >= 0.0).all()
-        assert len(np.unique(found.value)) > 20
-
-
-def test_deeper_is_worse(free: Hand, ball: Object) -> None:
-    point, normal = random_grasps(10, 2)
-    values = [
-        of(free, ball, point.tolist(), normal.tolist(), np.full((10, 4), -depth).tolist()).value
-        for depth in (0.0, 0.001, 0.004, 0.02)
-    ]
-    assert (np.diff(values, axis=0) < 0.0).all()
-
-
-def test_less_friction_is_never_better(free: Hand, ball: Object, monkeypatch: pytest.MonkeyPatch) -> None:
-    point, normal = random_grasps(10, 3)
-    found = []
-    for friction in (0.02, LOW_FRICTION, 0.3):
-        monkeypatch.setattr("grasp_refine.forces.quality.LOW_FRICTION", friction)
-        found.append(of(free, ball, point.tolist(), normal.tolist()).value)
-    assert (np.diff(found, axis=0) >= -1e-5).all() and (found[2] > found[0] + 1e-3).any()
-
-
-def test_another_contact_is_never_worse_for_the_forces(free: Hand, ball: Object) -> None:
-    """It need not push."""
-    point, normal = random_grasps(20, 4)
-    three = of(free, ball, point[:, :3].tolist(), normal[:, :3].tolist())
-    four = of(free, ball, point.tolist(), normal.tolist())
-    assert (four.slippery <= three.slippery + 1e-4).all() and (four.pushed <= three.pushed + 1e-4).all()
-
-
 def test_tendons_are_never_better_than_a_motor_for_each_joint(free: Hand, coupled: Hand, ball: Object) -> None:
     point, normal = random_grasps(20, 5)
     one, other = (of(hand, ball, point.tolist(), normal.tolist()) for hand in (free, coupled))
@@ -226,14 +191,6 @@ def test_a_joint_is_strained_beyond_its_limit_and_not_within(name: str, ball: Ob
     np.testing.assert_array_equal(ample.shortcomings, without.shortcomings)
     np.testing.assert_array_equal(ample.value, without.value)
     np.testing.assert_array_equal(small.shortcomings[:, :4], without.shortcomings[:, :4])
-
-
-def test_who_needs_twice_the_torque_that_there_is_cannot_be_said_to_hold(free: Hand, ball: Object) -> None:
-    normal = -np.array([[[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]]) / np.sqrt(3.0)
-    grasp = (-0.03 * normal).tolist(), normal.tolist()
-    limit = 1e-5 * (1.0 + of(with_limit(free, 1e-5), ball, *grasp).strained[0])
-    assert of(with_limit(free, limit), ball, *grasp).value[0] > 0.99
-    assert of(with_limit(free, limit / 2), ball, *grasp).value[0] < 0.9
 
 
 # grasps on their own

@@ -65,20 +65,6 @@ def test_two_opposing_contacts_leave_the_worst_push(hand: Hand, ball: Object) ->
     assert residual(hand, ball, [[1, 0, 0], [-1, 0, 0]]) == pytest.approx(STRONG_PUSH_SHARE, abs=1e-3)
 
 
-def test_contacts_all_around_balance_every_strong_push(hand: Hand, ball: Object) -> None:
-    assert residual(hand, ball, [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) < 0.01
-
-
-def test_there_is_none_without_contacts(hand: Hand, ball: Object) -> None:
-    chain = Chain(hand, links_of(hand))
-    frames = chain(np.eye(4)[None], np.zeros((1, len(hand.joint_names))))
-    far = np.full((1, len(chain.links)), np.inf)
-    point, normal = np.zeros((2, 1, len(chain.links), 3))
-    none = np.zeros(far.shape, dtype=np.int64)
-    witness = Witness(point, point, normal, far, np.full(far.shape, QueryStatus.FAR), none, none)
-    assert np.isnan(residual_of(hand, ball, chain, frames, witness)).all()
-
-
 def test_it_is_the_same_in_another_frame(tmp_path: Path) -> None:
     """Everything turned and nothing else: pushes and pyramids are aligned to the hand."""
     hand, obj = claw(tmp_path), capsule()

@@ -60,15 +60,6 @@ def test_contacts_on_one_side_push_with_all_they_have(friction: float) -> None:
     assert found.residual[0] == pytest.approx(np.hypot(1.0, 0.02 / LEVER_M), abs=1e-6)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.15])
-def test_three_contacts_around_a_disc_share_the_load(friction: float) -> None:
-    angle = 2.0 * np.pi * np.arange(3) / 3
-    normal = -np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    found = of(normal, -0.04 * normal, friction=friction)
-    assert found.residual[0] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(found.force[0], normal / 3, atol=1e-6)
-
-
 def test_no_contact_carries_more_than_half() -> None:
     """A contact at +x against two at -x that are not opposite to it: it takes half, they a quarter each."""
     found = of([[-1, 0, 0], [1, 0, 0], [1, 0, 0]], [[0.03, 0, 0], [-0.03, 0.01, 0], [-0.03, -0.01, 0]])
@@ -129,10 +120,10 @@ def test_forces_are_allowed_and_make_the_residual(contacts: int, friction: float
     np.testing.assert_allclose(found.residual, np.linalg.norm(total, axis=1), atol=1e-9)
 
 
-@pytest.mark.parametrize(("contacts", "ridge"), [(2, RIDGE), (3, 1e-3), (5, RIDGE), (5, 0.2)])
+@pytest.mark.parametrize(("contacts", "ridge"), [(3, 1e-3), (4, RIDGE)])
 def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> None:
     """SLSQP over the edges of the pyramids instead of their faces."""
-    point, normal = random_contacts(6, contacts, seed=10 + contacts)
+    point, normal = random_contacts(2, contacts, seed=10 + contacts)
     found = single_load_forces(point, normal, ORIGIN, ridge=ridge)
     angle = 2.0 * np.pi * np.arange(NUM_EDGES) / NUM_EDGES
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -159,25 +150,6 @@ def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> Non
         assert cost(found.force[m]) == pytest.approx(other.fun, rel=1e-4, abs=1e-7)
 
 
-def test_moving_everything_changes_nothing() -> None:
-    """But for the pyramids, which are turned otherwise in their cones."""
-    point, normal = random_contacts(40, 4, seed=3)
-    center, shift = np.array([0.01, 0.0, -0.005]), np.array([0.3, -0.1, 0.2])
-    R = exp_so3(np.array([0.4, -1.1, 0.7]))
-
-    def residual(friction: float) -> np.ndarray:
-        return single_load_forces(point, normal, center, friction=friction).residual
-
-    def turned(friction: float) -> ContactForces:
-        return single_load_forces(point @ R.T + shift, normal @ R.T, R @ center + shift, friction=friction)
-
-    np.testing.assert_allclose(turned(0.0).residual, residual(0.0), atol=1e-9)
-    without = single_load_forces(point, normal, center, friction=0.0)
-    np.testing.assert_allclose(turned(0.0).force, without.force @ R.T, atol=1e-6)
-    assert (turned(0.15).residual <= residual(0.15 * INNER) + 1e-5).all()
-    assert (turned(0.15).residual >= residual(0.15 / INNER) - 1e-5).all()
-
-
 def test_forces_rotate_with_their_axes() -> None:
     """Loads, forms and pyramids too: each grasp has a rotation of its own."""
     point, normal = random_contacts(40, 4, seed=3)
@@ -191,58 +163,6 @@ def test_forces_rotate_with_their_axes() -> None:
     np.testing.assert_allclose(there.residual, here.residual, atol=1e-12)
     np.testing.assert_allclose(there.force, here.force @ R.mT, atol=1e-9)
     np.testing.assert_allclose(there.local, here.local, atol=1e-9)
-
-
-def test_more_friction_never_harms() -> None:
-    point, normal = random_contacts(40, 3, seed=4)
-    residuals = [
-        single_load_forces(point, normal, ORIGIN, friction=f, ridge=1e-9).residual for f in (0.0, 0.1, 0.3, 0.9)
-    ]
-    assert (np.diff(residuals, axis=0) <= 1e-7).all() and residuals[3].mean() < 0.5 * residuals[0].mean()
-
-
-def test_a_large_ridge_spreads_the_load() -> None:
-    point, normal = random_contacts(40, 8, seed=5)
-    little, much = (single_load_forces(point, normal, ORIGIN, ridge=ridge) for ridge in (RIDGE, 0.2))
-    assert ((much.pressure**2).sum(axis=1) <= (little.pressure**2).sum(axis=1) + 1e-9).all()
-    assert (much.residual >= little.residual - 1e-9).all()
-
-
-@pytest.mark.parametrize("loaded", [False, True])
-def test_the_order_of_contacts_means_nothing(loaded: bool) -> None:
-    point, normal = random_contacts(20, 5, seed=9)
-    load = np.array([0.1, -0.2, 0.05, 0.0, 0.1, 0.0]) if loaded else None
-    forms = np.random.default_rng(0).normal(size=(20, 2, 5, 3))
-    order = [3, 0, 4, 1, 2]
-    found = single_load_forces(point, normal, ORIGIN, load=load, forms=forms)
-    other = single_load_forces(point[:, order], normal[:, order], ORIGIN, load=load, forms=forms[:, :, order])
-    np.testing.assert_allclose(other.unbalanced, found.unbalanced, atol=1e-7)
-    np.testing.assert_allclose(other.force, found.force[:, order], atol=1e-4)
-
-
-def test_a_contact_that_comes_twice_may_carry_more_and_never_harms() -> None:
-    """Two opposing contacts are as good as ever; a lopsided grasp gains, since each of two may carry half."""
-    point, normal = random_contacts(20, 3, seed=10)
-    once = single_load_forces(point, normal, ORIGIN, ridge=1e-9)
-    twice = single_load_forces(
-        np.concatenate([point, point], axis=1), np.concatenate([normal, normal], axis=1), ORIGIN, ridge=1e-9
-    )
-    assert (twice.residual <= once.residual + 1e-6).all() and (twice.residual < once.residual - 1e-3).any()
-    pair = of([[-1, 0, 0], [1, 0, 0]] * 2, [[0.03, 0, 0], [-0.05, 0, 0]] * 2)
-    assert pair.residual[0] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(pair.pressure, 0.25, atol=1e-6)
-
-
-@pytest.mark.parametrize("azimuth", [0.1, 0.5, 1.2, 2.0])
-def test_level_normals_turn_no_pyramid(azimuth: float) -> None:
-    """Those of upright objects are level but for rounding; the basis once turned over where they are, and the residual
-    jumped."""
-    point, normal = random_contacts(30, 3, seed=11)
-    normal[:, 0] = [np.cos(azimuth), np.sin(azimuth), 0.0]
-    below, above = normal.copy(), normal.copy()
-    below[:, 0, 2], above[:, 0, 2] = -1e-12, 1e-12
-    residuals = [single_load_forces(point, n, ORIGIN).residual for n in (below, above)]
-    np.testing.assert_allclose(residuals[0], residuals[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -288,16 +208,6 @@ def test_a_load_that_turns_counts_by_the_length() -> None:
     point, normal = [[0.03, 0, 0], [-0.03, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
     found = of(normal, point, load=np.array([0, 0, 0, 0, 0, 0.3]), friction=0.0)
     assert found.residual[0] == pytest.approx(0.3) and found.unbalanced[0, 5] == pytest.approx(0.3)
-
-
-def test_each_grasp_may_have_a_load_of_its_own() -> None:
-    point, normal = random_contacts(5, 4, seed=13)
-    load = 0.2 * np.random.default_rng(1).normal(size=(5, 6))
-    together = single_load_forces(point, normal, ORIGIN, load=load)
-    for m in range(5):
-        alone = single_load_forces(point[[m]], normal[[m]], ORIGIN, load=load[m])
-        np.testing.assert_array_equal(alone.force[0], together.force[m])
-        np.testing.assert_array_equal(alone.unbalanced[0], together.unbalanced[m])
 
 
 def test_other_forms_count_with_the_rest_but_are_no_residual() -> None:

@@ -1,33 +1,49 @@
 """Refinement of hands on arms: the base stands still, and grasps are those of the hand without the arm."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from grasp_refine.collision.query import query
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import distances, exp_so3, transform, transform_from_pose
+from grasp_refine.core.se3 import distances, exp_so3, inverse, log_so3, matvec, transform
 from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.mount import mount
 from grasp_refine.hands.palm import palm_poses
 from grasp_refine.objects.object import Object, load_object
+from grasp_refine.refinement.clearance import clearances
+from grasp_refine.refinement.closing import close_hands
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.force_closure_search import (
+    START_JOINTS_RAD,
+    START_ROTATION_RAD,
+    START_TRANSLATION_M,
+    Search,
+)
+from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.max_move import MaxMove
+from grasp_refine.refinement.pinches import finger_room
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
+from grasp_refine.refinement.terms.stay_near import StayNear
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.refinement.variables import MAX_STEP, variables
 from grasp_refine.sampling.sample import sample_grasps
+from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.goal import Goal, goal_of
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from sliding_gripper import sliding_gripper
 
 FEW = LevenbergMarquardt(iterations=12)
 
@@ -63,14 +79,6 @@ def scene(whole: Hand, box: Object, grasps: GraspSet) -> Scene:
     """Return the same grasps on the arm."""
     placed, _ = on_arm(grasps, whole, T_BASE)
     return Scene(whole, box, placed.hand_pose, placed.q)
-
-
-def test_palms_on_the_arm_are_where_the_grasps_have_them(scene: Scene, grasps: GraspSet, whole: Hand) -> None:
-    """To a micrometre, with the base where it was told to be."""
-    moved, turned = distances(transform_from_pose(grasps.hand_pose), palm_poses(whole, scene.T_world_root, scene.q))
-    assert moved.max() < 1e-6 and turned.max() < 1e-6
-    np.testing.assert_allclose(scene.T_world_root, np.tile(T_BASE, (3, 1, 1)), atol=1e-12)
-    np.testing.assert_array_equal(scene.q[:, ~whole.arm_joints], grasps.q)
 
 
 def test_refined_grasps_on_an_arm_touch_as_without_it_and_the_base_stands_still(
@@ -143,21 +151,18 @@ def test_largest_movement_is_that_of_the_palm(scene: Scene) -> None:
     assert moved.max() > 1e-4
 
 
-def test_movement_from_the_start_is_measured_at_the_palm(scene: Scene) -> None:
+def test_movement_from_the_start_is_measured_at_the_palm(sliding: Scene) -> None:
     """Rows of staying near, by finite differences in the joints."""
-    from grasp_refine.refinement.grasp_problem import GraspProblem
-    from grasp_refine.refinement.terms.stay_near import StayNear
-    from grasp_refine.scene.goal import Goal
-
-    goal = Goal.nothing(3, len(scene.links))
+    scene = sliding
+    goal = Goal.nothing(4, len(scene.links))
     problem = GraspProblem(scene, goal, Config(weights=Weights(stay_near=1.0)))
     term = next(term for _, term in problem.terms if isinstance(term, StayNear))
-    rows, rng = np.arange(3), np.random.default_rng(0)
+    rows, rng = np.arange(4), np.random.default_rng(0)
     q = np.clip(scene.q + 0.05 * rng.normal(size=scene.q.shape), scene.hand.lower, scene.hand.upper)
     state = problem.evaluate(rows, Point(scene.T_world_root, q), None)
-    (found,) = term.rows(state, np.ones(3))
+    (found,) = term.rows(state, np.ones(4))
     h = 1e-6
-    for joint in (0, 3, 5, 9):
+    for joint in range(q.shape[1]):
         step = np.zeros_like(q)
         step[:, joint] = h
         a, b = (
@@ -165,6 +170,104 @@ def test_movement_from_the_start_is_measured_at_the_palm(scene: Scene) -> None:
             for sign in (-1, 1)
         )
         np.testing.assert_allclose(found.jacobian[:, :, 6 + joint], (b - a) / (2 * h), atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def sliding(tmp_path_factory: pytest.TempPathFactory, box: Object) -> Scene:
+    """Four grasps of a gripper of slides and a hinge on an arm, anywhere."""
+    hand = mount(load_hand("ur5e", candidates=32), sliding_gripper(tmp_path_factory.mktemp("gripper"), candidates=32))
+    rng, lower, upper = np.random.default_rng(3), np.maximum(hand.lower, -1.5), np.minimum(hand.upper, 1.5)
+    q = lower + (upper - lower) * rng.uniform(0.3, 0.7, (4, len(lower)))
+    return Scene(hand, box, np.tile(T_BASE, (4, 1, 1)), q)
+
+
+def test_palms_beyond_their_bounds_come_back_on_the_way_of_the_arm(sliding: Scene) -> None:
+    """All joints of the arm by the same share, to the bound; joints of the hand are bounded each by itself."""
+    bounds, hand, member = MaxMove(translation=0.01, rotation=0.05, joints=0.1), sliding.hand, np.array([2, 0, 3, 1])
+    arm, first = hand.arm_joints, sliding.q[member]
+    arm_q = np.flatnonzero(arm)
+    away = np.zeros_like(first)
+    away[:, arm_q] = 1e-3
+    away[1, arm_q[0]], away[2, arm_q[-1]] = 0.2, 0.3  # the first joint moves the palm, the last one turns it
+    away[:, ~arm] = [0.004, 0.3]
+    unknowns = variables(sliding, bounds)
+    found = unknowns.project(member, Point(sliding.T_world_root[member], first + away))
+    np.testing.assert_array_equal(found.T, sliding.T_world_root[member])
+    np.testing.assert_allclose((found.q - first)[:, ~arm], np.tile([0.004, 0.1], (4, 1)), atol=1e-12)
+    share = ((found.q - first) / np.where(arm, away, 1.0))[:, arm]
+    np.testing.assert_allclose(share, share[:, :1] + 0.0 * share, atol=1e-9)
+    np.testing.assert_array_equal(found.q[[0, 3]][:, arm], (first + away)[[0, 3]][:, arm])
+    start = Point(sliding.T_world_root[member], first)
+    moved, turned = distances(unknowns.palm(start), unknowns.palm(found))
+    assert moved[1] == pytest.approx(0.01, rel=1e-5) and turned[2] == pytest.approx(0.05, rel=1e-5)
+    assert moved.max() <= 0.01 and turned.max() <= 0.05
+    # A slide is bounded by 0.1 m per radian.
+    away[:, ~arm] = [0.02, 0.0]
+    far = unknowns.project(member, Point(sliding.T_world_root[member], first + away))
+    np.testing.assert_allclose((far.q - first)[:, ~arm][:, 0], 0.01, atol=1e-12)
+
+
+def test_twists_of_palms_are_of_the_grasps_that_step(sliding: Scene) -> None:
+    unknowns, member = variables(sliding, MaxMove()), np.array([3, 1])
+    dx = np.zeros((2, 6 + sliding.q.shape[1]))
+    dx[:, 6 + np.flatnonzero(sliding.hand.arm_joints)] = 1e-6 * np.random.default_rng(4).normal(size=(2, 6))
+    at = Point(sliding.T_world_root[member], sliding.q[member])
+    before, after = unknowns.palm(at), unknowns.palm(unknowns.move(at, dx))
+    twist = unknowns.palm_twist(member, dx)
+    np.testing.assert_allclose(twist[:, :3], (after - before)[:, :3, 3], atol=1e-10)
+    np.testing.assert_allclose(twist[:, 3:], log_so3(after[:, :3, :3] @ before[:, :3, :3].mT), atol=1e-10)
+
+
+def test_starts_of_the_search_move_the_palm_and_the_fingers_alone(sliding: Scene) -> None:
+    """The arm brings the palm to where a free hand would start; its joints have no noise of their own."""
+    hand, rows = sliding.hand, np.arange(4)
+    prepared = HandObject.of(sliding)
+    search = Search(sliding, prepared, Config(), np.full(4, Status.RUNNING), None, None)
+    search.touching[:, :2] = True
+    middle = prepared.chain(sliding.T_world_root, sliding.q).T_world_link[:, :2, :3, 3].mean(axis=1)
+    found = search.perturb(rows, np.ones(4, dtype=int))
+    before = palm_poses(hand, sliding.T_world_root, sliding.q)
+    noise = sample_noise(sliding, before, rows, np.ones(4, dtype=int), 0)
+    R = exp_so3(START_ROTATION_RAD * noise[:, 3:6])
+    wanted = before.copy()
+    wanted[:, :3, :3] = R @ before[:, :3, :3]
+    wanted[:, :3, 3] = middle + matvec(R, before[:, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
+    moved, turned = distances(wanted, palm_poses(hand, found.T, found.q))
+    reached = (moved < 1e-6) & (turned < 1e-6)
+    assert reached.sum() >= 3
+    joints = START_JOINTS_RAD * hand.per_radian * noise[:, 6:]
+    own = ~hand.arm_joints
+    np.testing.assert_allclose((found.q - sliding.q)[:, own], joints[:, own], atol=1e-12)
+    np.testing.assert_array_equal(found.T, sliding.T_world_root)
+
+
+def test_jaws_on_an_arm_have_the_room_and_close_as_without_it(box: Object) -> None:
+    """Arms neither open a jaw nor close it, and no link of an arm keeps a clearance."""
+    jaws = load_hand(Path(__file__).parents[1] / "two_jaws.urdf", candidates=32)
+    on_arm = mount(load_hand("ur5e", candidates=32), jaws)
+    own, q = ~on_arm.arm_joints, np.tile(np.where(on_arm.arm_joints, on_arm.rest, 0.04), (2, 1))
+    q[1, own] = 0.0301, 0.03
+    T_palm = palm_poses(on_arm, np.tile(np.eye(4), (2, 1, 1)), q)
+    # The base stands where the palm is below the box, which fits between the jaws.
+    T_jaws = np.tile(transform(np.eye(3), np.array([0.0, 0.0, -0.085])), (2, 1, 1))
+    base = T_jaws @ inverse(T_palm)
+    scenes = Scene(jaws, box, T_jaws, q[:, own]), Scene(on_arm, box, base, q)
+    rooms, closed, clearance = [], [], []
+    for one in scenes:
+        prepared = HandObject.of(one)
+        frames = prepared.chain(one.T_world_root, one.q)
+        T = frames.T_world_link
+        witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
+        touching = np.tile(np.isin(one.links, ["left_jaw", "right_jaw"]), (2, 1))
+        rooms.append(finger_room(prepared, frames, witness, touching))
+        closed.append(close_hands(one, prepared))
+        clearance.append(clearances(Config(clearance=1e-3), one.hand, prepared.chain))
+    np.testing.assert_allclose(rooms[1], rooms[0], atol=1e-9)
+    assert closed[0].moved_m[0] > 0.005
+    np.testing.assert_allclose(closed[1].q[:, own], closed[0].q, atol=1e-6)
+    np.testing.assert_array_equal(closed[1].q[:, ~own], q[:, ~own])
+    np.testing.assert_allclose(closed[1].moved_m, closed[0].moved_m, atol=1e-6)
+    assert not clearance[1].any()
 
 
 def test_squeeze_closes_the_fingers_and_not_the_arm(scene: Scene) -> None:
@@ -175,18 +278,6 @@ def test_squeeze_closes_the_fingers_and_not_the_arm(scene: Scene) -> None:
     pressed = squeezed(after)
     np.testing.assert_array_equal(pressed[:, arm], found.q[:, arm])
     assert (np.abs(pressed - found.q)[:, ~arm].max(axis=1) > 0.01).all()
-
-
-def test_grasp_turns_with_the_whole_scene(scene: Scene, whole: Hand, box: Object) -> None:
-    """Another place of the base, with the same palms, gives other arms; the same arms move with the base."""
-    T = transform(exp_so3(np.array([0.2, 0.1, 0.4])), np.array([0.1, 0.2, 0.3]))
-    kinematics = ArmKinematics(whole)
-    palm = kinematics.palm(scene.T_world_root, scene.q)
-    np.testing.assert_allclose(kinematics.palm(T @ scene.T_world_root, scene.q), T @ palm, atol=1e-12)
-    np.testing.assert_allclose(
-        kinematics.dexterity(T @ scene.T_world_root, scene.q), kinematics.dexterity(scene.T_world_root, scene.q),
-        atol=1e-12,
-    )  # fmt: skip
 
 
 def test_noise_moves_palms_on_an_arm_as_on_a_free_hand(scene: Scene) -> None:
@@ -211,10 +302,6 @@ def test_first_order_solvers_refuse_an_arm(scene: Scene) -> None:
 
 def test_links_of_the_arm_are_no_contacts(scene: Scene, whole: Hand) -> None:
     """However near they are: an object at the forearm is touched by no link that should."""
-    from grasp_refine.refinement.grasp_problem import GraspProblem
-    from grasp_refine.scene.contact_selection import ContactSelection
-    from grasp_refine.scene.goal import goal_of
-
     T = Chain(whole, ["forearm_link"])(np.eye(4)[None], whole.rest[None]).T_world_link[0, 0]
     base = np.eye(4)
     base[:3, 3] = -(T @ [-0.2, 0.0, 0.09, 1.0])[:3]

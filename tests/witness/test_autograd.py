@@ -14,7 +14,6 @@ from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.neighborhood import Adaptive
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
 from refusals import refused
@@ -96,29 +95,7 @@ def test_a_nonlinear_loss_of_everything_has_the_gradient_of_finite_differences(g
     np.testing.assert_allclose(found, slopes_along_twists(value, T_a, T_b, 1e-5), atol=1e-6)
 
 
-def test_the_gradient_in_the_entries_stays_within_rigid_motions() -> None:
-    """It pairs with rigid motions only: R^T G_R is skew and the last row is empty."""
-    pairs = two_pairs()
-    for G, T in zip(
-        gradients(WitnessLayer(pairs, ContactKinematics()), *near_poses(pairs, 3, 0.01, 2)),
-        near_poses(pairs, 3, 0.01, 2),
-        strict=True,
-    ):
-        skew = T[..., :3, :3].mT @ G[..., :3, :3]
-        torch.testing.assert_close(skew, -skew.mT, rtol=0, atol=1e-12)
-        assert not G[..., 3, :].any() and G[..., :3, 3].any()
-
-
 # no state between calls
-
-
-def test_a_second_derivative_is_refused() -> None:
-    pairs = Pairs((convex_body(0),), (convex_body(1),))
-    T_a, T_b = (T.requires_grad_() for T in near_poses(pairs, 2, 0.01, 30))
-    loss = WitnessLayer(pairs, Distance())(T_a, T_b).distance.square().sum()
-    (G,) = torch.autograd.grad(loss, T_a, create_graph=True)
-    with refused(GraspRefineError, "first derivatives"):
-        G.sum().backward()
 
 
 def test_a_second_derivative_of_a_plain_distance_is_refused_by_name() -> None:
@@ -131,19 +108,6 @@ def test_a_second_derivative_of_a_plain_distance_is_refused_by_name() -> None:
         torch.autograd.grad(G.sum(), T_b)
     (alone,) = torch.autograd.grad(layer(T_a, T_b).distance.sum(), T_a)
     torch.testing.assert_close(G.detach(), alone, rtol=0, atol=0)
-
-
-# layouts and types
-
-
-def test_one_pose_may_be_expanded_over_batch_and_pairs() -> None:
-    pairs = Pairs.against([convex_body(0), convex_body(1)], convex_body(2))
-    T_a, T_b = near_poses(pairs, 3, 0.02, 50)
-    pose = torch.eye(4, dtype=torch.float64, requires_grad=True)
-    layer = WitnessLayer(pairs, ContactKinematics())
-    weighed(layer(T_a, pose.expand(3, 2, 4, 4))).backward()
-    _, full = gradients(layer, T_a, torch.eye(4, dtype=torch.float64).repeat(3, 2, 1, 1))
-    torch.testing.assert_close(pose.grad, full.sum((0, 1)), rtol=1e-9, atol=1e-12)
 
 
 # gradients only where they are due
@@ -223,17 +187,6 @@ def test_pairs_that_were_not_answered_get_exact_zeros(name: str) -> None:
         same = torch.ones(4, 2, dtype=torch.bool)
         same[1, 0] = same[2, 1] = False
         torch.testing.assert_close(G[same], expected[same], rtol=1e-9, atol=1e-12)
-
-
-def test_the_last_answer_is_taken_up_and_changes_no_gradient() -> None:
-    pairs = two_pairs()
-    layer = WitnessLayer(pairs, ContactKinematics(Adaptive(samples=None)))
-    T_a, T_b = near_poses(pairs, 4, 0.01, 120)
-    last = layer(T_a, T_b).detached()
-    T_b[..., :3, 3] += 1e-4
-    warm, cold = gradients(layer, T_a, T_b, previous=last), gradients(layer, T_a, T_b)
-    for one, two in zip(warm, cold, strict=True):
-        torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
 
 
 def test_values_are_as_in_the_query() -> None:

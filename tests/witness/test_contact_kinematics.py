@@ -10,7 +10,7 @@ from ellipsoids import Contact, Ellipsoid, at_gap, motion
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.se3 import exp_se3, tangents, transform_points
 from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import box, capsule, sphere
+from grasp_refine.geometry.pieces import box, sphere
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import (
     ContactKinematics,
@@ -63,22 +63,6 @@ def test_true_curvatures_of_ellipsoids_give_the_true_motion(gap: float) -> None:
     for i, (a, b, c) in enumerate(found):
         expected = np.einsum("kij,ij->k", motion(a, b, c.n), forces[:, i, 0])
         np.testing.assert_allclose(wrenches[i], expected, rtol=1e-6, atol=1e-6)
-
-
-def test_points_and_normal_are_each_pulled_back_on_their_own() -> None:
-    a, b, c = at_gap(7, 0.004)
-    scene, method = scene_of([c]), ExactEllipsoids(bodies=((a, b),))
-    zero, J = np.zeros((1, 1, 3)), motion(a, b, c.n)
-    for column in range(3):
-        for axis in range(3):
-            forces = [zero, zero, zero]
-            forces[column] = np.eye(3)[axis][None, None]
-            found = np.concatenate([w[0, 0] for w in method.pull_back(scene, *forces)])
-            np.testing.assert_allclose(found, J[:, column, axis], atol=1e-5)
-    # Not looking at the normal is looking at it with no weight.
-    f, g = np.random.default_rng(1).normal(size=(2, 1, 1, 3))
-    for one, two in zip(method.pull_back(scene, f, g, None), method.pull_back(scene, f, g, zero), strict=True):
-        np.testing.assert_allclose(one, two, atol=1e-12)
 
 
 # in penetration, deeper than surfaces are round
@@ -159,19 +143,6 @@ def test_the_slide_is_the_same_seen_from_the_other_body(depth: float) -> None:
     np.testing.assert_allclose(turned @ swapped_b, -E @ U_a, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-@pytest.mark.parametrize("curvatures", [(1e4, 1e4), (1e4, 20.0), (20.0, 1e4), (300.0, 400.0)])
-def test_points_slide_with_the_movement_however_sharp_the_bodies(curvatures: tuple[float, float], depth: float) -> None:
-    """A translation of body b along the surface: on a the point goes with it, on b against it, twice as far at most."""
-    n = np.array([0.0, 0.0, 1.0])
-    E, (k_a, k_b) = tangents(n), curvatures
-    U_a, U_b = contact_slip_jacobian(np.zeros(3), n, np.asarray(depth), E, k_a * np.eye(2), k_b * np.eye(2))
-    for rows, sign in ((U_a, 1.0), (U_b, -1.0)):
-        along = sign * rows[:, :3] @ E
-        np.testing.assert_allclose(along, along[0, 0] * np.eye(2), atol=1e-12)
-        assert 0.0 < along[0, 0] <= 2.0
-
-
 # the fit
 
 
@@ -199,23 +170,6 @@ def test_fitted_curvature_of_finely_sampled_balls(
         bias = values.mean() - 1
         record_property(f"relative bias of the curvature of {name}", float(bias))
         np.testing.assert_allclose(values, 1.0, atol=0.3)
-
-
-@pytest.mark.parametrize("sampled", [False, True])
-def test_fitted_curvatures_give_the_axis_of_a_cylinder(sampled: bool) -> None:
-    rod = build_body("rod", [capsule(0.02, (0, 0, -0.1), (0, 0, 0.1))], candidates=8192)
-    ball = build_body("ball", [sphere(0.03)], candidates=8192)
-    pairs = Pairs((rod,), (ball,))
-    T = np.eye(4)[None, None]
-    T_b = T.copy()
-    T_b[..., 0, 3] = 0.06
-    witness = query(pairs, T, T_b)
-    method = replace(SAMPLED if sampled else ContactKinematics(), smallest_curvature=0.0)
-    scene = WitnessScene(*WitnessLayer(pairs, method).columns(np.array([0])), T, T_b, witness, None, None, 0)
-    E = tangents(witness.normal)
-    K = method.curvatures(scene, E)[0][0, 0]
-    in_space = E[0, 0] @ K @ E[0, 0].T
-    np.testing.assert_allclose(in_space, np.diag([0.0, 1 / 0.02, 0.0]), atol=0.1 / 0.02)
 
 
 def quadric(K: np.ndarray, count: int, seed: int, radius: float = 0.01) -> tuple[Neighbors, np.ndarray]:

@@ -75,31 +75,6 @@ def test_the_temperature_has_a_floor() -> None:
     np.testing.assert_allclose(slip, 0.0, atol=1e-15)
 
 
-def test_a_far_point_does_not_underflow() -> None:
-    near, y = cloud(seed=3)
-    smoothed, slip = smooth(near, y + 1e3, np.full((2, 4), 1e-12))
-    assert np.isfinite(slip).all()
-    scores = -((near.points - y[..., None, :] - 1e3) ** 2).sum(axis=3)
-    best = np.where(near.mask, scores, -np.inf).argmax(axis=2)
-    np.testing.assert_allclose(smoothed, np.take_along_axis(near.points, best[..., None, None], 2)[:, :, 0], atol=1e-9)
-
-
-def test_the_self_term_moves_the_witness_or_the_smoothed_point() -> None:
-    pairs = Pairs((convex_body(0),), (convex_body(1),))
-    scene = scene_of(pairs, *poses_at_gap(pairs, 3, 0.005, seed=6))
-    plain, smoothed = ALL.slip(scene), replace(ALL, smoothed_self=True).slip(scene)
-    np.testing.assert_array_equal(plain.self_a, scene.witness.point_a)
-    np.testing.assert_array_equal(plain.self_b, scene.witness.point_b)
-    np.testing.assert_array_equal(plain.A, smoothed.A)
-    for T, x, spacing in (
-        (scene.T_world_a, smoothed.self_a - plain.self_a, scene.surfaces.spacing[0]),
-        (scene.T_world_b, smoothed.self_b - plain.self_b, scene.surfaces.spacing[1]),
-    ):
-        away = np.linalg.norm(x, axis=-1)
-        assert (away > 0).all() and (away < 4 * spacing).all()
-        assert np.isfinite(inverse(T)).all()
-
-
 def test_the_neighbourhood_narrows_as_the_target_is_reached() -> None:
     pairs = Pairs((build_body("ball", [sphere(0.05)]),), (convex_body(1),))
     T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=8)

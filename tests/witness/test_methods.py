@@ -130,19 +130,6 @@ def test_direction_smoothing_differentiates_its_soft_support_point(gap: float) -
     np.testing.assert_allclose(A, np.linalg.solve(np.eye(3) + sign * C, sign * C), atol=1e-6)
 
 
-def test_direction_smoothing_loses_the_neighbourhood_as_the_gap_vanishes() -> None:
-    """Towards contact its slip no longer depends on curvature: that of a ball tends to a wrong limit."""
-    pairs = Pairs((body(sphere(0.03)),), (body(sphere(0.02)),))
-    errors = []
-    for gap in (0.02, 1e-6):
-        T_a, T_b = poses_at_gap(pairs, 6, gap, seed=9)
-        slip = Direction().slip(scene_of(pairs, T_a, T_b))
-        n = query(pairs, T_a, T_b).normal
-        exact = 0.03 / (0.03 + gap) * (np.eye(3) - n[..., :, None] * n[..., None, :])
-        errors.append(np.abs(slip.A - exact).max())
-    assert np.isfinite(errors).all() and errors[1] > 0.05 and errors[1] > 1.2 * errors[0], errors
-
-
 def test_rigid_points_stay_on_their_bodies() -> None:
     pairs = ball_and_capsule()
     T_a, T_b = poses_at_gap(pairs, 3, 0.01, seed=10)

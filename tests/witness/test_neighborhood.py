@@ -44,16 +44,6 @@ def index_of(surfaces: Surfaces, s: int, near: Neighbors, b: int) -> np.ndarray:
     return away.argmin(axis=1)
 
 
-def test_spacing_is_that_of_a_disc_with_twelve_candidates(surfaces: Surfaces) -> None:
-    for s, body in enumerate(BODIES):
-        assert surfaces.spacing[s] == pytest.approx(2 * np.sqrt(body.area / 1024))
-        assert surfaces.diagonal[s] == body.diagonal
-    # On a large face of the box the discs hold 4 pi candidates on average.
-    face = surfaces.points[2][surfaces.normals[2, :, 2] > 0.9]
-    inside = np.linalg.norm(face, axis=1) < np.hypot(0.01, 3 * surfaces.spacing[2])
-    assert inside.sum() / 9 == pytest.approx(4 * np.pi, rel=0.25)
-
-
 def test_all_candidates_within_the_radius_whose_normals_agree_are_chosen(surfaces: Surfaces) -> None:
     x, normal = witnesses(surfaces, 20, seed=1)
     near = choose(Adaptive(samples=None, without_target=6.0), surfaces, x, normal, None, 0)
@@ -99,17 +89,6 @@ def test_a_few_are_drawn_from_the_members_and_others_at_another_time(surfaces: S
     assert len({tuple(sorted(row)) for row in drawn}) == 4
 
 
-def test_over_time_all_members_are_drawn_about_equally_often(surfaces: Surfaces) -> None:
-    x, normal = witnesses(surfaces, 1, seed=4)
-    expected = members(surfaces, 0, x[0, 0], normal[0, 0], 0.3 * surfaces.diagonal[0])
-    times = np.zeros(1024)
-    for key in range(600):
-        times[index_of(surfaces, 0, choose(Fixed(0.3), surfaces, x, normal, None, draw_offset(7, key)), 0)] += 1
-    assert set(np.flatnonzero(times)) == set(expected)
-    share = times[expected] / times.sum() * len(expected)
-    assert 0.2 < share.min() and share.max() < 4.0
-
-
 def test_with_too_few_inside_the_nearest_ones_are_taken(surfaces: Surfaces) -> None:
     x, normal = witnesses(surfaces, 10, seed=5)
     near = choose(Adaptive(without_target=1e-3), surfaces, x, normal, None, 0)
@@ -144,19 +123,6 @@ def test_width_follows_the_target(surfaces: Surfaces) -> None:
     )
 
 
-@pytest.mark.parametrize("rule", [Adaptive(), Adaptive(without_target=0.5), Fixed(0.3)])
-def test_neighbours_of_an_item_do_not_depend_on_its_batch(surfaces: Surfaces, rule: Adaptive | Fixed) -> None:
-    x, normal = witnesses(surfaces, 12, seed=8)
-    together = choose(rule, surfaces, x, normal, None, 5)
-    for b in range(12):
-        alone = choose(rule, surfaces, x[:, b : b + 1], normal[:, b : b + 1], None, 5)
-        np.testing.assert_array_equal(alone.mask[:, 0], together.mask[:, b])
-        np.testing.assert_array_equal(
-            np.where(alone.mask[:, 0, :, None], alone.points[:, 0], 0.0),
-            np.where(together.mask[:, b, :, None], together.points[:, b], 0.0),
-        )
-
-
 def test_targets_are_points_of_the_bodies_and_not_of_the_world() -> None:
     """The scene passes targets through as they are, and witness points in the frame of their body."""
     pairs = Pairs((convex_body(0),), (convex_body(1),))
@@ -173,9 +139,3 @@ def test_targets_are_points_of_the_bodies_and_not_of_the_world() -> None:
     # Outward on both sides, and the other's witness lies d along that normal.
     for s in range(2):
         np.testing.assert_allclose(sides.other[s], sides.point[s] + w.distance * sides.normal[s], atol=1e-12)
-
-
-def test_draws_of_successive_iterations_spread_over_the_candidates() -> None:
-    offsets = np.sort([draw_offset(3, key) % 1024 for key in range(64)])
-    assert np.diff(offsets).max() < 64
-    assert draw_offset(0, 5) != draw_offset(1, 5)

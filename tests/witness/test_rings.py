@@ -69,32 +69,6 @@ def test_rings_are_the_vertices_within_so_many_edges(name: str, edges: int) -> N
     assert piece.rings(edges) is found  # built once
 
 
-def test_one_ring_is_the_edge_neighbours() -> None:
-    mesh = trimesh.creation.icosphere(subdivisions=2)
-    rings = Rings.of(mesh.vertices, mesh.faces, 1)
-    for vertex, neighbours in enumerate(mesh.vertex_neighbors):
-        assert set(row(rings, vertex)) == {vertex, *neighbours}
-    # Far from the 12 vertices of five edges, rings grow by six: 1 + 6 + 12 + 18 + ...
-    assert np.diff(Rings.of(*grid_mesh(15), 5).start).max() == 1 + 6 * (1 + 2 + 3 + 4 + 5)
-
-
-def grid_mesh(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of a flat triangulated grid."""
-    i, j = (axis.ravel() for axis in np.meshgrid(range(n - 1), range(n - 1)))
-    a, b, c, d = i * n + j, i * n + j + 1, (i + 1) * n + j, (i + 1) * n + j + 1
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(n), np.arange(n)))
-    vertices = np.stack([x, y, 0 * x], axis=1).astype(float)
-    return vertices, np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
-
-
-def test_rows_are_in_random_order_that_is_always_the_same() -> None:
-    piece, again = ellipsoid_hull(0), ellipsoid_hull(0)
-    np.testing.assert_array_equal(piece.rings(5).members, again.rings(5).members)
-    orders = [np.argsort(row(piece.rings(5), vertex)) for vertex in range(len(piece.vertices))]
-    rising = [np.corrcoef(order, np.arange(len(order)))[0, 1] for order in orders]
-    assert abs(np.mean(rising)) < 0.05
-
-
 def test_normals_are_weighted_by_area() -> None:
     sphere_like = PIECES["icosphere"]()
     normals = sphere_like.rings(1).normals

@@ -23,7 +23,6 @@ from grasp_refine.witness.pair_curvature import CORNER_CURVATURE_PER_M, PairCurv
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.size import length_factor
 from grasp_refine.witness.zeroth_order import ZerothOrder
-from grasp_refine_apps.bench.align.patch import Patch
 from shapes_for_tests import BODY_PAIRS
 from twists import gradient_along_twists, layer_gradient, poses_at_gap, random_cotangents
 
@@ -208,25 +207,3 @@ def test_what_stands_for_a_sharp_edge_scales_with_bodies_that_are_not_as_large_a
         # As of bodies of 1 cm, or 1 m.
         limit = CORNER_CURVATURE_PER_M * (0.01 if s < 1 else 1.0) / boxes(1.0).pairs.a[0].diagonal
         np.testing.assert_allclose(found.max(), limit, rtol=1e-6)
-
-
-def test_a_patch_scales_with_bodies_that_are_not_as_large_as_a_hand() -> None:
-    """Its epsilon of 10 um would be a tenth of a body of 0.1 mm."""
-    poses = np.tile(np.eye(4), (2, 8, 1, 1, 1))
-    rng = np.random.default_rng(6)
-    poses[1, ..., 2, 3] = 0.041
-    poses[1, ..., :2, 3] = 0.02 * rng.normal(size=(8, 1, 2))
-    targets = 0.05 * rng.normal(size=(2, 8, 1, 3))
-    moved = {}
-    for s in (1.0, 1e-3, 5e-4, 100.0, 50.0):
-        w = boxes(s)
-        T_a, T_b = (larger(T, s) for T in poses)
-        plain = query(w.pairs, T_a, T_b)
-        found = Patch().refine(w.pairs, T_a, T_b, plain, *(s * targets))
-        moved[s] = np.concatenate([found.point_a, found.point_b], axis=-1) / s
-        assert np.abs(found.point_a - plain.point_a).max() > 1e-3 * s
-    for s, other in ((1e-3, 5e-4), (100.0, 50.0)):
-        np.testing.assert_allclose(moved[s], moved[other], atol=1e-9)
-    # Of parallel faces all of the overlap is the patch, whatever its epsilon.
-    for s in moved:
-        np.testing.assert_allclose(moved[s], moved[1.0], atol=1e-5)

@@ -7,13 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from grasp_refine.collision.query import Pairs
 from grasp_refine.core.se3 import body_gradient, exp_se3, inverse
-from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.contact_kinematics import ContactKinematics
 from grasp_refine.witness.transport import EquivalentTransport, transport
-from shapes_for_tests import convex_body
-from twists import adjoint, poses_at_gap
+from twists import adjoint
 
 twists = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0))
 
@@ -61,25 +57,6 @@ def test_where_both_move_each_gets_the_others_update(steps: tuple[float, float])
         torch.testing.assert_close(body_gradient(T.detach(), T.grad) * scale, update + theirs)
 
 
-def test_where_both_move_the_relative_pose_moves_twice_as_far() -> None:
-    a, b = poses(24), poses(25)
-    weight = torch.from_numpy(np.random.default_rng(26).normal(size=(4, 4)))
-    scale = torch.tensor([1e-6] * 3 + [3e-6] * 3, dtype=torch.float64)
-
-    def motion(transported: EquivalentTransport | None) -> torch.Tensor:
-        leaves = [T.clone().requires_grad_() for T in (a, b)]
-        T_a, T_b = transported(*leaves) if transported else leaves
-        (weight * (inverse(T_a) @ T_b)).sum().backward()
-        new_a, new_b = (
-            T @ exp_se3(-scale * body_gradient(T, leaf.grad)) for T, leaf in zip((a, b), leaves, strict=True)
-        )
-        return inverse(new_a) @ new_b - inverse(a) @ b
-
-    alone = motion(None)
-    assert alone.abs().max() > 1e-6
-    torch.testing.assert_close(motion(EquivalentTransport(1e-6, 3e-6, both=True)), 2 * alone, rtol=1e-4, atol=1e-10)
-
-
 @pytest.mark.parametrize("both", [False, True])
 def test_transported_gradients_flow_through_a_chain_to_root_and_joints(both: bool) -> None:
     """Root and joint gradients are those of the explicit formula J^T (xi_link + xi~_link)."""
@@ -111,35 +88,3 @@ def test_transported_gradients_flow_through_a_chain_to_root_and_joints(both: boo
     torch.testing.assert_close(found_root, for_root)
     torch.testing.assert_close(q.grad, for_q)
     torch.testing.assert_close(body_gradient(T_object.detach(), T_object.grad), expected_object)
-
-
-def test_the_gradient_of_the_resting_body_alone_becomes_a_step_of_the_moving_one() -> None:
-    """To first order the transported step of a changes the relative pose as the step of b would have."""
-    steps = EquivalentTransport(1e-6, 3e-6)
-    T_a, T_b = poses(4).requires_grad_(), poses(5).requires_grad_()
-    weight = torch.from_numpy(np.random.default_rng(6).normal(size=(4, 4)))
-    moving, resting = steps(T_a, T_b)
-    (weight * resting).sum().backward()
-    scale = np.array([steps.step_translation] * 3 + [steps.step_rotation] * 3)
-    a, b = T_a.detach().numpy(), T_b.detach().numpy()
-    step_a, step_b = (scale * body_gradient(T, G.grad.numpy()) for T, G in ((a, T_a), (b, T_b)))
-    assert np.abs(step_a).max() > 1e-7
-    np.testing.assert_allclose(
-        inverse(a @ exp_se3(-step_a)) @ b, inverse(a) @ b @ exp_se3(-step_b), atol=1e-14, rtol=1e-12
-    )
-
-
-def test_with_transport_both_bodies_effect_on_a_relative_loss_adds_up() -> None:
-    """What only the relative pose decides: the transported gradient is no longer the derivative of the loss."""
-    pairs = Pairs((convex_body(0),), (convex_body(1),))
-    T_a, T_b = (torch.from_numpy(T).requires_grad_() for T in poses_at_gap(pairs, 4, 0.01, seed=7))
-    layer = WitnessLayer(pairs, ContactKinematics())
-
-    def gradient(*poses: torch.Tensor) -> torch.Tensor:
-        return torch.autograd.grad(layer(*poses).distance.sum(), T_a)[0]
-
-    plain, transported = gradient(T_a, T_b), gradient(*EquivalentTransport(1.0, 1.0)(T_a, T_b))
-    assert (plain - transported).abs().max() > 0.1
-    # Along the normal both bodies push the same way, so the linear part doubles.
-    linear = plain[..., :3, 3].norm(dim=-1)
-    torch.testing.assert_close(linear, torch.ones_like(linear), rtol=1e-9, atol=0)

@@ -13,7 +13,6 @@ from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.first_order import FirstOrder
 from grasp_refine.refinement.solvers.iterate import Point, minimise
-from grasp_refine.refinement.solvers.status import Status
 from refusals import refused
 from twists import log_se3
 
@@ -91,24 +90,6 @@ def test_a_gradient_of_zero_moves_nothing(solver: FirstOrder) -> None:
     assert np.isfinite(after.T).all() and np.isfinite(state.memory).all()
 
 
-@both
-def test_steps_lower_a_simple_loss(solver: FirstOrder) -> None:
-    """The squared distance of a frame's origin to a point, and the squares of the joint values."""
-    solver = replace(solver, step_translation=0.01)
-    point, _ = points(4, 7)
-    target = np.array([0.3, -0.1, 0.2])
-    state = first_state(solver, point)
-
-    def loss() -> np.ndarray:
-        return ((point.T[:, :3, 3] - target) ** 2).sum(axis=1) + (point.q**2).sum(axis=1)
-
-    first = loss()
-    for _ in range(300):
-        pull = (point.T[:, :3, :3].mT @ (point.T[:, :3, 3] - target)[..., None])[..., 0]
-        point, state = one_step(solver, point, np.concatenate([pull, np.zeros((4, 3)), point.q], axis=1), state)
-    assert (loss() < 1e-2 * first).all()
-
-
 # members and limits
 
 
@@ -133,15 +114,6 @@ def test_a_joint_that_starts_beyond_a_limit_may_only_come_back() -> None:
     after, _ = one_step(PAPER, point, inward, first_state(PAPER, point), -1.0, 1.0)
     np.testing.assert_allclose(after.q[0], [1.5 - 0.02 / np.sqrt(2), -1.5 + 0.02 / np.sqrt(2)])
     np.testing.assert_array_equal(after.q[1], q[1])
-
-
-@both
-def test_steps_in_single_precision_are_numbers_of_single_precision(solver: FirstOrder) -> None:
-    point, gradient = points(4)
-    after, state = one_step(solver, point, gradient, first_state(solver, point), dtype=torch.float32)
-    for out in (after.T, after.q, state.memory):
-        np.testing.assert_array_equal(out, out.astype(np.float32))
-        assert np.isfinite(out).all()
 
 
 # schedule
@@ -195,12 +167,3 @@ def test_settings_that_cannot_work_are_refused(
 ) -> None:
     with refused(GraspRefineError, *named):
         kind(**settings)
-
-
-def test_every_end_has_a_name_and_what_went_wrong_an_advice() -> None:
-    assert Status.NO_TARGET.label == "no target" and Status.CONVERGED.label == "converged"
-    for status in Status:
-        assert bool(status.advice) == (status not in (Status.RUNNING, Status.CONVERGED))
-    # Each thing that makes `Scene.valid` false.
-    for fault in ("rigid", "1e6 m", "normal"):
-        assert fault in Status.INVALID.advice

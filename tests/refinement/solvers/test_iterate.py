@@ -147,22 +147,6 @@ def test_a_budget_of_time_ends_members_with_the_best_they_had() -> None:
     assert (none.status == Status.BUDGET).all()
 
 
-def test_who_is_there_already_stays_there() -> None:
-    q = np.array([[0.5, 0.25]])
-    found = minimise(Valley(np.array([0.5])), Point(np.eye(4)[None], q), SOLVER, 1e-20)
-    assert found.status[0] == Status.CONVERGED and found.iterations[0] == 1
-    np.testing.assert_array_equal(found.point.q, q)
-
-
-def test_every_evaluation_is_an_iteration_and_its_queries_are_counted() -> None:
-    problem = Waves(np.zeros(6), rest=0.0)
-    problem.width = 2
-    found = minimise(problem, start_of(6), replace(SOLVER, restarts=5), 1e-20)
-    for m in range(6):
-        assert found.iterations[m] == len(problem.seen[m])
-        assert found.queries[m] == (2 + m % 3) * len(problem.seen[m])
-
-
 def test_members_with_another_status_are_not_touched() -> None:
     problem, start = Valley(np.linspace(-1, 1, 4)), start_of(4)
     status = np.array([Status.RUNNING, Status.NO_TARGET, Status.RUNNING, Status.NOT_FINITE])
@@ -290,14 +274,6 @@ def test_one_bad_member_changes_nothing_for_the_others(width: int) -> None:
     assert np.isnan(found.loss[3, 0]) and np.isnan(found.point.q[3]).all()
     # Trials without an answer are rejected, and others tried.
     assert np.isfinite(found.loss[5]).all() and found.loss[5, 1] < found.loss[5, 0]
-
-
-def test_a_first_point_without_an_answer_ends_the_member() -> None:
-    start = start_of(8, 5)
-    start.q[5] = [1.5, 0.0]
-    found = minimise(Spoilt(np.zeros(8)), start, replace(SOLVER, restarts=4), 1e-16)
-    assert found.status[5] == Status.NOT_FINITE and found.iterations[5] == 1
-    np.testing.assert_array_equal(found.point.q[5], [1.5, 0.0])
 
 
 # accounts

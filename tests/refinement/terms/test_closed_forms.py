@@ -113,14 +113,16 @@ def test_losses_of_balls_are_in_closed_form_for_both_kinds_of_solvers(name: str,
         scene = replace(scene, q=scene.q + np.random.default_rng(7).normal(size=scene.q.shape) * [0.02, 0.5])
     weights = Weights(**{**dict.fromkeys(term_kinds(), 0.0), name: WEIGHT})
     config, kind = Config(weights=weights, margin=MARGIN, clearance=CLEARANCE), term_kinds()[name]
-    expected = expected_loss(name, scene, goal)
-    assert (expected > 1e-6).sum() >= 8, "few grasps have a loss"
     point, rows = Point(scene.T_world_root, scene.q), np.arange(COUNT)
-    problems = [GraspProblem(scene, goal, config)] if kind.least_squares else []
-    problems += [Objective(scene, goal, replace(config, solver=Adam()))] if kind.autograd else []
-    for problem in problems:
-        found = problem.evaluate(rows, point, None).loss
-        np.testing.assert_allclose(found, WEIGHT * expected, rtol=1e-6, atol=1e-12, err_msg=type(problem).__name__)
+    # Where no link should touch, all that are near keep out of regions.
+    for aim in (goal, Goal.nothing(*goal.touching.shape)) if name == "region" else (goal,):
+        expected = expected_loss(name, scene, aim)
+        assert (expected > 1e-6).sum() >= 8, "few grasps have a loss"
+        problems = [GraspProblem(scene, aim, config)] if kind.least_squares else []
+        problems += [Objective(scene, aim, replace(config, solver=Adam()))] if kind.autograd else []
+        for problem in problems:
+            found = problem.evaluate(rows, point, None).loss
+            np.testing.assert_allclose(found, WEIGHT * expected, rtol=1e-6, atol=1e-12, err_msg=type(problem).__name__)
 
 
 def test_bodies_without_a_link_near_them_cost_nothing(scene: Scene, tmp_path: Path) -> None:

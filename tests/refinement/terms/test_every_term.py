@@ -67,8 +67,9 @@ def beside(margin: float) -> Environment:
 
 
 def with_goal(scene: Scene, name: str) -> Goal:
-    """Three links touch, one of them along a normal; for contacts two of them at targets, for regions one."""
-    rng, goal = np.random.default_rng(2), goal_of(scene, ContactSelection(links=scene.links[:3]))
+    """Three links touch, one of them along a normal; for contacts two at targets; for regions two touch, one at one."""
+    number = 2 if name == "region" else 3
+    rng, goal = np.random.default_rng(2), goal_of(scene, ContactSelection(links=scene.links[:number]))
     targets = np.full((2, COUNT, len(scene.links), 3), np.nan)
     direction = targets[0].copy()
     n = rng.normal(size=(COUNT, 3))
