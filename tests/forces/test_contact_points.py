@@ -12,7 +12,7 @@ from grasp_refine.core.se3 import exp_se3
 from grasp_refine.forces.quality import quality
 from grasp_refine.forces.squeeze import contacts, grasp_forces, squeezed
 from grasp_refine.forces.wrench import LEVER_M
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
@@ -251,14 +251,3 @@ def test_nothing_is_looked_for_where_no_link_is_flat(tmp_path, block: Object):
     T, q = gripping([0.0] * 6)
     points, *_ = points_of(jaws(tmp_path, ROUND_JAW), block, T, q)
     assert points.patches is None and points.point.shape[1] == 2
-
-
-def test_hands_whose_file_asks_for_no_patches_touch_in_points(tmp_path, block: Object) -> None:
-    jaws(tmp_path)
-    T, q = gripping([0.0] * 6)
-    for patches, asks in ((True, "true"), (False, "false")):
-        (tmp_path / "hand.toml").write_text(f"patches = {asks}")
-        hand = load_hand(tmp_path / "jaws.urdf")
-        points, *_ = points_of(hand, block, T, q)
-        assert hand.patches == patches and points.patched.all() == patches
-        assert np.isfinite(points.point[..., 0]).sum() == (8 if patches else 2)

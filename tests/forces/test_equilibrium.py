@@ -210,23 +210,6 @@ def test_contacts_that_are_switched_off_have_no_part_in_the_gradient(coupled: Ha
     assert not joints[2, names.index("T2")] and not joints[3, names.index("S1")]
 
 
-def test_a_step_that_the_tendons_feel_alone(coupled: Hand, bodies: dict[str, Object]) -> None:
-    """What the tendons add to the loss has the derivative that it should, apart from the rest of it."""
-    scene = around(coupled, bodies["sphere"], 12, 7)
-    both = [problem_of(scene), problem_of(replace(scene, hand=replace(coupled, coupled=())))]
-    gradients, differences, smooth = [], [], np.ones(12, dtype=bool)
-    for problem in both:
-        residual, J = rows(problem, at(scene), problem.evaluate(every(scene), at(scene), None))
-        gradients.append(2.0 * np.einsum("mrk,mr->mk", J, residual))
-        expected, same = slopes(problem, at(scene), 1e-6)
-        differences.append(expected)
-        smooth &= same
-    assert smooth.sum() >= 8
-    found, expected = gradients[0] - gradients[1], differences[0] - differences[1]
-    assert (cosine(found, expected)[smooth] >= 0.999).all()
-    assert (np.linalg.norm(found, axis=1) > 0.1 * np.linalg.norm(gradients[0], axis=1)).sum() >= 6
-
-
 def problem_map(problem: GraspProblem, point: Point, pushing: np.ndarray) -> np.ndarray:
     """What the local forces of all links come to (M, L, R, 3) where the hands are at some points."""
     known = problem.evaluate(np.arange(len(point.q)), point, None)
@@ -308,18 +291,6 @@ def test_the_row_of_one_grasp_does_not_depend_on_the_others(coupled: Hand, bodie
         np.testing.assert_allclose(np.einsum("rk,r->k", j[0], r[0]), gradient, atol=1e-9)
 
 
-def test_the_loss_and_its_rows_do_not_depend_on_the_last_evaluation(hand: Hand, bodies: dict[str, Object]) -> None:
-    """The search for the forces starts from the last ones."""
-    scene, rng = around(hand, bodies["sphere"], 8, 13), np.random.default_rng(13)
-    problem = problem_of(scene)
-    moved = stepped(at(scene), 1e-3 * rng.normal(size=(8, 6 + scene.q.shape[1])))
-    last = replace(problem.evaluate(every(scene), moved, None), loss=np.full(8, np.inf))
-    alone, after = (problem.evaluate(every(scene), at(scene), previous) for previous in (None, last))
-    np.testing.assert_allclose(after.loss, alone.loss, rtol=1e-9)
-    gradients = [2.0 * np.einsum("mrk,mr->mk", J, r) for r, J in (rows(problem, at(scene), s) for s in (alone, after))]
-    np.testing.assert_allclose(gradients[1], gradients[0], atol=1e-6 * np.abs(gradients[0]).max())
-
-
 # what is no grasp
 
 
@@ -337,22 +308,6 @@ def test_without_contacts_nothing_is_to_be_gained(coupled: Hand, bodies: dict[st
     residual, J = rows(problem, at(scene), known)
     assert np.isfinite(residual).all() and np.isfinite(J).all()
     np.testing.assert_allclose(np.einsum("mrk,mr->mk", J, residual)[1], 0.0, atol=1e-12)
-
-
-def test_a_single_contact_pushes_for_nothing(coupled: Hand, bodies: dict[str, Object]) -> None:
-    """All of its pressure is left, and the mean of the loads, which push in all directions, does not help."""
-    scene = replace(around(coupled, bodies["sphere"], 3, 12), hand=replace(coupled, coupled=()))
-    problem = problem_of(scene, ContactSelection(links=("thumb",)))
-    known = problem.evaluate(every(scene), at(scene), None)
-    loads = equilibrium_of(problem).loads
-    np.testing.assert_allclose(loads.mean(axis=0), 0.0, atol=1e-12)
-    # At most, friction takes some of the loads.
-    pushed = (loads**2).sum(axis=1).mean()
-    assert (known.loss <= 1.0 + pushed + 2.0 * RIDGE).all() and (known.loss >= 1.0 - PLANNING_FRICTION**2).all()
-    residual, J = rows(problem, at(scene), known)
-    expected, smooth = slopes(problem, at(scene), 1e-6)
-    found = 2.0 * np.einsum("mrk,mr->mk", J, residual)
-    np.testing.assert_allclose(found[smooth], expected[smooth], atol=1e-2)
 
 
 # real hands

@@ -196,14 +196,6 @@ def test_a_joint_is_strained_beyond_its_limit_and_not_within(name: str, ball: Ob
 # grasps on their own
 
 
-def test_a_grasp_does_not_depend_on_the_others(coupled: Hand, ball: Object) -> None:
-    point, normal = random_grasps(6, 6)
-    together = of(coupled, ball, point.tolist(), normal.tolist())
-    for m in range(6):
-        alone = of(coupled, ball, point[[m]].tolist(), normal[[m]].tolist())
-        np.testing.assert_allclose(alone.score[0], together.score[m], rtol=1e-9)
-
-
 def test_without_contacts_there_is_no_quality(free: Hand, ball: Object) -> None:
     """Links that are near but not near enough are none; the other grasp is as ever."""
     point, normal = OPPOSING[0] * 2, OPPOSING[1] * 2

@@ -217,16 +217,6 @@ def tension(hand: Hand, ahead: np.ndarray, group: Coupled) -> np.ndarray:
     return 4.0 * ahead[:, joints] @ np.array(group.ratio)
 
 
-def test_joints_of_a_tendon_share_the_mean_torque(mugs: Scene) -> None:
-    group = Coupled(mugs.hand.joint_names[2:4], (1.0, 1.0))
-    hand = tendons(mugs.hand, (group,), np.inf)
-    torque = np.random.default_rng(1).normal(size=(7, 16))
-    ahead = set_point_offsets(hand, torque, np.zeros_like(torque))
-    np.testing.assert_allclose(tension(hand, ahead, group), torque[:, 2:4].mean(axis=1))
-    np.testing.assert_allclose(ahead[:, 2], ahead[:, 3])
-    np.testing.assert_allclose(ahead[:, 4:], torque[:, 4:] / 4.0)
-
-
 def test_a_tendon_makes_the_nearest_torques_in_its_ratio(mugs: Scene) -> None:
     group = Coupled(mugs.hand.joint_names[5:8:2], (1.0, -0.5))
     hand = tendons(mugs.hand, (group,), np.inf)

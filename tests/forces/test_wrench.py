@@ -120,7 +120,7 @@ def test_forces_are_allowed_and_make_the_residual(contacts: int, friction: float
     np.testing.assert_allclose(found.residual, np.linalg.norm(total, axis=1), atol=1e-9)
 
 
-@pytest.mark.parametrize(("contacts", "ridge"), [(3, 1e-3), (4, RIDGE)])
+@pytest.mark.parametrize(("contacts", "ridge"), [(3, 1e-3), (3, RIDGE)])
 def test_no_other_solver_finds_better_forces(contacts: int, ridge: float) -> None:
     """SLSQP over the edges of the pyramids instead of their faces."""
     point, normal = random_contacts(2, contacts, seed=10 + contacts)
@@ -203,13 +203,6 @@ def test_a_load_across_is_taken_by_friction_up_to_its_limit() -> None:
         assert low - 1e-6 <= found.residual[0] <= high + 1e-6
 
 
-def test_a_load_that_turns_counts_by_the_length() -> None:
-    """Frictionless contacts on the line through the centre turn nothing."""
-    point, normal = [[0.03, 0, 0], [-0.03, 0, 0]], [[-1, 0, 0], [1, 0, 0]]
-    found = of(normal, point, load=np.array([0, 0, 0, 0, 0, 0.3]), friction=0.0)
-    assert found.residual[0] == pytest.approx(0.3) and found.unbalanced[0, 5] == pytest.approx(0.3)
-
-
 def test_other_forms_count_with_the_rest_but_are_no_residual() -> None:
     """A form that weighs heavily is kept at 0 where contacts can do without; here the third contact's pressure."""
     angle = 2.0 * np.pi * np.arange(4) / 4
@@ -256,16 +249,6 @@ def test_what_is_no_contact_counts_nothing() -> None:
     np.testing.assert_allclose(wide.residual, alone.residual, atol=1e-7)
     np.testing.assert_allclose(wide.force[:, place], alone.force, atol=1e-5)
     assert not wide.force[:, [1, 4]].any() and not wide.pressure[:, [1, 4]].any()
-
-
-def test_grasps_do_not_depend_on_the_others() -> None:
-    point, normal = random_contacts(7, 4, seed=7)
-    point[2, 1:], normal[5, 0] = np.nan, np.nan
-    together = single_load_forces(point, normal, ORIGIN)
-    for m in range(7):
-        alone = single_load_forces(point[m : m + 1], normal[m : m + 1], ORIGIN)
-        np.testing.assert_array_equal(alone.force[0], together.force[m])
-        np.testing.assert_array_equal(alone.residual[0], together.residual[m])
 
 
 def test_without_contacts_there_is_no_residual() -> None:

@@ -56,16 +56,13 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 GEOMETRY = Weights(wrench=0.0)
-TO_THE_END = {"patience": 10**9, "shares": (), "factors": ()}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", [Descent, Adam])
-def test_refinement_in_single_precision_goes_on_to_the_end(scene: Scene, solver: type) -> None:
+def test_refinement_in_single_precision_goes_on_to_the_end(scene: Scene) -> None:
     iterations = 2000
-    config = Config(
-        solver=solver(iterations=iterations, **TO_THE_END), dtype="float32", weights=GEOMETRY, tolerance=0.0
-    )
+    solver = Descent(iterations=iterations, patience=10**9, shares=(), factors=())
+    config = Config(solver=solver, dtype="float32", weights=GEOMETRY, tolerance=0.0)
     worst, poses = [], []
 
     def record(state: IterationState) -> None:
@@ -90,20 +87,28 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
-KEPT_ONCE = 500_000
-"""Bytes that caches of limited size, such as those of the checked annotations, still grow by; 160,000 were seen, after
-a hundred refinements as after a thousand, and more where other tests ran before."""
+KEPT_ONCE, WARM = 500_000, 150
+"""Bytes by which caches of limited size still grow (160,000 were seen); refinements that fill them: pytorch-kinematics
+keeps the last 128 chains for itself."""
 
 
-def check_no_growth(scene: Scene, config: Config, warm: int, count: int) -> None:
-    """Nothing is left of `count` refinements but 300 bytes each, which is less than the arrays of one."""
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("config", "count"),
+    [
+        (Config(solver=LevenbergMarquardt(iterations=2, restarts=0), weights=GEOMETRY), 1000),
+        (Config(solver=LevenbergMarquardt(iterations=3), starts=2), 200),
+        (Config(solver=Adam(iterations=2), weights=GEOMETRY, dtype="float32"), 200),
+    ],
+    ids=["closing", "holding", "adam"],
+)
+def test_many_refinements_leave_no_memory_behind(scene: Scene, config: Config, count: int) -> None:
+    """Nothing is left of them but 300 bytes each, which is less than the arrays of one."""
     tracemalloc.start()
     try:
-        # What is kept once is traced from here on: of what was there before, what takes its place would look like
-        # growth.
-        for _ in range(warm):
+        for _ in range(WARM):
             refine(scene, config)
-        # What other tests left in caches may still be replaced once; a leak goes on.
+        # Caches of other tests may be replaced once; a leak goes on.
         for _ in range(2):
             gc.collect()
             rss, (before, _) = resident(), tracemalloc.get_traced_memory()
@@ -116,22 +121,3 @@ def check_no_growth(scene: Scene, config: Config, warm: int, count: int) -> None
     finally:
         tracemalloc.stop()
     pytest.fail(f"{grown} bytes traced and {grown_rss} resident are left of {count} refinements")
-
-
-CLOSING = Config(solver=LevenbergMarquardt(iterations=2, restarts=0), weights=GEOMETRY)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("config", "count"),
-    [
-        (CLOSING, 1000),
-        (Config(solver=LevenbergMarquardt(iterations=3), starts=2), 200),
-        (Config(solver=Descent(iterations=2), weights=GEOMETRY), 200),
-        (Config(solver=Adam(iterations=2), weights=GEOMETRY, dtype="float32"), 200),
-    ],
-    ids=["closing", "holding", "descent", "adam"],
-)
-def test_many_refinements_leave_no_memory_behind(scene: Scene, config: Config, count: int) -> None:
-    # pytorch-kinematics keeps the last 128 chains for itself.
-    check_no_growth(scene, config, 150, count)

@@ -11,43 +11,30 @@ import numpy as np
 import pytest
 
 from boxed_example import FILE, boxed_example
-from grasp_refine.closing.motion import closing_motion
-from grasp_refine.core.json_files import dumps
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Refinement, refine
-from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.bounded_step import bounded_step
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.weights import Weights
-from grasp_refine.results.document import run_document
-from grasp_refine.results.outcome import compare
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.cli import main
 
 GEOMETRY = Weights(wrench=0.0)
-LM, DESCENT, ADAM = LevenbergMarquardt(iterations=25, restarts=1), Descent(iterations=4), Adam(iterations=4)
+LM, DESCENT = LevenbergMarquardt(iterations=25, restarts=1), Descent(iterations=4)
 CONFIGS = {
-    "levenberg-marquardt": Config(solver=LM, weights=GEOMETRY),
-    "levenberg-marquardt, holding": Config(solver=LM, starts=2),
-    "levenberg-marquardt, nearest": Config(solver=LM, weights=GEOMETRY, nearest=True),
-    "levenberg-marquardt, one at a time": Config(solver=LM, weights=GEOMETRY, width=1),
-    "levenberg-marquardt, near": Config(
-        solver=LM, weights=Weights(wrench=0.0, stay_near=1e-6), max_move=MaxMove(0.05, 0.5, 0.5)
-    ),
-    "descent": Config(solver=DESCENT, weights=GEOMETRY),
-    "descent, float32": Config(solver=DESCENT, weights=GEOMETRY, dtype="float32"),
-    "adam": Config(solver=ADAM, weights=GEOMETRY),
+    "holding": Config(solver=LM, starts=2),
+    "nearest": Config(solver=LM, weights=GEOMETRY, nearest=True),
+    "near": Config(solver=LM, weights=Weights(wrench=0.0, stay_near=1e-6), max_move=MaxMove(0.05, 0.5, 0.5)),
+    "descent": Config(solver=DESCENT, weights=GEOMETRY, dtype="float32"),
 }
-SLOW = ("descent", "adam", "levenberg-marquardt, one at a time")
-"""Those that go the way of another one: descent in single precision, and all at a time."""
 
 Poison = Callable[[np.ndarray, np.ndarray], None]
 """Changes a pose (4, 4) and joint values (n,) in place."""
@@ -104,17 +91,11 @@ def aimed(scene: Scene) -> Scene:
     return replace(scene, target_link=goal.target_link, target_object=goal.target_object)
 
 
-def taken(scene: Scene, index: np.ndarray) -> Scene:
-    names = ("T_world_root", "q", "target_link", "target_object", "direction")
-    values = {name: None if getattr(scene, name) is None else getattr(scene, name)[index].copy() for name in names}
-    return replace(scene, **values)
-
-
 def poisoned(scene: Scene) -> tuple[Scene, np.ndarray, np.ndarray]:
     """The grasps with poisoned ones between them, where the four are, and where the others are."""
     count = len(POISONS)
     index = np.concatenate([[0, 1], np.resize(np.arange(4), count), [2, 3]])
-    mixed = taken(scene, index)
+    mixed = scene.select(index)
     bad = 2 + np.arange(count)
     for row, (poison, _) in zip(bad, POISONS.values(), strict=True):
         poison(mixed.T_world_root[row], mixed.q[row])
@@ -141,9 +122,7 @@ def strict(text: str) -> dict:
 # refinement
 
 
-@pytest.mark.parametrize(
-    "name", [name if name not in SLOW else pytest.param(name, marks=pytest.mark.slow) for name in CONFIGS]
-)
+@pytest.mark.parametrize("name", CONFIGS)
 def test_poisoned_poses_spoil_only_themselves(scene: Scene, name: str) -> None:
     """A hand at 1e300 m, or joint values that overflowed, once ended the refinement of all."""
     config = CONFIGS[name]
@@ -159,43 +138,14 @@ def test_poisoned_poses_spoil_only_themselves(scene: Scene, name: str) -> None:
     assert np.isnan(found.loss[bad]).all() and not found.iterations[bad].any() and not found.touching[bad].any()
 
 
-def test_their_measures_are_null_in_valid_json(scene: Scene) -> None:
-    """A pose 1e30 m away once ended in "Singular matrix" when its pregrasp was looked for."""
-    config = CONFIGS["levenberg-marquardt"]
-    mixed, good, bad = poisoned(scene)
-    found = refine(mixed, config)
-    motion = closing_motion(replace(mixed, T_world_root=found.T_world_root, q=found.q))
-    rows = np.arange(len(mixed.q))
-    outcome = compare(mixed, found, motion, margin=0.0, name="box", scale=1.0, row=rows, index=rows)
-    entries = strict(dumps(run_document(outcome, config, config={}, wall_s=1.0, cpu_s=1.0)))["grasps"]
-    for row, (key, (_, status)) in zip(bad, POISONS.items(), strict=True):
-        entry = entries[row]
-        assert entry["status"] == status.label and entry["advice"].startswith(status.advice), key
-        assert entry["quality"] == {"before": None, "after": None}, key
-        assert (entry["penetration_m"]["after"] is None) == (key != "1e6 m away"), key
-        assert (entry["moved_palm_m"] is None) == (key != "1e6 m away"), key
-    assert all(entries[row]["quality"]["after"] > 0 for row in good)
-    # Those of the others are as without them.
-    alone = refine(scene, config)
-    motion_alone = closing_motion(replace(scene, T_world_root=alone.T_world_root, q=alone.q))
-    np.testing.assert_allclose(motion.T_world_root[good], motion_alone.T_world_root, atol=1e-9)
-    np.testing.assert_allclose(motion.q[good], motion_alone.q, atol=1e-9)
-    nowhere = bad[[key != "1e6 m away" for key in POISONS]]
-    assert np.isnan(motion.q[nowhere]).all() and np.isnan(motion.T_world_root[nowhere]).all()
-
-
-@pytest.mark.parametrize(
-    "solver",
-    [LM, DESCENT, pytest.param(ADAM, marks=pytest.mark.slow)],
-    ids=["levenberg-marquardt", "descent", "adam"],
-)
+@pytest.mark.parametrize("solver", [LM, DESCENT], ids=["levenberg-marquardt", "descent"])
 @pytest.mark.parametrize("side", ["target_link", "target_object"])
 def test_impossible_targets_spoil_only_themselves(aimed: Scene, side: str, solver: object) -> None:
     """A target 1e6 m from its link made a matrix singular, which once ended the refinement of all."""
     config = Config(solver=solver, weights=GEOMETRY)
     values = {np.inf: Status.INVALID, 1e30: Status.INVALID, 1e300: Status.INVALID, 1e6: Status.UNREACHABLE}
     values |= {0.3: Status.UNREACHABLE, -1e3: Status.UNREACHABLE}
-    mixed = taken(aimed, np.concatenate([np.arange(4), np.ones(len(values) + 1, dtype=int)]))
+    mixed = aimed.select(np.concatenate([np.arange(4), np.ones(len(values) + 1, dtype=int)]))
     points = getattr(mixed, side)
     column = int(np.flatnonzero(np.isfinite(points[1, :, 0]))[0])
     for row, value in enumerate(values, 4):
@@ -215,7 +165,7 @@ def test_wanted_normals_that_are_none_spoil_only_themselves(scene: Scene, solver
     wanted[:, 0] = [0.0, 0.0, -1.0]
     clean = replace(scene, direction=wanted)
     nonsense = ([np.inf, 0, 0], [0, 0, 0], [1e200, 0, 0], [0, 2, 0], [1, np.nan, 0])
-    mixed = taken(clean, np.concatenate([np.arange(4), np.ones(len(nonsense), dtype=int)]))
+    mixed = clean.select(np.concatenate([np.arange(4), np.ones(len(nonsense), dtype=int)]))
     mixed.direction[4:, 0] = nonsense
     found = refine(mixed, config)
     same(found, refine(clean, config), np.arange(4), np.arange(4))
@@ -224,8 +174,8 @@ def test_wanted_normals_that_are_none_spoil_only_themselves(scene: Scene, solver
 
 def test_a_batch_of_nothing_but_poison_ends_at_once(scene: Scene) -> None:
     mixed, _, bad = poisoned(scene)
-    for config in (CONFIGS["levenberg-marquardt, holding"], CONFIGS["descent"]):
-        found = refine(taken(mixed, bad), config)
+    for config in (CONFIGS["holding"], CONFIGS["descent"]):
+        found = refine(mixed.select(bad), config)
         assert np.isin(found.status, UNUSABLE).all() and not found.iterations.any()
 
 
@@ -286,24 +236,12 @@ def check_results(clean: Path, poisoned: Path) -> None:
         assert np.isnan(found["quality_after"][BAD]).all() and np.isnan(found["squeeze_q"][BAD]).all()
 
 
-OPTIONS = {
-    "levenberg-marquardt": ("--geometry-only", "--iterations", "20"),
-    "descent": ("--solver", "descent", "--iterations", "3"),
-    "adam": ("--solver", "adam", "--iterations", "3"),
-}
-
-
-@pytest.mark.parametrize(
-    "solver", [name if name[0] == "l" else pytest.param(name, marks=pytest.mark.slow) for name in OPTIONS]
-)
-def test_run_refines_the_others_of_a_file(
-    files: Path, workplace: Path, solver: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_run_refines_the_others_of_a_file(files: Path, workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """One NaN once cost a file all of its grasps, and a result file all of its pregrasps and squeezes."""
-    proof = ("--validate",) if solver == "levenberg-marquardt" else ()
+    options = "--geometry-only", "--iterations", "20", "--validate"
     for name in ("clean", "poisoned"):
-        arguments = ("--grasps", files / f"{name}.npz", "--out", name, "--json", f"{name}.json", *OPTIONS[solver])
-        assert main(["run", *map(str, arguments), *proof]) == 0
+        arguments = ("--grasps", files / f"{name}.npz", "--out", name, "--json", f"{name}.json", *options)
+        assert main(["run", *map(str, arguments)]) == 0
     check_results(Path("clean/allegro_rounded_box.npz"), Path("poisoned/allegro_rounded_box.npz"))
     text = " ".join(capfd.readouterr().out.split())
     assert f"3 not finite (2, 3, 4): {Status.NOT_FINITE.advice}" in text
@@ -311,11 +249,9 @@ def test_run_refines_the_others_of_a_file(
     grasps = strict(Path("poisoned.json").read_text())["grasps"]
     assert [grasps[row]["status"] for row in BAD] == LABELS
     assert all(grasps[row]["penetration_m"] == {"before": None, "after": None} for row in BAD)
-    if proof:
-        reasons = [grasp["simulation"]["after"]["reason"] for grasp in grasps]
-        assert [reasons[row] for row in BAD] == ["not finite"] * 5 and "not finite" not in [
-            reasons[row] for row in GOOD
-        ]
+    reasons = [grasp["simulation"]["after"]["reason"] for grasp in grasps]
+    assert [reasons[row] for row in BAD] == ["not finite"] * 5
+    assert "not finite" not in [reasons[row] for row in GOOD]
     # What came out goes in again.
     assert len(load_grasps("poisoned/allegro_rounded_box.npz")) == 9
 

@@ -178,13 +178,6 @@ def aimed(scene: Scene, seed: int) -> Scene:
     return replace(scene, target_link=on_link, target_object=on_object)
 
 
-def rows_of(scene: Scene, rows: Iterable[int]) -> Scene:
-    index = np.array(list(rows))
-    targets = {name: getattr(scene, name) for name in ("target_link", "target_object")}
-    targets = {name: None if array is None else array[index] for name, array in targets.items()}
-    return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index], **targets)
-
-
 def assert_near(found: Refinement, other: Refinement, rows: Iterable[int], atol: float) -> None:
     index = np.array(list(rows))
     np.testing.assert_allclose(found.T_world_root, other.T_world_root[index], rtol=0, atol=atol)
@@ -212,7 +205,7 @@ def test_one_step_of_a_grasp_is_the_one_that_it_takes_alone(
         config = PLANS[plan](iterations)
         whole = refine(scene, config, prepared=prepared)
         for rows in ([alone],) if whole_run else (order, [alone]):
-            part = refine(rows_of(scene, rows), config, prepared=prepared)
+            part = refine(scene.select(rows), config, prepared=prepared)
             np.testing.assert_array_equal(part.status, whole.status[rows])
             if whole_run:
                 np.testing.assert_allclose(part.loss[:, 1], whole.loss[rows, 1], rtol=1e-3, atol=1e-9)

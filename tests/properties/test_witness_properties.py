@@ -30,7 +30,6 @@ from grasp_refine.witness.rings import Neighbor
 from shapes_for_tests import cluster_body, ellipsoid_hull, ring_body
 from twists import FIELDS
 
-HALF = settings(max_examples=settings().max_examples // 2)
 FEWER = settings(max_examples=max(8, settings().max_examples // 3))
 
 CONVEX = {
@@ -166,13 +165,6 @@ def test_a_plane_across_the_normal_proves_the_distance(meeting: Meeting) -> None
     np.testing.assert_allclose(across, w.distance[..., None] * w.normal, rtol=0, atol=meeting.tolerance())
 
 
-@given(meetings(("ball",)))
-def test_two_balls_are_as_far_apart_as_their_centres_less_their_radii(meeting: Meeting) -> None:
-    w, between = meeting.ask(), meeting.T_b[..., :3, 3] - meeting.T_a[..., :3, 3]
-    expected = np.linalg.norm(between, axis=-1) - 0.6 * meeting.size
-    np.testing.assert_allclose(w.distance, expected, rtol=0, atol=meeting.tolerance())
-
-
 # rigid motions and the other order
 
 
@@ -186,25 +178,7 @@ def test_the_whole_world_moved_is_the_same_world(
     np.testing.assert_allclose(moved.distance, w.distance, rtol=0, atol=2 * meeting.tolerance(T_a, T_b))
 
 
-@HALF
-@given(meetings())
-def test_bodies_in_the_other_order_are_as_far_apart(meeting: Meeting) -> None:
-    w, other = meeting.ask(), query(meeting.swapped, meeting.T_b, meeting.T_a)
-    np.testing.assert_allclose(other.distance, w.distance, rtol=0, atol=2 * meeting.tolerance())
-
-
 # the batch
-
-
-@HALF
-@given(meetings(batch=5), st.lists(st.integers(0, 4), min_size=1, max_size=7))
-def test_each_answer_is_the_one_that_it_has_alone(meeting: Meeting, rows: list[int]) -> None:
-    """In any order, alone, and with others asked twice: bit for bit."""
-    whole = meeting.ask()
-    for chosen in (rows, rows[:1]):
-        part = meeting.ask(chosen)
-        for name in ("distance", "point_a", "point_b", "normal", "status", "winner"):
-            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[chosen], err_msg=name)
 
 
 # gradients

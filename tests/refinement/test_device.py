@@ -13,11 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.grasps.grasp_set import load_grasps
-from grasp_refine.hands.hand import load_hand
-from grasp_refine.objects.object import load_object
+from boxed_example import boxed_example
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
@@ -33,7 +29,6 @@ from grasp_refine.witness.direction import Direction
 from grasp_refine.witness.distance import Distance
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.zeroth_order import ZerothOrder
-from grasp_refine_apps.cli import main
 
 METHODS = [ContactKinematics(), Distance(), Direction(), Analytical(), ZerothOrder(), FiniteDifference()]
 
@@ -43,9 +38,7 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA de
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """Grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz").select(np.arange(2))
-    obj = load_object("rounded_box", candidates=256)
-    return Scene(load_hand("allegro", candidates=256), obj, transform_from_pose(grasps.hand_pose), grasps.q)
+    return boxed_example().select(slice(2))
 
 
 @pytest.fixture
@@ -94,8 +87,3 @@ def test_a_gpu_finds_what_the_cpu_finds(scene: Scene, method: Derivative, dtype:
     np.testing.assert_allclose(on_gpu.loss, on_cpu.loss, rtol=tolerance)
     np.testing.assert_allclose(on_gpu.q, on_cpu.q, atol=tolerance)
     np.testing.assert_allclose(on_gpu.T_world_root, on_cpu.T_world_root, atol=tolerance)
-
-
-@needs_gpu
-def test_the_command_refines_on_a_gpu(workplace: None):
-    assert main(["run", "--solver", "descent", "--device", "cuda", "--iterations", "20", "--index", "0"]) == 0

@@ -106,10 +106,6 @@ def score(prepared: HandObject, found: Refinement) -> np.ndarray:
     return judge(prepared, prepared.chain(found.T_world_root, found.q))[0]
 
 
-def rows(scene: Scene, index: list[int]) -> Scene:
-    return replace(scene, T_world_root=scene.T_world_root[index], q=scene.q[index])
-
-
 def search_of(scene: Scene, prepared: HandObject, config: Config = CONFIG) -> Search:
     return Search(scene, prepared, config, np.full(len(scene.q), Status.RUNNING), None, None)
 
@@ -287,7 +283,7 @@ def attempts(prepared: HandObject, scores: list[float], pinches: list[bool], mar
 def test_an_attempt_counts_where_it_is_better_and_pinches_stay_unless_it_is_much_better(
     tmp_path: Path, scene: Scene, prepared: HandObject
 ) -> None:
-    five = rows(scene, [0, 1, 2, 3, 0, 1])
+    five = scene.select([0, 1, 2, 3, 0, 1])
     search, every = search_of(five, prepared), np.arange(6)
     search.take(every, attempts(prepared, [1.0, 1.0, 1.0, 1.0, 1.0, np.inf], [0, 0, 1, 1, 1, 0], 1.0))
     better = [0.9, 1.0 - 0.1 * SAME_SCORE, 0.9, 0.9 * PINCH_SHARE, 0.05, np.inf]
@@ -351,7 +347,7 @@ def test_every_start_of_a_grasp_is_another_one(scene: Scene, prepared: HandObjec
             firsts.extend(state.point.T)
         stages.append(state.stage)
 
-    one = rows(scene, [1])
+    one = scene.select([1])
     config = replace(CONFIG, starts=5, solver=LevenbergMarquardt(iterations=1))
     found = refine(one, config, on_iteration=first, prepared=prepared)
     assert found.starts.tolist() == [5] and len(firsts) == 5
@@ -373,7 +369,7 @@ def test_good_grasps_are_not_tried_again(
 
 
 def test_more_starts_are_never_worse(scene: Scene, prepared: HandObject, insatiable: None) -> None:
-    two, found = rows(scene, [0, 2]), []
+    two, found = scene.select([0, 2]), []
     for count in (1, 3):
         found.append(refine(two, replace(CONFIG, starts=count), prepared=prepared))
         np.testing.assert_array_equal(found[-1].starts, count)
@@ -391,11 +387,11 @@ def test_a_grasp_alone_is_the_same_grasp(
     tried = int(np.argmax(together.starts))
     assert together.starts[tried] > 1 and together.starts.min() < together.starts.max()
     for order in ([tried], [3, 0]):
-        same(refine(rows(scene, order), CONFIG, prepared=prepared), together, list(range(len(order))), order)
+        same(refine(scene.select(order), CONFIG, prepared=prepared), together, list(range(len(order))), order)
 
 
 def test_the_seed_determines_the_starts(scene: Scene, prepared: HandObject, insatiable: None) -> None:
-    two, config = rows(scene, [0, 2]), Config(starts=2, solver=LevenbergMarquardt(iterations=5))
+    two, config = scene.select([0, 2]), Config(starts=2, solver=LevenbergMarquardt(iterations=5))
     one, again = (refine(two, replace(config, seed=3), prepared=prepared) for _ in range(2))
     np.testing.assert_array_equal(one.T_world_root, again.T_world_root)
     np.testing.assert_array_equal(one.q, again.q)
@@ -429,7 +425,7 @@ def test_grasps_that_are_nowhere_near_or_nowhere_at_all_spoil_no_other(
     np.testing.assert_array_equal(found.q[1], q[1])
     assert np.isnan(found.loss[1:3]).all() and found.starts[2] == 0 and not found.touching[1:3].any()
     same(found, held, [0, 3], [0, 3])
-    none = refine(rows(scene, []), CONFIG, prepared=prepared)
+    none = refine(scene.select([]), CONFIG, prepared=prepared)
     assert none.T_world_root.shape == (0, 4, 4) and none.starts.shape == (0,)
 
 

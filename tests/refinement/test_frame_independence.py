@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 
 from boxed_example import boxed_example
-from grasp_refine.closing.pregrasp import open_hand
-from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
-from grasp_refine.forces.quality import quality
-from grasp_refine.forces.squeeze import contacts, grasp_forces, squeezed
 from grasp_refine.geometry.body import Body
 from grasp_refine.geometry.sampling import Candidates
 from grasp_refine.refinement import force_closure_search
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.refine import refine
-from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 T_NEW_OLD = exp_se3(np.array([0.3, -0.2, 0.1, 0.4, -1.1, 0.7]))
@@ -52,21 +47,3 @@ def test_hands_refined_in_another_frame_are_the_same_hands(scene: Scene, monkeyp
     np.testing.assert_allclose(inverse(T_NEW_OLD) @ there.T_world_root, here.T_world_root, atol=1e-6)
     np.testing.assert_allclose(there.q, here.q, atol=1e-5)
     np.testing.assert_allclose(there.loss, here.loss, rtol=1e-4, atol=1e-10)
-
-
-def test_quality_forces_squeeze_and_pregrasp_are_the_same_in_another_frame(scene: Scene) -> None:
-    found = []
-    for one, T in ((scene, np.eye(4)), (moved(scene), T_NEW_OLD)):
-        prepared = HandObject.of(one)
-        frames = prepared.chain(one.T_world_root, one.q)
-        T_link = frames.T_world_link
-        witness = query(prepared.pairs, T_link, np.broadcast_to(np.eye(4), T_link.shape))
-        judged = quality(one.hand, one.object, prepared.chain, frames, witness)
-        points = contacts(one.hand, one.object, one.links, witness, T_link)
-        forces = grasp_forces(points, one.object, one.T_world_root[:, :3, :3])
-        T_open, q_open = open_hand(one, prepared)
-        found.append(
-            (judged.slippery, judged.pushed, forces.residual, forces.local, squeezed(one), inverse(T) @ T_open, q_open)
-        )
-    for here, there in zip(*found, strict=True):
-        np.testing.assert_allclose(there, here, atol=1e-7)

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.assets.embedded import resource_dir
+from boxed_example import boxed_example
 from grasp_refine.collision.query import QueryStatus
 from grasp_refine.core.array_records import take
-from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
+from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
-from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.hands.chain import integrate
-from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.objects.object import load_object
+from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.region import HalfSpace
 from grasp_refine.refinement import variables
 from grasp_refine.refinement.config import Config
@@ -39,22 +37,9 @@ def gripper(tmp_path_factory: pytest.TempPathFactory) -> Hand:
 
 
 @pytest.fixture(scope="module")
-def allegro() -> Hand:
-    return load_hand("allegro", candidates=256)
-
-
-@pytest.fixture(scope="module")
-def examples(allegro: Hand) -> Scene:
+def examples() -> Scene:
     """The four example grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
-    obj = load_object("rounded_box", candidates=256)
-    return Scene(allegro, obj, transform_from_pose(grasps.hand_pose), grasps.q)
-
-
-def rows_of(scene: Scene, m: int) -> Scene:
-    """One grasp of a scene."""
-    targets = {name: getattr(scene, name)[[m]] for name in ("target_link", "target_object")}
-    return replace(scene, T_world_root=scene.T_world_root[[m]], q=scene.q[[m]], **targets)
+    return boxed_example()
 
 
 def aimed_at(scene: Scene, links: int, seed: int) -> Scene:
@@ -173,8 +158,9 @@ def test_culling_by_the_last_answer_changes_no_loss(examples: Scene, surrounded:
     known = problem.evaluate(rows, at, None)
     asked, rejected, steps = np.zeros(2, dtype=int), 0, 10
     near, deep, positive = [], [], []
-    for _ in range(steps):
+    for step in range(steps):
         dx = size * rng.normal(size=(count, 6 + n)) * np.concatenate([np.ones(3), np.full(3 + n, 8.0)])
+        dx[:, :6] *= step % 2  # now and then only the joints move, and links towards each other
         if kind == "surroundings":
             dx[:, 6] /= 8.0
         at, before = problem.integrate(rows, at, dx), known
@@ -213,8 +199,9 @@ def test_a_pose_that_is_not_finite_has_no_loss_and_spoils_no_other(examples: Sce
 # steps
 
 
-def test_no_trial_leaves_the_joint_limits_or_the_box(allegro: Hand) -> None:
+def test_no_trial_leaves_the_joint_limits_or_the_box(examples: Scene) -> None:
     """Hands that begin at their limits, on the way to targets that they cannot reach within them."""
+    allegro = examples.hand
     scene = aimed_at(around_object(allegro, 6, 14), 4, 15)
     rng = np.random.default_rng(16)
     q = np.where(rng.random(scene.q.shape) < 0.5, allegro.lower, allegro.upper)
@@ -260,6 +247,8 @@ def test_bounds_are_what_the_limits_leave_of_the_largest_step(gripper: Hand, mon
     problem = GraspProblem(scene, goal_of(scene, ContactSelection(links=scene.links)), Config())
     at = Point(scene.T_world_root, np.array([[0.0, 1.2], [0.05, -0.5], [0.02, 0.3], [0.049, 0.0]]))
     lower, upper = problem.step_bounds(every(scene), at)
+    # A metre of the root or a slide counts 1, a radian of the root 5 cm, one of a hinge 4 cm.
+    np.testing.assert_allclose(problem.metric(every(scene)), np.tile([1, 1, 1, *[0.05**2] * 3, 1, 0.04**2], (4, 1)))
     # Those of the root are those of its length, not of each unknown.
     assert np.isposinf(upper[:, :6]).all() and np.isneginf(lower[:, :6]).all()
     # A slide moves as far as the root, in metres, the hinge by the bound of joints.
@@ -374,7 +363,7 @@ def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
     normal = np.einsum("brk,brl->bkl", J, J), np.einsum("brk,br->bk", J, residual)
     for m in range(4):
         single = GraspProblem(
-            rows_of(scene, m), partly(goal_of(rows_of(scene, m), ContactSelection()), 4), problem.config
+            scene.select([m]), partly(goal_of(scene.select([m]), ContactSelection()), 4), problem.config
         )
         own = take(at, np.array([m]))
         alone = single.evaluate(np.array([0]), own, None)

@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine.assets.embedded import resource_dir
+from boxed_example import boxed_example
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, exp_so3, log_so3, transform_from_pose
-from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.core.se3 import exp_se3, exp_so3, log_so3
 from grasp_refine.hands.chain import integrate
 from grasp_refine.hands.files.defaults import SLIDE_LEVER_M
-from grasp_refine.hands.hand import load_hand
-from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Refinement, refine
@@ -26,9 +23,7 @@ NEAR = MaxMove(translation=0.002, rotation=0.03, joints=0.04)
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """Two example grasps of the embedded hand on the embedded box."""
-    grasps = load_grasps(resource_dir("robots") / "allegro/example_rounded_box.npz")
-    obj = load_object("rounded_box", candidates=64)
-    return Scene(load_hand("allegro", candidates=64), obj, transform_from_pose(grasps.hand_pose)[:2], grasps.q[:2])
+    return boxed_example().select(slice(2))
 
 
 def away(T: np.ndarray, q: np.ndarray, T_first: np.ndarray, q_first: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -78,13 +73,6 @@ def test_what_is_within_the_bounds_stays_as_it_is() -> None:
     again_T, again_q = NEAR.project(kept_T, kept_q, T_first, q_first, np.ones(q.shape[1]))
     np.testing.assert_allclose(again_T, kept_T, atol=1e-12)
     np.testing.assert_array_equal(again_q, kept_q)
-
-
-def test_without_bounds_nothing_is_changed() -> None:
-    T_first, q_first, T, q = poses(10, 2)
-    kept_T, kept_q = MaxMove().project(T, q, T_first, q_first, np.ones(q.shape[1]))
-    np.testing.assert_array_equal(kept_T, T)
-    np.testing.assert_array_equal(kept_q, q)
 
 
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])

@@ -221,19 +221,6 @@ def test_both_engines_fit_the_same_at_any_width_and_number_of_candidates() -> No
         assert np.median(np.abs(radius[:, None, None] * (found - expected))) < 1e-5
 
 
-@native
-def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from grasp_refine.witness import native_kinematics
-
-    bodies, rows = many_rows(300)
-    fits = []
-    for threads in (1, 2, 3):
-        monkeypatch.setattr(native_kinematics, "threads_for", lambda count, fewest, threads=threads: threads)
-        fits.append(native_kinematics.NativeCurvatures.of(bodies).fit(*rows))
-    np.testing.assert_array_equal(fits[1], fits[0])
-    np.testing.assert_array_equal(fits[2], fits[0])
-
-
 # eigenvalues
 
 

@@ -69,17 +69,6 @@ def test_rings_are_the_vertices_within_so_many_edges(name: str, edges: int) -> N
     assert piece.rings(edges) is found  # built once
 
 
-def test_normals_are_weighted_by_area() -> None:
-    sphere_like = PIECES["icosphere"]()
-    normals = sphere_like.rings(1).normals
-    np.testing.assert_allclose(normals, sphere_like.vertices / 0.03, atol=0.03)
-    mesh = trimesh.Trimesh(*(lambda p: (p.vertices, p.faces))(ellipsoid_hull(3)), process=False)
-    areas = trimesh.geometry.weighted_vertex_normals(
-        len(mesh.vertices), mesh.faces, mesh.face_normals, np.repeat(mesh.area_faces[:, None], 3, axis=1)
-    )
-    np.testing.assert_allclose(ellipsoid_hull(3).rings(2).normals, areas, atol=1e-9)
-
-
 # the draw
 
 

@@ -9,23 +9,28 @@ import numpy as np
 import pytest
 import torch
 
-from grasp_refine.core.se3 import exp_se3, transform_points
+from grasp_refine.core.se3 import Array, exp_se3, transform_points
 from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.region import HalfSpace
 from grasp_refine.refinement.config import Config
+from grasp_refine.refinement.derivative_check import finite_differences, gradients, relative_errors
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.terms.penetration import depths
 from grasp_refine.refinement.terms.region import INSIDE_M
+from grasp_refine.refinement.terms.term import State, Term
 from grasp_refine.refinement.terms.weights import Weights, term_kinds
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from sliding_gripper import around_object, sliding_gripper
 
 COUNT, RADIUS, MARGIN, CLEARANCE, WEIGHT = 40, 0.03, 1e-3, 4e-3, 0.7
@@ -123,6 +128,27 @@ def test_losses_of_balls_are_in_closed_form_for_both_kinds_of_solvers(name: str,
         for problem in problems:
             found = problem.evaluate(rows, point, None).loss
             np.testing.assert_allclose(found, WEIGHT * expected, rtol=1e-6, atol=1e-12, err_msg=type(problem).__name__)
+
+
+class Depths(Term):
+    """Depths of links in the object, with residuals alone."""
+
+    def residuals(self, state: State) -> tuple[Array, ...]:
+        return (depths(state.witness),)
+
+
+def test_own_terms_see_all_links_and_have_derivatives_by_autograd(scene: Scene) -> None:
+    """Also where no term of ours asks for links that should not touch."""
+    none = Goal.nothing(COUNT, len(scene.links))
+    config = Config(weights=Weights(**dict.fromkeys(term_kinds(), 0.0)), terms=(Depths(),))
+    expected = expected_loss("penetration", scene, replace(none, target_link=np.zeros_like(none.target_link)))
+    point = Point(scene.T_world_root, scene.q)
+    for kind, solver in ((GraspProblem, LevenbergMarquardt()), (Objective, Adam())):
+        problem = kind(replace(scene, task=Task()), none, replace(config, solver=solver))
+        np.testing.assert_allclose(problem.evaluate(np.arange(COUNT), point, None).loss, expected, rtol=1e-6)
+        slopes = finite_differences(problem, point)
+        assert (np.linalg.norm(slopes, axis=1) > 1e-4).sum() >= 8
+        assert relative_errors(gradients(problem, point), slopes, 1e-5).max() < 1e-5
 
 
 def test_bodies_without_a_link_near_them_cost_nothing(scene: Scene, tmp_path: Path) -> None:

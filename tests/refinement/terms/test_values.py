@@ -14,11 +14,9 @@ from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import hull, sphere
 from grasp_refine.refinement.terms.contact import contact_gap, contact_targets, contact_targets_covectors
 from grasp_refine.refinement.terms.direction import normal_covectors, normal_difference
-from grasp_refine.refinement.terms.joint_limits import beyond_limits
 from grasp_refine.refinement.terms.penetration import depths
 from grasp_refine.refinement.terms.scales import Scales
 from grasp_refine.refinement.terms.stay_near import movement, movement_jacobian
-from grasp_refine.refinement.terms.table import plane_depth
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.contact_kinematics import ContactKinematics
 from refusals import refused
@@ -102,15 +100,6 @@ def test_terms_of_contacts_in_closed_form_on_arrays_and_tensors(margin: float) -
     found = in_both(normal_difference, w, wanted)
     some = valid & ~np.isnan(wanted).any(axis=-1, keepdims=True)
     np.testing.assert_allclose(found, np.where(some, w.normal - wanted, 0.0), atol=1e-15)
-
-
-def test_limits_and_plane_in_closed_form_on_arrays_and_tensors() -> None:
-    lower, upper = np.array([-1.0, 0.0, 0.0, -np.inf]), np.array([1.0, 1.0, 1.0, np.inf])
-    q = np.array([[-2.0, 0.5, 3.0, 1e9], [1.0, 0.0, -0.25, -1e9]])
-    np.testing.assert_array_equal(in_both(beyond_limits, q, lower, upper), [[1, 0, 2, 0], [0, 0, 0.25, 0]])
-    normal = np.array([0.0, 0.6, 0.8])
-    points = np.array([[0.0, 0.0, 0.0], [7.0, 0.6, 0.8], [-3.0, 0.06, 0.08]])
-    np.testing.assert_allclose(in_both(plane_depth, points, normal, 0.3), [0.3, -0.7, 0.2], atol=1e-15)
 
 
 def test_staying_near_counts_scales_of_movement() -> None:
