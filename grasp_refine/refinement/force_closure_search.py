@@ -328,7 +328,8 @@ class Search:
 
     def result(self) -> SearchResult:
         """Return the best attempts with the cost of all; losses are of the last phase."""
-        found, goal = self.best.minimum, self.best.goal
+        # Queries of selections are in the cost of their phases.
+        found, goal = self.best.minimum, replace(self.best.goal, queries=np.zeros_like(self.queries))
         rows = np.flatnonzero(np.isfinite(self.best.score))
         loss = np.full((len(self.starts), 2), np.nan)
         config = replace(self.config, weights=PHASES[-1].weights(self.config.weights))

@@ -21,6 +21,8 @@ from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.terms.weights import Weights, term_kinds
+from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
@@ -156,6 +158,20 @@ def gradients(of: GraspProblem, point: Point) -> tuple[np.ndarray, np.ndarray]:
         ahead, behind = (of.evaluate(member, of.integrate(member, point, sign * dx), None).loss for sign in (1, -1))
         differences[:, k] = (ahead - behind) / 2e-6
     return 2.0 * np.einsum("mrd,mr->md", linear.jacobian, linear.residual), differences
+
+
+def test_corners_of_a_link_count_together_as_much_as_its_point(tmp_path, block: Object):
+    """At gaps of 1 mm, however many corners a patch has; a link that is no contact link keeps its clearance."""
+    hand = jaws(tmp_path)
+    hand = replace(hand, contacts=tuple(contact for contact in hand.contacts if contact.link == "left"))
+    # All of the jaws, and a strip of 0.2 mm of them.
+    T, q = gripping([0.0] * 6, [0.0348, 0, 0, 0, 0, 0])
+    scene = Scene(hand, block, T, q + 1e-3)
+    weights = Weights(**{**dict.fromkeys(term_kinds(), 0.0), "contact": 1.0})
+    of = GraspProblem(scene, goal_of(scene, ContactSelection()), Config(weights=weights, clearance=4e-4))
+    known = of.evaluate(np.arange(2), Point(T, q + 1e-3), None)
+    np.testing.assert_array_equal(np.sort(known.patches.faces.count, axis=1)[:, 2:], [[4, 4], [2, 2]])
+    np.testing.assert_allclose(known.loss, 2.0 * (1e-3**2 + 6e-4**2), rtol=1e-6)
 
 
 def test_gaps_of_corners_have_the_derivative_of_their_squares(tmp_path, block: Object):

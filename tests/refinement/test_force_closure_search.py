@@ -169,6 +169,9 @@ def test_all_work_is_counted(scene: Scene, prepared: HandObject, iterated: tuple
     expected = goal.queries + problem.evaluate(every, point, None).num_queries
     np.testing.assert_array_equal(search.queries, expected)
     assert goal.queries.all()
+    # The result counts them once.
+    whole = force_closure_search.search(scene, prepared, STILL, np.full(4, Status.RUNNING)).minimum.queries
+    np.testing.assert_array_equal(refine(scene, STILL, prepared=prepared).queries, whole)
 
 
 # scores

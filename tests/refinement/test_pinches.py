@@ -10,11 +10,12 @@ import pytest
 
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
+from grasp_refine.forces.squeeze import contacts
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.force_closure_search import judge
-from grasp_refine.refinement.pinches import EDGE_WEIGHT, ROOM_M, ROOM_WEIGHT, edge_shares, finger_room
+from grasp_refine.refinement.pinches import EDGE_WEIGHT, ROOM_M, ROOM_WEIGHT, edge_shares, finger_room, pinch_score
 from grasp_refine.refinement.refine import refine
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.hand_object import HandObject
@@ -85,6 +86,30 @@ def test_a_finger_at_its_stop_costs(gripper: Hand) -> None:
         frames = prepared.chain(beside([0.0, 0.0, 0.0], 1), np.full((1, 2), width / 2.0))
         scores.append(judge(prepared, frames)[0][0])
     assert scores[1] - scores[0] > 0.9 * ROOM_WEIGHT and ROOM_M < 0.005
+
+
+def test_the_worse_finger_counts_by_the_middle_of_its_patch(gripper: Hand) -> None:
+    """Jaws whose patches end at the rim of a box, and one of which is at a corner of another one."""
+    block = load_object("box:0.05,0.05,0.12", candidates=2048)
+    prepared = HandObject(gripper, block)
+    T = np.concatenate([beside([x, 0.0, z], 1) for x, z in ((0.0, 0.0), (0.028, 0.0), (0.0, 0.065))])
+    q = np.full((3, 2), 0.025)
+    frames = prepared.chain(T, q)
+    poses = frames.T_world_link
+    witness = query(prepared.pairs, poses, np.broadcast_to(np.eye(4), poses.shape))
+    points = contacts(gripper, block, prepared.chain.links, witness, poses)
+    assert points.patched.all()
+    edges, room = np.zeros(3), []
+    for row in range(3):
+        for link in np.unique(points.link[row][np.isfinite(points.point[row, :, 0])]):
+            own = (points.link[row] == link) & np.isfinite(points.point[row, :, 0])
+            middle, normal = points.point[row, own].mean(axis=0), points.normal[row, own].mean(axis=0)
+            share = edge_shares(block.body.candidates, middle[None, None], normal[None, None])[0, 0]
+            edges[row] = max(edges[row], share)
+    room = np.minimum(q, 0.055 - q).min(axis=1)
+    expected = EDGE_WEIGHT * edges + ROOM_WEIGHT * (1.0 - np.minimum(room / ROOM_M, 1.0))
+    np.testing.assert_allclose(pinch_score(prepared, frames, witness, points), expected, atol=1e-9)
+    assert edges[0] < 1e-9 and edges[1:].max() > 0.1
 
 
 def test_grippers_leave_edges_and_use_their_jaws_alone(gripper: Hand, box: Object) -> None:

@@ -1,18 +1,20 @@
 """The motion that closes a hand: ours, and that of a file."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.closing.motion import STAGES, closing_motion, motion_of
+from grasp_refine.closing.motion import STAGES, Motion, closing_motion, motion_of
 from grasp_refine.closing.pregrasp import open_hand
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.squeeze import squeezed
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.mount import mount
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.facade import problem_of
 from grasp_refine.problem.refine import refine_problem
@@ -20,6 +22,7 @@ from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.scene.scene import Scene
 from refusals import refused
+from sliding_gripper import sliding_gripper
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +73,34 @@ def test_a_file_without_a_stage_has_no_motion(hand: Hand, grasps: GraspSet, lack
     with refused(GraspFileError, *lacking) as caught:
         motion_of(some, hand)
     assert [name for name in ("pregrasp", "squeeze") if name in str(caught.value)] == list(lacking)
+
+
+@pytest.mark.parametrize("lacking", [("pregrasp",), ("squeeze",), ("pregrasp", "squeeze")])
+def test_stages_that_a_file_lacks_are_ours(hand: Hand, grasps: GraspSet, lacking: tuple[str, ...]) -> None:
+    """Fingers were closed first only where the squeeze is ours."""
+    given = {name: Stage(grasps.hand_pose, grasps.q + 0.3) for name in ("pregrasp", "squeeze") if name not in lacking}
+    rng = np.random.default_rng(0)
+    own = Motion(rng.normal(size=(3, 3, 4, 4)), rng.normal(size=(3, 3, 16)), closed_m=rng.random(3))
+    found = motion_of(replace(grasps, **given), hand, own)
+    for at, name in enumerate(STAGES):
+        expected = own.q[:, at] if name in lacking else grasps.q + 0.3 * (name != "grasp")
+        np.testing.assert_allclose(found.q[:, at], expected)
+        T = own.T_world_root[:, at] if name in lacking else transform_from_pose(grasps.hand_pose)
+        np.testing.assert_allclose(found.T_world_root[:, at], T)
+    assert (found.closed_m is own.closed_m) == ("squeeze" in lacking) and found.forces is None
+
+
+def test_grasps_out_of_reach_of_an_arm_keep_what_is_known(tmp_path: Path) -> None:
+    """The base and the joints of the hand; those of the arm are not known in any stage."""
+    hand = mount(load_hand("ur5e", candidates=16), sliding_gripper(tmp_path, candidates=16))
+    q = np.tile(hand.rest, (2, 1))
+    q[1, hand.arm_joints] = np.nan
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[:, 0, 3] = 2.0
+    found = closing_motion(Scene(hand, load_object("sphere:0.03", candidates=16), T, q))
+    np.testing.assert_array_equal(found.q[:, 1], q)
+    np.testing.assert_array_equal(found.T_world_root[:, 1], T)
+    assert np.isfinite(found.q[0]).all() and np.isnan(found.q[1, [0, 2]]).all()
 
 
 def test_squeezes_press_as_much_as_the_settings_say(hand: Hand, grasps: GraspSet) -> None:
