@@ -20,6 +20,9 @@ KNOT_M = 0.01
 MAX_JUMP_RAD = 0.3
 """Largest movement of a joint of an arm between two of them; more is a jump near a singularity."""
 
+MAX_ARC_RAD = 0.1
+"""Largest rotation of the base, or of a joint, over which a link moves nearly on a straight line."""
+
 MAX_SAMPLES = 2000
 """Most samples of a path."""
 
@@ -51,11 +54,18 @@ class HandPath:
             spheres: Their bounding spheres, centre and radius, link frames.
             spacing: Distance in metres.
         """
-        T = chain(self.T_world_root, self.q).T_world_link
-        moves = motion(spheres, T[:-1], T[1:]).max(axis=1, initial=0.0)
-        parts = np.maximum(np.ceil(moves / spacing).astype(int), 1)
-        parts = np.minimum(parts, max(MAX_SAMPLES // max(len(parts), 1), 1))
-        return self.at(np.concatenate([k + np.arange(n) / n for k, n in enumerate(parts)] + [np.array([len(parts)])]))
+        R = self.T_world_root[:, :3, :3]
+        turns = np.linalg.norm(log_so3(R[:-1].mT @ R[1:]), axis=1)
+        # Links move on arcs; the distance of their ends says little of a long one.
+        arcs = self._divided(np.maximum(np.abs(np.diff(self.q, axis=0)).max(axis=1, initial=0.0), turns) / MAX_ARC_RAD)
+        T = chain(arcs.T_world_root, arcs.q).T_world_link
+        return arcs._divided(motion(spheres, T[:-1], T[1:]).max(axis=1, initial=0.0) / spacing)
+
+    def _divided(self, parts: Float[np.ndarray, " K-1"]) -> HandPath:
+        """Return the path with the movement between two poses in so many equal parts, rounded up."""
+        count = np.maximum(np.ceil(parts).astype(int), 1)
+        count = np.minimum(count, max(MAX_SAMPLES // max(len(count), 1), 1))
+        return self.at(np.concatenate([k + np.arange(n) / n for k, n in enumerate(count)] + [np.array([len(count)])]))
 
     def at(self, place: Float[np.ndarray, " P"]) -> HandPath:
         """Return the poses at places (P,) from 0, the first pose, to K - 1, the last one."""

@@ -1,33 +1,39 @@
 """MuJoCo follows trajectories: objects held and lifted, hit and pushed, and the tracking error of the palm."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 import grasp_refine as gr
+from ball_hand import ball_hand
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.core.rpy_poses import transform_from_rpy
+from grasp_refine.core.se3 import distances, pose_from_transform, transform
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.grasps.on_arm import on_arm
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount
+from grasp_refine.hands.palm import palm_poses
 from grasp_refine.motion.execution import execute
-from grasp_refine.motion.executions import Executions
-from grasp_refine.motion.plan import MotionPlan, PlanStatus, TrajectoryOptions, plan_motions
+from grasp_refine.motion.executions import NUMBERS, Executions
+from grasp_refine.motion.plan import LEGS, MotionPlan, PlanStatus, TrajectoryOptions, plan_motions
 from grasp_refine.motion.trajectory import Trajectory, trajectory
 from grasp_refine.motion.trajectory_files import PlannedTrajectories
-from grasp_refine.objects.object import load_object
+from grasp_refine.objects.object import Object, load_object
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.scene import SCENE
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
-from grasp_refine.validation.engines.mujoco.world import build_world
+from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.validate import model_of
 
 THING = load_object("box:0.05,0.05,0.12")
@@ -67,23 +73,69 @@ def timed(hand: Hand) -> Trajectory:
     return trajectory(hand, plan)
 
 
-def followed(
-    hand: Hand, timed: list[Trajectory | None], *bodies: EnvironmentBody, protocol: Protocol = SCENE
-) -> Executions:
-    """Return what happens on trajectories among bodies on the table."""
+def world_of(hand: Hand, *bodies: EnvironmentBody, protocol: Protocol = SCENE, obj: Object = THING) -> World:
+    """Return the world of the hand and an object among bodies on the table."""
     environment = Environment((TABLE, *bodies), np.eye(4))
-    return execute(build_world(model_of(hand), THING, Task(protocol, scene=environment)), hand, timed, threads=1)
+    return build_world(model_of(hand), obj, Task(protocol, scene=environment))
 
 
-def test_free_trajectory_lifts_the_object_and_hits_nothing(hand: Hand, timed: Trajectory) -> None:
-    """By 0.1 m within millimetres; the palm follows its set points; a grasp without a trajectory changes no other."""
-    alone, found = followed(hand, [timed]), followed(hand, [None, timed])
+def followed(hand: Hand, timed: list[Trajectory | None], *bodies: EnvironmentBody, **settings: Any) -> Executions:
+    """Return what happens on trajectories in such a world."""
+    return execute(world_of(hand, *bodies, **settings), hand, timed, threads=1)
+
+
+def test_free_trajectory_lifts_the_object_as_in_a_plain_simulation(hand: Hand, timed: Trajectory) -> None:
+    """By 0.1 m, hitting nothing; all numbers are those of MuJoCo's own steps, and independent of other grasps."""
+    far = body("far", [0.04, 0.04, 0.04], (0.2, 0.2, -0.037), movable=True)
+    world = world_of(hand, far)
+    found = execute(world, hand, [None, timed], threads=1)
     assert found.followed.tolist() == [False, True] and found.held.tolist() == [False, True]
-    assert abs(found.lifted_m[1] - 0.1) < 3e-3 and found.displacement_m[1] < 5e-3
-    # It lags behind, but comes to rest: a wrong frame would be off by much more.
-    assert 0.0 < found.tracking_m[1] < 0.01 and found.tracking_rad[1] < 0.02
     assert found.hits[1] == () and np.isnan(found.lifted_m[0]) and found.document(0) is None
-    assert (alone.lifted_m[0], alone.tracking_m[0]) == (found.lifted_m[1], found.tracking_m[1])
+    model, made = world.model, world.hand
+    data = mujoco.MjData(model)
+    _, _, path, leg = timed.sampled(0.04)
+    joints = path.q @ made.matrix.T + made.offset
+    roots = pose_from_transform(path.T_world_root @ made.T_base_root)
+    wanted = palm_poses(hand, path.T_world_root, path.q)
+    if world.root_at is not None:
+        data.qpos[world.root_at : world.root_at + 7] = roots[0]
+    data.qpos[world.joints_at], tracking = joints[0], []
+    data.mocap_pos[0], data.mocap_quat[0] = np.split(roots[0], [3])
+    for tick in range(1, len(path)):
+        data.ctrl[:] = world.control @ joints[tick]
+        data.mocap_pos[0], data.mocap_quat[0] = np.split(roots[tick], [3])
+        mujoco.mj_step(model, data, nstep=10)
+        mujoco.mj_kinematics(model, data)
+        tracking.append(apart(wanted[tick], data.body(f"hand/{hand.palm}")))
+    thing, moved = data.body("object"), data.body("scene/far").xpos - [0.2, 0.2, -0.037]
+    rise = wanted[-1, 2, 3] - wanted[np.flatnonzero(leg < LEGS.index("lift"))[-1], 2, 3]
+    away, turned = apart(transform(np.eye(3), np.array([0.0, 0.0, rise])), thing)
+    expected = [thing.xpos[2], away, turned, *np.max(tracking, axis=0), np.linalg.norm(moved)]
+    numbers = [getattr(found, name)[1] for name in NUMBERS]
+    np.testing.assert_allclose([*numbers, found.pushed_m[1, 0]], expected, rtol=1e-3, atol=1e-6)
+    # It lags behind, but comes to rest.
+    assert abs(found.lifted_m[1] - 0.1) < 3e-3 and 0.0 < found.tracking_m[1] < 0.01 and found.tracking_rad[1] < 0.02
+    if hand.arm is None:
+        limits = {"farthest": float(found.displacement_m[1]), "steepest": float(found.angle_rad[1])}
+        for lower, held in (({}, True), ({"farthest": 0.99}, False), ({"steepest": 0.99}, False)):
+            at = {name: lower.get(name, 1.01) * value for name, value in limits.items()}
+            strict = replace(world, protocol=replace(world.protocol, **at))
+            assert execute(strict, hand, [timed], threads=1).held.tolist() == [held]
+
+
+def apart(T: np.ndarray, found: Any) -> tuple[float, float]:
+    """Return the distance and the rotation between a pose and a body in MuJoCo."""
+    there = transform(found.xmat.reshape(3, 3), found.xpos)
+    (away,), (turned,) = distances(T[None], there[None])
+    return away, turned
+
+
+def test_object_in_the_way_of_the_approach_is_named_with_each_link_once(hand: Hand, timed: Trajectory) -> None:
+    """A box that is wider than the open jaws; one that fits is touched without a hit."""
+    (hits,) = followed(hand, [timed], obj=load_object("box:0.05,0.08,0.12")).hits
+    assert any(hit.startswith("approach: panda_") and "finger and box" in hit for hit in hits)
+    assert len(set(hits)) == len(hits)
+    assert not any(hit.startswith(("close", "squeeze")) and "box" in hit for hit in hits)
 
 
 def test_an_obstacle_is_named_with_its_leg(hand: Hand, timed: Trajectory) -> None:
@@ -120,22 +172,11 @@ def test_protocols_that_push_are_refused(hand: Hand, timed: Trajectory) -> None:
         followed(hand, [timed], protocol=DEXGRASPBENCH)
 
 
-def test_many_hits_are_reported_in_short_and_kept_whole() -> None:
-    """A line names the first ones, after what is worse; the file has all. Numbers are those that are given."""
-    hits, one = np.empty(1, dtype=object), np.array([0.2])
-    hits[0] = tuple(f"lift: link_{link} and table" for link in range(12))
-    known = np.array([True])
-    found = Executions(known, ~known, one, one, one, one, one, np.array([[0.3]]), hits, ("tin",))
-    *_, line = found.lines(labels=["mug 7"])
-    assert line.startswith("grasp mug 7: lost, 200 mm") and line.endswith("and 8 more") and "pushed tin 300 mm" in line
-    assert (document := found.document(0)) is not None and len(document["hits"]) == 12
-
-
-def test_trajectories_of_another_hand_are_not_followed(hand: Hand) -> None:
+def test_trajectories_of_another_hand_are_not_followed(tmp_path: Path) -> None:
     """Both hands are named."""
-    other = load_hand("allegro", candidates=32)
-    T, count = np.eye(4)[None], len(other.joint_names)
-    refined = gr.refine(other, THING, GraspSet.of(other, T, np.zeros((1, count))), gr.Config(starts=1))
+    hand = load_hand("franka_hand", candidates=32)
+    refined = gr.refine(hand, THING, GraspSet.of(hand, np.eye(4)[None], np.zeros((1, 1))), gr.Config(starts=1))
     labels = np.array(["box"]), np.zeros(1, dtype=int), np.zeros(1, dtype=int)
-    with pytest.raises(GraspRefineError, match=f"{hand.name}.*allegro"):
-        gr.follow_trajectories(refined, PlannedTrajectories(hand, *labels, (MotionPlan(PlanStatus.NO_GRASP, "", ()),)))
+    other = PlannedTrajectories(ball_hand(tmp_path), *labels, (MotionPlan(PlanStatus.NO_GRASP, "", ()),))
+    with pytest.raises(GraspRefineError, match="balls.*franka_hand"):
+        gr.follow_trajectories(refined, other)

@@ -108,7 +108,11 @@ def test_the_root_goes_to_where_the_motion_says_and_is_raised_along_z_of_the_wor
     """From any pose to any other; joints of the root are counted from its start."""
     start, end = exp_se3(np.random.default_rng(1).normal(size=(2, 6)) * [0.05, 0.05, 0.05, 0.9, 0.6, 0.9])
     rows = Plants(world).simulations(world, Conditions.nominal(world, 1), np.array([True]), 1)
-    rows.place(pose_from_transform(start[None]), np.zeros((1, 2)), np.array([[0.0, 0, 5, 1, 0, 0, 0]]))
+    far = np.array([[0.0, 0, 5, 1, 0, 0, 0]])
+    rows.place(pose_from_transform(start[None]), np.array([[0.01, -0.01]]), far)
+    crossed = rows.touching(np.array([0]))
+    assert not crossed.links.any() and crossed.depth[0] == crossed.depth_table[0] == 0.0, "plates in each other"
+    rows.place(pose_from_transform(start[None]), np.zeros((1, 2)), far)
     np.testing.assert_allclose(palm(rows), start, atol=1e-9)
     rows.drive(pose_from_transform(end[None]), np.zeros((1, 2)))
     rows.step(200)

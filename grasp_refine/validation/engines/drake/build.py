@@ -198,7 +198,8 @@ class _Builder:
             gear = model.actuator_gear[number, 0]
             if transmission == mujoco.mjtTrn.mjTRN_TENDON:
                 joint = self.tendons.joints[target]
-                own_limit = _largest(model.tendon_actfrclimited[target], model.tendon_actfrcrange[target])
+                # Of the actuator's force, before its gear.
+                own_limit = _largest(model.tendon_actfrclimited[target], model.tendon_actfrcrange[target]) * abs(gear)
             elif transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
                 joint = self._joints[target]
                 own_limit = _largest(model.jnt_actfrclimited[target], model.jnt_actfrcrange[target])
