@@ -217,19 +217,6 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
     assert subprocess.run([sys.executable, "-c", code], timeout=PATIENCE_S).returncode == 0
 
 
-@native
-def test_the_bare_loop_asks_what_the_search_does(both: tuple[Pairs, Pairs]) -> None:
-    pairs = both[0]
-    T_a, T_b = (T.reshape(-1, 4, 4) for T in scattered(3, 0.06))
-    limit, pair = np.full(len(T_a), np.inf), np.tile(np.arange(len(pairs)), 3)
-    found = pairs.search.query(pair, T_a, T_b, limit, None, 1)
-    distance = pairs.search.bare_loop(pair, T_a, T_b, limit, 1)()
-    assert len(distance) == found[6].sum()
-    order = np.argsort(pair, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(found[6][order])])[:-1]
-    np.testing.assert_allclose(np.minimum.reduceat(distance, starts), found[3][order], rtol=0, atol=1e-9)
-
-
 # which engine
 
 

@@ -1,14 +1,13 @@
 """Quality of grasps in closed form, and what may never make it better."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from claw import around, capsule, claw
-from grasp_refine.collision.query import QueryStatus, Witness, query
+from claw import claw
+from grasp_refine.collision.query import QueryStatus, Witness
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.forces.calibration import CALIBRATION
 from grasp_refine.forces.programs import NUM_EDGES
@@ -28,7 +27,6 @@ from grasp_refine.forces.wrench import PLANNING_FRICTION
 from grasp_refine.hands.chain import Chain, Frames
 from grasp_refine.hands.hand import Hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import links_of
 
 
@@ -215,27 +213,3 @@ def test_no_grasps_have_no_qualities(free: Hand, ball: Object) -> None:
         witness.rows(slice(0)),
     )
     assert found.value.shape == (0,)
-
-
-def test_torques_are_about_the_centre_of_mass(tmp_path: Path) -> None:
-    """Grasps of a body that is not where its frame is are judged like those of one that is."""
-    hand, obj = claw(tmp_path), capsule()
-    scene = around(hand, obj, 5, 7)
-    prepared = HandObject(hand, obj)
-    frames = prepared.chain(scene.T_world_root, scene.q)
-    T = frames.T_world_link
-    witness = query(prepared.pairs, T, np.broadcast_to(np.eye(4), T.shape))
-    here = quality(hand, obj, prepared.chain, frames, witness)
-    shift = np.array([0.5, -1.0, 2.0])
-    mesh = obj.mesh.copy()
-    mesh.apply_translation(shift)
-    away = replace(obj, name="away", mesh=mesh).with_body(obj.body)
-    moved = Witness(
-        witness.point_a + shift, witness.point_b + shift, witness.normal, witness.distance, witness.status,
-        witness.winner, witness.num_queries,
-    )  # fmt: skip
-    T_away = scene.T_world_root.copy()
-    T_away[:, :3, 3] += shift
-    there = quality(hand, away, prepared.chain, prepared.chain(T_away, scene.q), moved)
-    assert np.isfinite(here.score).sum() >= 4
-    np.testing.assert_allclose(there.score, here.score, atol=1e-6)

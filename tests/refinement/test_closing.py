@@ -65,13 +65,26 @@ def test_jaws_that_move_together_close_to_the_width_of_the_object(franka: Hand, 
 
 def test_jaws_with_a_motor_each_stop_where_they_touch(block: Object) -> None:
     hand = load_hand(Path(__file__).parents[1] / "two_jaws.urdf")
-    scene = around(hand, block, 0.004, opening=0.05)
+    scene = around(hand, block, 0.004, 0.02, opening=0.05)
     base = HandObject.of(scene)
     closed = close_hands(scene, base)
     both = distances(replace(scene, q=closed.q))[0, :2]
     assert (np.abs(both) < 1e-4).all()
     # The hand is 4 mm aside, so that one jaw moves 8 mm farther.
     assert abs(np.ptp(closed.q[0]) - 0.008) < 1e-4
+    # 20 mm aside, one jaw touches; the other one would close beyond the middle, and stays where it was.
+    np.testing.assert_allclose(np.sort(closed.q[1]), [WIDTH_M / 2 + 0.02, 0.05], atol=2e-5)
+    np.testing.assert_allclose(closed.moved_m, [0.05 - WIDTH_M / 2 + 0.004, 0.05 - WIDTH_M / 2 - 0.02], atol=2e-5)
+
+
+def test_jaws_are_open_unless_both_are_within_two_millimetres() -> None:
+    """A box that stands on the palm touches the palm, too, which is no finger."""
+    hand = load_hand(Path(__file__).parents[1] / "two_jaws.urdf", candidates=16)
+    T = np.tile(transform(np.eye(3), np.array([0.0, 0.0, -0.085])), (4, 1, 1))
+    q = 0.025 + np.array([[1e-3, 1e-3], [1e-3, 0.02], [0.02, 1e-3], [5e-3, 5e-3]])
+    scene = Scene(hand, load_object("box:0.05,0.05,0.05"), T, q)
+    assert np.abs(distances(scene)[:, 2]).max() < 1e-6
+    assert is_open(scene, HandObject.of(scene)).tolist() == [False, True, True, True]
 
 
 def test_grasps_that_touch_and_jaws_around_nothing_stay(franka: Hand, block: Object) -> None:

@@ -337,20 +337,6 @@ def test_inverse_kinematics_brings_target_points_together_without_a_query(exampl
     assert (reached.q >= examples.hand.lower).all() and (reached.q <= examples.hand.upper).all()
 
 
-@pytest.mark.parametrize("kind", ["gaps", "targets"])
-def test_a_gripper_of_slides_and_a_mimic_joint_comes_to_a_ball(gripper: Hand, kind: str) -> None:
-    scene = around_object(gripper, 6, 20)
-    goal = goal_of(scene, ContactSelection(links=("left", "right", "thumb")), nearest=kind == "targets")
-    problem = GraspProblem(scene, goal, Config(weights=NO_FORCES))
-    found = minimise(problem, point_of(scene), LevenbergMarquardt(restarts=0), 1e-10)
-    assert (found.loss[:, 1] < 0.5 * found.loss[:, 0]).all()
-    if kind == "gaps":
-        assert (found.loss[:, 1] < 1e-10).sum() >= 4
-    after = problem.evaluate(every(scene), found.point, None)
-    np.testing.assert_allclose(after.loss, found.loss[:, 1], rtol=1e-6, atol=1e-14)
-    assert (found.point.q >= gripper.lower).all() and (found.point.q <= gripper.upper).all()
-
-
 def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
     """Loss and Jacobian of a grasp alone are those among others, though rows are added where others have more."""
     scene = aimed_at(examples, 3, 21)
@@ -386,13 +372,3 @@ def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -
     for m in range(4):
         found = linear.residual[m][linear.unilateral[m] & linear.jacobian[m].any(axis=-1)]
         np.testing.assert_allclose(np.sort(found), np.sort(-w.distance[m][near[m]]), rtol=1e-12)
-    # A step along which they come nearer: what they will be is foretold, also beyond zero.
-    dx = 0.002 * np.eye(22)[1]
-    later = problem.evaluate(rows, stepped(at, dx), replace(known, loss=np.full(4, np.inf))).witness
-    place = np.argsort(~near, axis=1, kind="stable")
-    told = linear.residual + linear.jacobian @ dx
-    for m in range(4):
-        first = int(np.flatnonzero(linear.unilateral[m])[0])
-        for row, column in enumerate(place[m][: near[m].sum()]):
-            if later.valid[m, column]:
-                assert told[m, first + row] == pytest.approx(-later.distance[m, column], abs=3e-4)

@@ -112,12 +112,6 @@ def test_links_that_are_near_come_to_touch_and_nothing_penetrates(scene: Scene, 
     assert np.isnan(touched.target_link).all() and within_limits(scene, touched.q)
 
 
-def test_nearest_points_are_reached_or_nearly(scene: Scene) -> None:
-    found = refine(scene, NEAREST)
-    assert (found.loss[:, 1] < 1e-3 * found.loss[:, 0]).all() and (found.status == Status.CONVERGED).any()
-    np.testing.assert_array_equal(np.isfinite(found.target_link[..., 0]), found.touching)
-
-
 def test_given_targets_are_reached_again(aimed: Scene) -> None:
     found = refine(aimed)
     np.testing.assert_array_equal(found.target_link, aimed.target_link)
@@ -424,15 +418,3 @@ def test_a_failed_query_ends_a_grasp_with_the_best_it_had(on_ball: Scene, monkey
     monkeypatch.undo()
     clean = refine(on_ball, short)
     same(found, clean, [1, 2, 3, 4, 5], [1, 2, 3, 4, 5])
-
-
-def test_when_no_query_is_answered_the_loop_ends(on_ball: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*arguments: object, **keywords: object) -> Witness:
-        found = query(*arguments, **keywords)
-        return replace(found, status=np.full_like(found.status, QueryStatus.FAILED))
-
-    monkeypatch.setattr(autograd, "query", fails)
-    said = []
-    found = refine(on_ball, BALL, lambda *progress: said.append(progress))
-    assert (found.status == Status.NOT_FINITE).all() and said == [(6, 1, 0.0)]
-    np.testing.assert_array_equal(found.T_world_root, on_ball.T_world_root)

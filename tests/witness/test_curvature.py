@@ -160,15 +160,6 @@ def test_a_row_does_not_depend_on_the_others_to_the_last_bit(count: int) -> None
         np.testing.assert_array_equal(curvatures.fit(*(a[some] for a in rows)), every[some])
 
 
-def test_bodies_may_have_different_numbers_of_candidates() -> None:
-    bodies = [ball(0.02), build_body("box", [box([0.05, 0.06, 0.07])], candidates=100)]
-    c = bodies[1].candidates
-    both = curvatures_of(bodies).fit(
-        np.ones(20, dtype=int), c.points[:20], c.normals[:20], tangents(c.normals[:20]), np.full(20, 0.02)
-    )
-    np.testing.assert_allclose(both, fit(bodies[1], c.points[:20], c.normals[:20], 0.02), atol=1e-3 / 0.02)
-
-
 def test_single_precision_about_the_centre_suffices() -> None:
     """Against the same least squares in double precision, on a body a metre off its origin."""
     body, radius = build_body("rod", [capsule(0.02, (1, 0, -0.05), (1, 0, 0.05))], candidates=1024), 0.012

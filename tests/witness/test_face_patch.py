@@ -92,16 +92,6 @@ def test_cuts_of_the_decomposition_do_not_end_a_patch(engine: str, places: tuple
         np.testing.assert_allclose(corners(patch(link, T, obj)[0]), whole, atol=1e-9)
 
 
-def test_faces_of_pieces_that_make_up_their_hull_are_one_polygon():
-    faces = build_body("object", cut([0.06, 0.04, 0.02], 0.01, 0.02)).facets
-    assert len(faces) == 6 and len(faces.first_vertex) == 7, "cut planes are inside"
-    np.testing.assert_allclose(np.ptp(faces.polygons(0)[0], axis=0), [0.06, 0.04, 0.0], atol=1e-12)
-    # Legs of a table are several.
-    legs = build_body("legs", [box([0.01, 0.01, 0.02], pose(x, 0.0)) for x in (-0.02, 0.02)]).facets
-    low = np.flatnonzero(legs.normal[:, 2] < -0.5)
-    assert len(low) == 1 and len(legs.polygons(int(low[0]))) == 2
-
-
 def test_a_patch_over_two_legs_reaches_from_one_to_the_other():
     legs = build_body("legs", [box([0.01, 0.01, 0.02], pose(x, 0.0)) for x in (-0.02, 0.02)])
     found, _ = patch(legs, pose(0.0, 0.0, 0.02))

@@ -90,19 +90,6 @@ def test_a_held_unknown_changes_what_the_others_do() -> None:
     assert fall[0] == pytest.approx(4.0 - 0.75**2 - 0.75**2)
 
 
-def test_where_there_is_no_room_nothing_moves() -> None:
-    J, r, damping, metric = problems(10, 7, 4, 4)
-    zero = np.zeros((10, 4))
-    dx, fall = bounded_step(J, r, damping, metric, zero, zero)
-    np.testing.assert_array_equal(dx, 0.0)
-    np.testing.assert_array_equal(fall, 0.0)
-    # Some without room, the others free.
-    lower, upper = np.full((10, 4), -FREE), np.full((10, 4), FREE)
-    lower[:, 1], upper[:, 1] = 0.0, 0.0
-    dx, _ = bounded_step(J, r, damping, metric, lower, upper)
-    np.testing.assert_allclose(dx, optimum(J, r, damping, metric, lower, upper), atol=1e-7)
-
-
 # one-sided rows
 
 
@@ -151,20 +138,6 @@ def test_steps_with_one_sided_rows_are_the_optimum_and_foretell_the_fall(room: f
     free = np.where((dx <= lower) & (slope > 0) | (dx >= upper) & (slope < 0), 0.0, slope)
     settled = np.abs(free).max(axis=1) < 1e-8
     assert settled.mean() > 0.9 and (fall[settled] > 0).all() and (fall > 0).mean() > 0.99
-
-
-def test_without_one_sided_rows_that_matter_nothing_changes() -> None:
-    J, r, damping, metric, unilateral = one_sided_problems(20, 16)
-    bounds = np.full((20, 6), -0.3), np.full((20, 6), 0.3)
-    plain = bounded_step(J, r, damping, metric, *bounds)
-    for found, expected in zip(
-        bounded_step(J, r, damping, metric, *bounds, np.zeros_like(unilateral)), plain, strict=True
-    ):
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-    far = np.where(unilateral, -1e3, r)
-    masked = np.where(unilateral, 0.0, r), np.where(unilateral[..., None], 0.0, J)
-    found = bounded_step(J, far, damping, metric, *bounds, unilateral)
-    np.testing.assert_allclose(found[0], bounded_step(masked[1], masked[0], damping, metric, *bounds)[0], atol=1e-12)
 
 
 # lambda

