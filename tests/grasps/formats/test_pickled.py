@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import builtins
-import io
 import os
 import pickle
-import pickletools
 import struct
 import subprocess
 from collections import OrderedDict
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from grasp_refine.grasps.formats import pickled
@@ -155,12 +153,6 @@ def test_no_other_name_of_a_module_is_known(module: str):
             unpickle(f"c{module}\n{name}\n.".encode())
 
 
-def test_the_refused_really_run_where_python_reads_them(tmp_path: Path):
-    mark = tmp_path / "ran"
-    pickle.loads(pickle.dumps(Call(os.system, f"touch {mark}")))
-    assert mark.exists()
-
-
 def test_a_pickle_of_too_many_steps_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(pickled, "MAX_READS", 1000)
     assert unpickle(pickle.dumps(list(range(400)))) == list(range(400))
@@ -171,13 +163,6 @@ def test_a_pickle_of_too_many_steps_is_refused(monkeypatch: pytest.MonkeyPatch):
 def test_an_escape_that_python_does_not_know_is_no_warning():
     # Warnings are errors here.
     assert unpickle(b"S'a\\q'\n.") == "a\\q"
-
-
-def test_a_dict_made_of_long_pairs_is_no_bomb():
-    # 2000 times the same list of 2000 entries, in 10 kB.
-    many = b"\x80\x02ccollections\nOrderedDict\n]q\x00(" + b"N" * 2000 + b"e0](" + b"h\x00" * 2000 + b"e\x85R."
-    with refused(Refused, "dict"):
-        unpickle(many)
 
 
 class Thing:
@@ -248,10 +233,6 @@ def array_with(shape: tuple[int, ...], code: str = "f8", data: bytes = b"1234567
     return honest
 
 
-def test_the_crafted_array_is_an_array():
-    assert same(unpickle(array_with((1,))), np.frombuffer(b"12345678", dtype="f8"))
-
-
 @pytest.mark.parametrize(
     ("data", "named"),
     [
@@ -277,120 +258,60 @@ def nested(depth: int, opening: bytes = b"]", closing: bytes = b"a") -> bytes:
     return opening * depth + b"N" + closing * depth + b"."
 
 
-def test_containers_deep_in_each_other_are_refused_and_do_not_crash():
-    assert unpickle(nested(5)) == [[[[[None]]]]]
-    for data in (nested(40), nested(10**4), b"N" + b"\x85" * 10**4 + b".", b"}" + b"N" + b"\x85" * 10**4 + b"Ns."):
-        with refused(Refused) as caught:
-            unpickle(data)
-        assert "32" in str(caught.value) or "keys" in str(caught.value)
+def repeated(count: int, times: int) -> list[Any]:
+    """Lists, each with the one before it some times."""
+    made: list[Any] = [0.0]
+    for _ in range(count):
+        made = [made] * times
+    return made
 
 
-def test_a_list_in_itself_is_refused():
-    loop: list[Any] = []
-    loop.append(loop)
-    with refused(Refused, "32"):
-        unpickle(pickle.dumps(loop))
+LOOP: list[Any] = []
+LOOP.append(LOOP)
+LIST, COPY = b"](" + b"N" * 10**4 + b"eq\x00", b"cbuiltins\nlist\nh\x00\x85R"
+FILLED = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\n)Rq\x000cnumpy\ndtype\nX\x02\x00\x00\x00S1\x85Rq\x01(K\x01"
+FILLED += b"J\xa0\x86\x01\x00\x85h\x01\x89X\xa0\x86\x01\x00" + b"a" * 100000 + b"tq\x020"
+"""An array of 100 kB of text, and its state, which fills it."""
 
 
-def test_a_part_named_many_times_is_no_bomb():
-    # 25 lists, each with the one before it ten times.
-    bomb: list[Any] = [0.0]
-    for _ in range(25):
-        bomb = [bomb] * 10
-    data = pickle.dumps(bomb)
-    assert len(data) < 10_000
-    with refused(Refused, "bomb"):
-        unpickle(data)
+def test_containers_and_copies_of_bounded_size_are_read():
+    assert unpickle(nested(5)) == [[[[[None]]]]] and unpickle(LIST + COPY + b"0.") == [None] * 10**4
+    assert unpickle(FILLED + b"h\x00h\x02b.").shape == (100000,)
+    assert unpickle(b"Nr\xff\xff\xff\x7f.") is None and unpickle(b"Np4294967295\n.") is None
 
 
-def test_an_encoding_that_is_a_bomb_is_not_formatted():
-    # Each list holds the one before it twice.
-    doubled = b"]" + b"q\x000](h\x00h\x00e" * 2000
-    with refused(Refused, "encoding"):
-        unpickle(b"c_codecs\nencode\nS'x'\n" + doubled + b"\x86R.")
-
-
-def test_a_large_array_named_many_times_is_no_bomb():
-    data = pickle.dumps([np.zeros(10**6)] * 1000)
-    with refused(Refused, "bomb"):
-        unpickle(data)
-
-
-def test_a_list_copied_many_times_is_no_bomb():
-    # list(x) of one list of ten thousand entries, a thousand times.
-    first, copy = b"](" + b"N" * 10**4 + b"eq\x00", b"cbuiltins\nlist\nh\x00\x85R"
-    with refused(Refused, "bomb"):
-        unpickle(first + b"(" + copy * 10**3 + b"l.")
-    # Copies that are dropped at once count as well.
-    with refused(Refused, "bomb"):
-        unpickle(first + (copy + b"0") * 10**3 + b".")
-    assert unpickle(first + copy + b"0.") == [None] * 10**4
-
-
-def test_a_state_set_many_times_is_no_bomb():
-    # An array of 100 kB of text, filled ten thousand times in 130 kB: each time the text is encoded.
-    array = b"cnumpy.core.multiarray\n_reconstruct\n)Rq\x000cnumpy\ndtype\nX\x02\x00\x00\x00S1\x85Rq\x01"
-    state = b"(K\x01M\xa0\x86\x85h\x01\x89X\xa0\x86\x01\x00" + b"a" * 100000 + b"tq\x020"
-    data = b"\x80\x02" + array + state.replace(b"M\xa0\x86", b"J\xa0\x86\x01\x00")
-    assert unpickle(data + b"h\x00h\x02b.").shape == (100000,)
-    with refused(Refused, "bomb"):
-        unpickle(data + b"h\x00h\x02b0" * 10**4 + b"N.")
-
-
-def test_a_dict_is_not_copied_as_a_list():
-    with refused(Refused, "damaged"):
-        unpickle(b"cbuiltins\nlist\n}\x85R.")
-
-
-def test_a_memo_at_a_giant_place_takes_no_room():
-    assert unpickle(b"Nr\xff\xff\xff\x7f.") is None
-
-
-@pytest.mark.parametrize("place", [b"4294967296", b"%d" % (2**61 - 1), b"-1", b"x"])
-def test_a_place_in_the_memo_that_needs_more_than_32_bits_is_refused(place: bytes):
-    assert unpickle(b"Np4294967295\n.") is None
-    with refused(Refused, "damaged"):
-        unpickle(b"Np" + place + b"\n.")
-
-
-def test_bytes_that_are_not_there_are_not_waited_for():
-    for opcode in (pickletools.code2op["\x8e"], pickletools.code2op["\x96"]):
-        with refused(Refused):
-            unpickle(opcode.code.encode("latin-1") + struct.pack("<Q", 2**62) + b"abc.")
-
-
-def test_whole_numbers_to_64_bits():
-    assert unpickle(pickle.dumps(INTEGER_LIMIT - 1)) == INTEGER_LIMIT - 1
-    with refused(Refused, "64 bits"):
-        unpickle(pickle.dumps(INTEGER_LIMIT))
-
-
-SEED = pickle.dumps({"q": np.arange(4.0), "names": ["a", "b"], "scale": np.float32(0.5), "path": "x"}, 2)
-SEED_5 = pickle.dumps({"q": np.arange(4.0), "names": ["a", "b"], "scale": np.float32(0.5), "path": "x"}, 5)
-
-
-@given(
-    st.sampled_from([SEED, SEED_5]),
-    st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), min_size=1, max_size=6),
-    st.integers(0, 400),
+@pytest.mark.parametrize(
+    ("data", "named"),
+    [
+        (nested(40), ("32",)),
+        (nested(10**4), ("32",)),
+        (b"N" + b"\x85" * 10**4 + b".", ("32",)),
+        (b"}" + b"N" + b"\x85" * 10**4 + b"Ns.", ("keys",)),
+        (pickle.dumps(LOOP), ("32",)),
+        (pickle.dumps(repeated(25, 10)), ("bomb",)),
+        (pickle.dumps([np.zeros(10**6)] * 1000), ("bomb",)),
+        # list(x) of one list of ten thousand entries, a thousand times; copies that are dropped at once count as well.
+        (LIST + b"(" + COPY * 10**3 + b"l.", ("bomb",)),
+        (LIST + (COPY + b"0") * 10**3 + b".", ("bomb",)),
+        (FILLED + b"h\x00h\x02b0" * 10**4 + b"N.", ("bomb",)),
+        # An encoding that is no text; each list holds the one before it twice.
+        (b"c_codecs\nencode\nS'x'\n" + b"]" + b"q\x000](h\x00h\x00e" * 2000 + b"\x86R.", ("encoding",)),
+        # 2000 pairs, each the same list of 2000 entries.
+        (
+            b"\x80\x02ccollections\nOrderedDict\n]q\x00(" + b"N" * 2000 + b"e0](" + b"h\x00" * 2000 + b"e\x85R.",
+            ("dict",),
+        ),
+        (b"cbuiltins\nlist\n}\x85R.", ("damaged",)),
+        *((b"Np" + place + b"\n.", ("damaged",)) for place in (b"4294967296", b"%d" % (2**61 - 1), b"-1", b"x")),
+        # Bytes that are not there are not waited for.
+        *((code + struct.pack("<Q", 2**62) + b"abc.", ()) for code in (b"\x8e", b"\x96")),
+        (pickle.dumps(INTEGER_LIMIT), ("64 bits",)),
+    ],
 )
-@settings(deadline=None, max_examples=600)
-@example(SEED, [(0, 0)], 400)
-def test_damaged_bytes_are_read_or_refused(seed: bytes, changes: list[tuple[int, int]], end: int):
-    data = bytearray(seed)
-    for place, byte in changes:
-        data[place % len(data)] = byte
-    try:
-        unpickle(bytes(data[: max(1, end)]))
-    except Refused as error:
-        assert "\n" not in str(error)
-
-
-@given(st.binary(max_size=200))
-@settings(deadline=None, max_examples=400)
-def test_any_bytes_are_read_or_refused(data: bytes):
-    try:
+def test_bombs_and_places_that_cannot_be_are_refused(data: bytes, named: tuple[str, ...]):
+    with refused(Refused, *named):
         unpickle(data)
-    except Refused:
-        pass
-    assert io.BytesIO(data).read() == data
+
+
+def test_whole_numbers_have_up_to_64_bits():
+    assert unpickle(pickle.dumps(INTEGER_LIMIT - 1)) == INTEGER_LIMIT - 1
