@@ -1,17 +1,13 @@
 """Hands: ours as they load, five others, mimic joints, subtrees, and hand.toml."""
 
-import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.errors import AssetError, GraspRefineError, HandError
-from grasp_refine.hands.files.urdf import read_urdf
+from grasp_refine.core.errors import AssetError, HandError
 from grasp_refine.hands.hand import Contact, Coupled, Hand, load_hand, needs_urdf
-from grasp_refine_apps.commands.hands import Hands
 from made_hands import BALL, link, write_urdf
 from refusals import assert_names, refused
 
@@ -64,9 +60,6 @@ def finger(folder: Path, toml: str | None = None) -> Path:
     return write(folder, links, *chain, joint("end", "tip", "frame", "fixed"), toml=toml)
 
 
-# --- hands that come with the program
-
-
 def test_allegro_touches_with_round_fingertips_of_the_published_size(shared_assets: Path) -> None:
     hand, other = load_hand("allegro"), load_hand(shared_assets / "hands/allegro")
     assert [(c.link, c.group) for c in hand.contacts] == list(
@@ -97,9 +90,6 @@ def test_allegro_collides_where_the_published_boxes_are(shared_assets: Path) -> 
         if part.name not in FINGERTIPS["allegro"] and part.body is not None:
             for ours, theirs in zip(part.body.pieces, other.links_by_name[part.name].body.pieces, strict=True):
                 np.testing.assert_allclose(ours.bounds, theirs.bounds, atol=1e-12)
-
-
-# --- hands that come without a URDF
 
 
 def theirs(name: str, shared_assets: Path, **options) -> Hand:
@@ -145,30 +135,6 @@ def test_an_mjcf_is_named_by_hand_toml_or_given(tmp_path: Path) -> None:
     assert load_hand(path, mjcf=hand.mjcf, base_link="palm").mjcf_joints == {}, "the wrist is left out"
 
 
-def test_the_command_hands_shows_them_with_the_users_files(
-    shared_assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert Hands(json=tmp_path / "all.json").execute() == 0
-    out = capsys.readouterr().out
-    (row,) = [line for line in out.splitlines() if line.startswith("barrett  ")]
-    assert row.split()[1:5] == ["-"] * 4 and row.split()[-1] == "-", "nothing is known before it is fetched"
-    (facts,) = [hand for hand in json.loads((tmp_path / "all.json").read_text())["hands"] if hand["name"] == "barrett"]
-    assert facts["urdf"] is None and "--urdf FILE" in facts["notes"][0]
-    folder = shared_assets / "hands"
-    urdf = folder / "shadow/shadow_right.urdf"
-    assert Hands(hands=("shadow",), urdf=urdf, mjcf=folder / "shadow_mjcf/right_hand.xml").execute() == 0
-    assert "24 joints" in " ".join(capsys.readouterr().out.split())
-    assert Hands(hands=("shadow",), urdf=urdf).execute() == 0
-    assert re.search(r"\binertia\b.*\bfftip\b", capsys.readouterr().out)
-    with refused(HandError, "right_hand.xml", "WRJ2, "):
-        Hands(hands=("shadow",), urdf=urdf, mjcf=folder / "leap_mjcf/right_hand.xml").execute()
-    with refused(GraspRefineError, "--urdf", "refine-grasp"):
-        Hands(urdf=urdf).execute()
-
-
-# --- hands of others
-
-
 @pytest.mark.parametrize("name", FINGERTIPS)
 def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands" / name)
@@ -187,19 +153,6 @@ def test_bare_urdfs_load_with_their_fingertips_guessed(name: str, shared_assets:
     assert [link.name for link in hand.links] == [hand.base_link, *(j.child for j in hand.joints)]
 
 
-def test_shadow_without_its_forearm_and_wrist(shared_assets: Path) -> None:
-    hand = load_hand(shared_assets / "hands/shadow/shadow_right.urdf")
-    assert_names(hand.notes[0], "'palm'", "WRJ2, WRJ1", "`base_link='world'`")
-    assert hand.base_link == hand.links[0].name == "palm" and hand.name == "shadow_right"
-    assert len(hand.joint_names) == 22 and not any(name.startswith("WR") for name in hand.joint_names)
-    assert {"forearm", "wrist", "world"}.isdisjoint(hand.links_by_name)
-    assert [contact.link for contact in hand.contacts] == FINGERTIPS["shadow"]
-    tips = [hand.links_by_name[name].body.pieces[0].vertices for name in FINGERTIPS["shadow"]]
-    assert [len(vertices) for vertices in tips] == [1065, 526, 526, 526, 1164]
-    assert all(0.01 < np.ptp(vertices, axis=0).max() < 0.04 for vertices in tips), "millimetres became metres"
-    assert hand.joints_by_name["THJ5"].effort == 5.0 == hand.actuator.force_limit[hand.joint_names.index("THJ5")]
-
-
 def test_joint_names_are_in_file_order_though_joints_are_not(shared_assets: Path) -> None:
     hand = load_hand(shared_assets / "hands/leap")
     assert hand.joint_names == tuple(str(i) for i in range(16))
@@ -208,9 +161,6 @@ def test_joint_names_are_in_file_order_though_joints_are_not(shared_assets: Path
     matrix, offset, names = hand.mimic_map()
     assert list(names) == movable and not offset.any()
     np.testing.assert_array_equal(matrix @ np.arange(16.0), [float(name) for name in movable])
-
-
-# --- mimic joints
 
 
 def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
@@ -232,32 +182,6 @@ def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
     assert [j.lower for j in hand.joints if j.mimic] == [-1, -1, -np.inf]
     np.testing.assert_allclose((hand.lower, hand.upper, hand.rest), [[-0.125], [0.375], [0.125]], atol=1e-15)
     assert_names(hand.notes[-1], "'a'", "-0.125", "0.375 rad", "-1", "2", " c ")
-
-
-# --- what is guessed
-
-
-def test_continuous_joints_rest_at_zero_and_locked_ones_are_noted(tmp_path: Path) -> None:
-    locked = joint("2", "b", "c").replace('upper="2"', 'upper="-1"')
-    hand = load_hand(write(tmp_path, dict.fromkeys("abc", ""), joint("1", "a", "b", "continuous"), locked))
-    np.testing.assert_array_equal(hand.rest, [0, -1])
-    assert any("'2'" in note and "limits" in note for note in hand.notes)
-
-
-def test_contact_links_are_on_the_last_rigid_parts_that_move(tmp_path: Path) -> None:
-    links = {"palm": BALL, "a1": BALL, "sensor": "", "pad": BALL, "frame": "", "b1": BALL, "mount": BALL, "c1": ""}
-    path = write(
-        tmp_path,
-        links,
-        joint("a", "palm", "a1"),
-        joint("as", "a1", "sensor", "fixed"),
-        joint("ap", "sensor", "pad", "fixed"),
-        joint("af", "pad", "frame", "fixed"),
-        joint("b", "palm", "b1"),
-        joint("m", "palm", "mount", "fixed"),
-        joint("c", "palm", "c1"),
-    )
-    assert load_hand(path).contacts == (Contact("a1", "pad"), Contact("pad", "pad"), Contact("b1", "b1"))
 
 
 def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:
@@ -283,9 +207,6 @@ def test_inertias_are_turned_into_the_link_frame(tmp_path: Path) -> None:
     assert link.mass == link.inertia.mass == 2
     np.testing.assert_array_equal(link.inertia.centre, [1, 2, 3])
     np.testing.assert_allclose(link.inertia.matrix, np.diag([2, 1, 2.5]), atol=1e-12)
-
-
-# --- hand.toml
 
 
 def test_hand_toml_is_held_against_the_urdf(tmp_path: Path) -> None:
@@ -357,9 +278,6 @@ def test_hand_toml_that_names_nothing(tmp_path: Path, toml: str, named: tuple[st
         load_hand(finger(tmp_path, toml))
 
 
-# --- where hands are found
-
-
 def test_a_hand_is_a_name_a_folder_a_urdf_or_a_hand_toml(tmp_path: Path) -> None:
     path = finger(tmp_path / "bare")
     named = finger(tmp_path / "named", toml="urdf = 'hand.urdf'\nbase_link = 'palm'")
@@ -402,12 +320,3 @@ def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, named: 
     else:
         with refused(HandError, "hand.urdf", *named):
             load_hand(path)
-
-
-def test_yourdfpy_reads_no_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import trimesh
-
-    for name in ("load", "load_mesh", "load_scene"):
-        monkeypatch.setattr(trimesh, name, lambda *_, **__: pytest.fail("a mesh was read"))
-    path = write(tmp_path, {"a": '<visual><geometry><mesh filename="v.stl"/></geometry></visual>'})
-    assert read_urdf(path).links[0].visuals == []

@@ -264,22 +264,6 @@ def test_torch_and_numpy_agree(hand: Hand) -> None:
             np.testing.assert_allclose(found.numpy(), wanted, atol=tolerance)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_number_type_and_batch_size_follow_the_arguments(gripper: Hand, count: int) -> None:
-    chain = Chain(gripper, all_links(gripper))
-    T, q = (a.astype(np.float32) for a in configurations(gripper, count, seed=9))
-    frames = chain(T, q)
-    pulled = chain.to_joint_space(frames, np.ones((count, 2, 6), np.float32), np.array([0, 3]), np.array([1, 2]))
-    assert {a.dtype for a in (frames.T_world_link, frames.axes, pulled, integrate(T, T[:, :2, :3].reshape(-1, 6)))} == {
-        np.dtype(np.float32)
-    }
-    assert frames.T_world_link.shape == (count, 8, 4, 4) and frames.axes.shape == (count, 6, 6 + 6)
-    assert pulled.shape == (count, 2, 6 + 4)
-    poses = Kinematics(gripper, all_links(gripper), dtype=torch.float32)(torch.from_numpy(T), torch.from_numpy(q))
-    assert poses.dtype == torch.float32 and poses.shape == (count, 8, 4, 4)
-    np.testing.assert_allclose(poses.numpy(), frames.T_world_link, atol=1e-6)
-
-
 # gradients by autograd
 
 

@@ -16,7 +16,6 @@ from grasp_refine.hands.files.link_geometry import LinkMeshes, link_pieces
 from grasp_refine.hands.files.mesh_files import read_mesh, resolve_mesh
 from grasp_refine.hands.files.shape import MeshFile
 from grasp_refine.hands.files.urdf_tree import urdf_tree
-from grasp_refine.hands.hand import load_hand
 from refusals import assert_names, refused
 
 WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
@@ -142,31 +141,6 @@ def test_a_hull_within_the_limit_stays_and_is_noted_if_it_stands_out_noticeably(
     assert_names(note, "tip", "palm.obj", "15.0 mm", "20.0 mm")
 
 
-def test_without_a_limit_hulls_are_not_even_measured(palm: Path) -> None:
-    (_,), notes = cut(palm, '<mesh filename="../meshes/palm.obj"/>', limit=np.inf)
-    assert notes == []
-
-
-def test_a_hand_says_it_and_takes_the_limit(palm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GRASP_REFINE_CACHE", str(tmp_path / "cache"))
-    path = palm / "urdf/hand.urdf"
-    collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
-    tip = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
-    joint = '<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/>'
-    joint += '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
-    path.write_text(f'<robot name="r"><link name="palm">{collision}</link><link name="tip">{tip}</link>{joint}</robot>')
-    for limit, count, said in [(5e-3, 2, "2 convex"), (0.02, 1, "20.0 mm"), (np.inf, 1, None)]:
-        hand = load_hand(path, hull_limit=limit)
-        assert len(hand.links_by_name["palm"].body.pieces) == count
-        notes = [note for note in hand.notes if note.startswith("palm: ") and "palm.obj" in note]
-        assert len(notes) == (said is not None)
-        assert said is None or said in notes[0]
-
-
-def test_meshes_that_are_convex_are_not_mentioned(package: Path) -> None:
-    assert cut(package, '<mesh filename="../meshes/wedge.obj" scale="0.1 0.1 0.1"/>', '<box size="1 1 1"/>')[1] == []
-
-
 def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
     path = palm / "urdf/hand.urdf"
     collision = '<collision><geometry><mesh filename="../meshes/palm.obj"/></geometry></collision>'
@@ -214,11 +188,6 @@ def test_meshes_of_known_hands(shared_assets: Path, hand: str, link: str, pieces
 def test_mesh_addresses(package: Path, filename: str) -> None:
     found = resolve_mesh(filename.format(folder=package), package / "urdf/hand.urdf")
     assert found.samefile(package / "meshes/wedge.stl")
-
-
-def test_a_file_address_may_be_percent_encoded(package: Path) -> None:
-    (package / "meshes/wedge.stl").rename(package / "meshes/a wedge.stl")
-    assert resolve_mesh(f"file://{package}/meshes/a%20wedge.stl", package / "urdf/hand.urdf").is_file()
 
 
 def test_the_package_of_that_name_wins_over_a_folder_nearby(package: Path) -> None:

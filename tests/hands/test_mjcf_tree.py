@@ -343,25 +343,6 @@ def test_a_name_in_latin_1_is_refused(tmp_path: Path) -> None:
         load_hand(path, candidates=16)
 
 
-def test_comments_with_two_hyphens_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "hand.xml"
-    path.write_text(BODY.format("<!-- ---- fingers -- all ---- -->", JOINT, ""))
-    assert load_hand(path, candidates=16).base_link == "p"
-
-
-@pytest.mark.slow
-def test_a_model_that_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Copies of what is copied elsewhere, each fewer than a hand may have, are a million."""
-    monkeypatch.setattr("grasp_refine.hands.files.mjcf_trial.MAX_PROCESSOR_S", 2.0)
-    many = '<replicate count="900"><body><geom size="0.01"/></body></replicate>'
-    (tmp_path / "inner.xml").write_text(BODY.format("", many, ""))
-    attach = '<replicate count="900"><attach model="m" body="p" prefix="x"/></replicate>'
-    path = tmp_path / "hand.xml"
-    path.write_text(BODY.format('<asset><model name="m" file="inner.xml"/></asset>', JOINT, attach))
-    with refused(HandError, "hand.xml", "2 s"):
-        load_hand(path, candidates=16)
-
-
 def test_an_object_with_joints_beside_the_hand_is_left_out(tmp_path: Path) -> None:
     """As in Gymnasium's scenes, where it hangs from the world by three slides and three hinges."""
     joints = "".join(f'<joint name="o{axis}" type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
@@ -425,14 +406,6 @@ def test_the_suffix_of_an_mjcf_does_not_matter(tmp_path: Path, name: str) -> Non
     assert hand.joint_names == ("j",) and [link.name for link in hand.links] == ["palm", "f"]
     assert hand.links_by_name["palm"].solid.diagonal > 0.1
     assert model_of(hand).spec.compile().ngeom == 2
-
-
-def test_a_folder_with_an_mjcf_named_mjcf_is_a_hand(tmp_path: Path) -> None:
-    (tmp_path / "hand").mkdir()
-    path = small(tmp_path / "hand", "hand.mjcf")
-    (tmp_path / "hand/finger.xml").rename(tmp_path / "hand/finger.inc")
-    path.write_text(SMALL.replace("finger.xml", "finger.inc"))
-    assert load_hand(path.parent, candidates=16).joint_names == ("j",)
 
 
 def test_a_mesh_that_is_a_git_lfs_pointer_is_named_as_one(tmp_path: Path) -> None:

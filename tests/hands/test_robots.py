@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, transform_points
+from grasp_refine.core.se3 import transform_from_pose, transform_points
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.chain import Chain
@@ -121,9 +121,6 @@ def test_shadow_palm_is_shadow_from_the_palm_on() -> None:
         assert ours(name).base_link == base and len(ours(name).contacts) == 5 and len(ours(name).coupled) == 4
 
 
-# --- kinematics
-
-
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_it_is_as_published(name: str) -> None:
     hand, facts = ours(name), PUBLISHED[name]
@@ -164,58 +161,12 @@ def test_all_links_are_where_the_makers_are(name: str, shared_assets: Path) -> N
     np.testing.assert_allclose(here[..., :3, :3], there[..., :3, :3], atol=1e-4)
 
 
-def from_urdf_facts(facts: dict, root: str, values: dict[str, float]) -> dict[str, np.ndarray]:
-    """Pose of each link below `root`."""
-    T, waiting = {root: np.eye(4)}, list(facts["joints"])
-    for _ in range(len(waiting)):
-        for fact in [fact for fact in waiting if fact["parent"] in T]:
-            roll, pitch, yaw = (angle * np.eye(3)[i] for i, angle in enumerate(fact["rpy"]))
-            turn = np.eye(3) if fact["axis"] is None else exp_so3(values[fact["name"]] * np.array(fact["axis"]))
-            place = transform(exp_so3(yaw) @ exp_so3(pitch) @ exp_so3(roll) @ turn, np.array(fact["xyz"]))
-            T[fact["child"]] = T[fact["parent"]] @ place
-            waiting.remove(fact)
-    return T
-
-
-def from_mjcf_facts(facts: dict, root: str, values: dict[str, float]) -> dict[str, np.ndarray]:
-    """Pose of each body below `root`."""
-    T, joints = {root: np.eye(4)}, {joint["body"]: joint for joint in facts["joints"]}
-    for body in facts["bodies"]:
-        if body["parent"] in T:
-            joint = joints[body["name"]]
-            turn = exp_so3(values[joint["name"].removeprefix("rh_")] * np.array(joint["axis"]))
-            place = transform_from_pose(np.array([*body["pos"], *body["quat_wxyz"]]))
-            T[body["name"]] = T[body["parent"]] @ place @ transform(turn, np.zeros(3))
-    return T
-
-
-@pytest.mark.parametrize("name", FACTS)
-def test_fingertips_are_within_a_tenth_of_a_millimetre_of_the_facts(name: str, shared_assets: Path) -> None:
-    side = FACTS[name][0]
-    facts = facts_of(name, shared_assets)[side]
-    # Frames of the forearm differ between the two descriptions of Shadow, those of the palm do not.
-    hand = ours("shadow_palm") if name == "shadow" else ours(name)
-    prefix, where = ("rh_", from_mjcf_facts) if side == "mjcf" else ("", from_urdf_facts)
-    q = random_configurations(hand)
-    pads = np.array([contact.point for contact in hand.contacts])
-    links = tuple(contact.link for contact in hand.contacts)
-    here = transform_points(poses(hand, links, q), pads)
-    for row, values in enumerate(q):
-        T = where(facts, prefix + hand.base_link, dict(zip(hand.joint_names, values.tolist(), strict=True)))
-        there = transform_points(np.stack([T[prefix + link] for link in links]), pads)
-        # The little finger of Shadow's two descriptions differs by 0.1 mm.
-        assert np.linalg.norm(here[row] - there, axis=-1).max() < 1.01e-4
-
-
 @pytest.mark.parametrize("name", FACTS)
 def test_masses_are_the_published_ones(name: str, shared_assets: Path) -> None:
     facts = facts_of(name, shared_assets)[FACTS[name][0]]
     weighed = {part["name"].removeprefix("rh_"): part["mass"] for part in facts.get("links", facts.get("bodies"))}
     for link in ours(name).links:
         assert link.mass == weighed.get(link.name), link.name
-
-
-# --- matter
 
 
 @pytest.mark.parametrize("name", [*FACTS, *PUBLISHED])
@@ -270,14 +221,6 @@ def _outside(piece: Piece, points: np.ndarray) -> np.ndarray:
     return (points @ normals.T - offsets).max(axis=1)
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
-def test_one_looks_at_what_collides(name: str) -> None:
-    text = ours(name).urdf.read_text()
-    shape = r"\s*(<origin [^>]*/>)\s*<geometry>(.*?)</geometry>"
-    shown, solid = (re.findall(f"<{tag}>{shape}", text) for tag in ("visual", "collision"))
-    assert shown == solid and len(solid) >= 12
-
-
 @pytest.mark.parametrize("name", WHOLE)
 def test_nothing_collides_at_rest(name: str) -> None:
     hand = ours(name)
@@ -310,9 +253,6 @@ def test_pads_are_on_the_surface_and_look_the_way_the_finger_closes(name: str) -
         assert cloud.normals[near] @ contact.normal > np.cos(np.radians(10)), contact.link
 
 
-# --- grasps
-
-
 @pytest.mark.parametrize("name", WHOLE)
 @pytest.mark.parametrize("things", [pytest.param(("rounded_box", *SLOW), marks=pytest.mark.slow), ("rounded_box",)])
 def test_its_examples_refine(name: str, things: tuple[str, ...]) -> None:
@@ -337,9 +277,6 @@ def test_its_examples_refine(name: str, things: tuple[str, ...]) -> None:
         converged += list(result.status == Status.CONVERGED)
     # Of the attempts at a grasp the one that holds best is taken: one in ten ends a little short of its last contact.
     assert np.mean(converged) >= 0.75
-
-
-# --- hands that come without a URDF
 
 
 @pytest.mark.parametrize("name", [name for name in list_hands() if name not in WHOLE])

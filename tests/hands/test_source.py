@@ -68,11 +68,6 @@ def test_an_mjcf_may_be_an_asset(mirror: Path) -> None:
         hand_files("shadow", None, Path("nothing.xml"), silent)
 
 
-def test_an_mjcf_of_the_assets_is_a_hand(mirror: Path) -> None:
-    hand = load_hand("shadow_mjcf", candidates=16)
-    assert (hand.name, hand.base_link, hand.collision) == ("hands/shadow_mjcf", "rh_palm", "mjcf")
-
-
 def test_without_a_network_both_ways_out_are_named(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GRASP_REFINE_ASSETS", "http://127.0.0.1:9")
     with refused(AssetError, "'barrett'", "`urdf=FILE`", "GRASP_REFINE_ASSETS"):

@@ -11,10 +11,9 @@ import pytest
 
 import spread_gripper as gripper_of_three
 import underactuated as hand_of_five
-from grasp_refine.closing.motion import Motion, closing_motion
-from grasp_refine.core.se3 import exp_se3, inverse, pose_from_transform, transform_from_pose
+from grasp_refine.closing.motion import closing_motion
+from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.files.mimics import followed
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.measures.metrics import metrics
@@ -26,7 +25,7 @@ from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
-from grasp_refine.validation.engines.mujoco.world import World, build_world
+from grasp_refine.validation.engines.mujoco.world import build_world
 from grasp_refine.validation.simulation import simulate
 from spread_gripper import spread_gripper
 from underactuated import underactuated
@@ -78,19 +77,6 @@ def links(hand: Hand) -> list[str]:
 # what is read
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_joints_are_independent_or_follow(hands: dict[str, Hand], name: str) -> None:
-    hand, module = hands[name], MODULES[name]
-    assert set(hand.joint_names) == set(module.INDEPENDENT)
-    followers = {joint.name for joint in hand.joints if joint.mimic is not None}
-    assert followers == set(module.FOLLOWERS)
-    assert sum(joint.movable for joint in hand.joints) == len(followers) + len(hand.joint_names)
-    _, q = configurations(hand, 5)
-    matrix, offset, names = hand.mimic_map()
-    for column, values_of in zip((q @ matrix.T + offset).T, (values(hand, q)[n] for n in names), strict=True):
-        np.testing.assert_allclose(column, values_of, atol=1e-15)
-
-
 def test_contact_links_are_the_fingertips(hands: dict[str, Hand]) -> None:
     of_five = {contact.link: contact.group for contact in hands["five fingers"].contacts}
     assert of_five == {
@@ -101,24 +87,6 @@ def test_contact_links_are_the_fingertips(hands: dict[str, Hand]) -> None:
         "little_b": "little",
     }
     assert [c.link for c in hands["three fingers"].contacts] == ["finger_1_b", "finger_2_b", "finger_3_b"]
-
-
-def test_followers_narrow_the_limits_of_what_they_follow(hands: dict[str, Hand]) -> None:
-    limits = {
-        name: (low, high)
-        for hand in hands.values()
-        for name, low, high in zip(hand.joint_names, hand.lower, hand.upper, strict=True)
-    }
-    assert limits["little_1"] == (0.0, pytest.approx(1.0)), "1.1 x 1 is the follower's limit"
-    assert limits["spread"] == (0.0, 1.2)
-    assert limits["index_1"] == (0.0, 1.5), "0.9 x 1.5 + 0.1 is within the follower's limits"
-    for hand in hands.values():
-        ends = np.array(np.meshgrid(*np.stack([hand.lower, hand.upper], axis=1)[:4])).reshape(4, -1).T
-        q = np.tile(hand.rest, (len(ends), 1))
-        q[:, :4] = np.clip(ends, -9.0, 9.0)
-        for name, at in values(hand, q).items():
-            joint = hand.joints_by_name[name]
-            assert (at >= joint.lower - 1e-12).all() and (at <= joint.upper + 1e-12).all(), name
 
 
 # kinematics
@@ -145,7 +113,7 @@ def test_mujoco_has_the_links_where_we_have_them(hand: Hand) -> None:
 
 
 def grasped(
-    hand: Hand, spec: str, count: int = 6, config: Config | None = None
+    hand: Hand, spec: str, count: int = 3, config: Config | None = None
 ) -> tuple[Scene, HandObject, Refinement]:
     obj = load_object(spec, candidates=1024)
     prepared = HandObject(hand, obj)
@@ -154,51 +122,21 @@ def grasped(
     return scene, prepared, refine(scene, config, prepared=prepared)
 
 
-@pytest.mark.parametrize("spec", ["sphere:0.03", pytest.param("cylinder:0.025,0.12", marks=pytest.mark.slow)])
-def test_grasps_are_found_refined_and_hold(hand: Hand, spec: str) -> None:
-    scene, prepared, found = grasped(hand, spec)
+def test_grasps_are_found_refined_and_hold(hand: Hand) -> None:
+    scene, prepared, found = grasped(hand, "sphere:0.03")
     count = len(scene.q)
-    assert count == 6
-    # Six joints need not reach a cylinder with five fingers at once.
-    converged, gap = (count, 1e-5) if spec.startswith("sphere") else (3, 2e-4)
-    assert (found.status == Status.CONVERGED).sum() >= converged
+    assert count == 3 and (found.status == Status.CONVERGED).all()
     assert ((found.q >= hand.lower) & (found.q <= hand.upper)).all()
     for name, at in values(hand, found.q).items():
         joint = hand.joints_by_name[name]
         assert (at >= joint.lower - 1e-12).all() and (at <= joint.upper + 1e-12).all(), f"{name} keeps its own limits"
     measured = metrics(hand, scene.object, found.T_world_root, found.q)
     assert measured.limits_violated.sum() == 0
-    assert np.median(measured.contact_distance_m) < gap and measured.penetration_m.max() < 2e-5
+    assert np.median(measured.contact_distance_m) < 1e-5 and measured.penetration_m.max() < 2e-5
     assert measured.self_penetration_m.max() < 1e-5
     motion = closing_motion(replace(scene, T_world_root=found.T_world_root, q=found.q), prepared)
     world = build_world(urdf_model(hand), scene.object, Task(DEXGRASPBENCH))
     assert simulate(world, motion, threads=1).success.sum() >= count - 1
-    assert slack(hand, world, motion) < 3e-3
-
-
-def slack(hand: Hand, world: World, motion: Motion) -> float:
-    """By how much mimic joints lag behind at worst, in rad, while the first hand closes from pregrasp to squeeze."""
-    model = world.spec.compile()
-    data = mujoco.MjData(model)
-    q = motion.q[0] @ world.hand.matrix.T + world.hand.offset
-    data.qpos[world.root_at : world.root_at + 7] = pose_from_transform(motion.T_world_root[0, 0])
-    data.mocap_pos[0] = motion.T_world_root[0, 0, :3, 3]
-    data.mocap_quat[0] = pose_from_transform(motion.T_world_root[0, 0])[3:]
-    data.qpos[world.joints_at] = q[0]
-    data.qpos[world.object_at : world.object_at + 7] = [0, 0, 0, 1, 0, 0, 0]
-    worst = 0.0
-    for stage in (0, 1):
-        for share in np.linspace(0.1, 1.0, 10):
-            T = motion.T_world_root[0, stage + (share > 0.5)]
-            data.mocap_pos[0], data.mocap_quat[0] = T[:3, 3], pose_from_transform(T)[3:]
-            data.ctrl[:] = world.control @ (q[stage] + share * (q[stage + 1] - q[stage]))
-            mujoco.mj_step(model, data, 10)
-            now = dict(zip(world.hand.joints, data.qpos[world.joints_at], strict=True))
-            for joint in hand.joints:
-                if joint.mimic is not None:
-                    leads = followed(joint, hand.joints_by_name)
-                    worst = max(worst, abs(now[joint.name] - leads.multiplier * now[leads.joint] - leads.offset))
-    return worst
 
 
 # a hand on an arm
@@ -252,7 +190,7 @@ def test_what_a_left_hand_comes_to_mirrors_what_the_right_one_comes_to(hands: di
     """Balls and capsules are exact in contact, so that no sampled surface makes a difference between the two."""
     right, left = hands["five fingers"], hands["left"]
     obj = load_object("sphere:0.03", candidates=512)
-    drawn = sample_grasps(right, obj, 6)
+    drawn = sample_grasps(right, obj, 4)
     T, config = transform_from_pose(drawn.hand_pose), Config(starts=1)
     one = refine(Scene(right, obj, T, drawn.q), config)
     other = refine(Scene(left, obj, MIRROR @ T @ MIRROR, drawn.q), config)
@@ -262,5 +200,5 @@ def test_what_a_left_hand_comes_to_mirrors_what_the_right_one_comes_to(hands: di
     # The four pushes of the loss go to the corners of a tetrahedron, which is not its own mirror image: where they are
     # more than the contacts can take, hands may differ.
     same = np.abs(back - one.T_world_root).max(axis=(1, 2)) < 1e-6
-    assert same.sum() >= 4
+    assert same.sum() >= 3
     np.testing.assert_allclose(other.q[same], one.q[same], atol=1e-6)

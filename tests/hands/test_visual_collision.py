@@ -65,12 +65,6 @@ def test_a_check_of_a_hand_that_cannot_touch_ends_with_1(tmp_path: Path, capsys:
     assert main(["hands", "--check", str(path), "--collision", "visual"]) == 0
 
 
-def test_a_run_says_that_there_is_no_collision_geometry(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["run", "--hand", str(pincers(tmp_path)), "--object", "sphere:0.02", "--grasps", "sample:1"]
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
-    assert "no link of the hand has collision geometry" in capsys.readouterr().err
-
-
 def test_an_mjcf_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "hand.xml"
     path.write_text("""<mujoco><worldbody><body name="palm"><geom size=".02"/><body name="f" pos="0 0 .1">

@@ -17,8 +17,9 @@ from grasp_refine.core.se3 import exp_se3, transform_from_pose, transform_points
 from grasp_refine.grasps.formats import hdf5_files
 from grasp_refine.grasps.formats.agreement import check_same
 from grasp_refine.grasps.formats.content import load_content
-from grasp_refine.grasps.formats.hdf5_files import dump_hdf5
+from grasp_refine.grasps.formats.hdf5_files import dump_hdf5, parse_hdf5
 from grasp_refine.grasps.formats.listing import FORMATS
+from grasp_refine.grasps.formats.pickled import Refused
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import written
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -159,8 +160,8 @@ def test_bounds_and_links(tmp_path: Path):
                     file[name] = part
                 else:
                     file.create_dataset(name, **part)
-        with refused(GraspFileError, path, *named):
-            load_content(path)
+        with refused(Refused, *named):
+            parse_hdf5(path.read_bytes())
 
     check("elsewhere", "'a'", a=h5py.ExternalLink("other.h5", "/b"))
     check("elsewhere", "'a'", a=h5py.SoftLink("/b"))
@@ -168,24 +169,19 @@ def test_bounds_and_links(tmp_path: Path):
     check("MiB", "'a'", a={"shape": (2**40,), "dtype": "f8", "chunks": (2**10,), "compression": "gzip"})
     check("type", "'a'", a={"data": np.zeros(2, np.dtype([("x", "f8")]))})
     check("texts", "'a'", a={"data": ["x"] * 20_000, "dtype": h5py.string_dtype()})
-    with h5py.File(path, "w") as file:
-        group = file
-        for _ in range(40):
-            group = group.create_group("g")
-    with refused(GraspFileError, path, "nested", "32"):
-        load_content(path)
+    nested: dict[str, Any] = {}
+    for _ in range(40):
+        nested = {"g": nested}
+    for content, named in ((nested, ("nested", "32")), ({f"{n}": {} for n in range(10_001)}, ("10000",))):
+        with refused(Refused, *named):
+            parse_hdf5(dump_hdf5(content))
     with h5py.File(path, "w") as file:
         file["g/loop"] = file["/"]
-    with refused(GraspFileError, path, "nested"):
-        load_content(path)
+    with refused(Refused, "nested"):
+        parse_hdf5(path.read_bytes())
     path.write_bytes(hdf5_files.HDF5_MAGIC + bytes(100))
     with refused(GraspFileError, path, "HDF5"):
         load_content(path)
-
-
-def test_the_number_of_datasets_is_bounded(tmp_path: Path):
-    with refused(GraspFileError, "10000"):
-        load_content(save(tmp_path / "a.h5", {f"{n}": n for n in range(10_001)}))
 
 
 def test_reading_ends_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

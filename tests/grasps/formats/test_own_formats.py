@@ -99,17 +99,17 @@ def test_entry_points_are_found_by_convert(file: Path, tmp_path: Path):
     (package / "mine.py").write_text(MODULE)
     (package / "mine-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (package / "mine-1.0.dist-info" / "entry_points.txt").write_text("[grasp_refine.formats]\nmine = mine:MINE\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(package), os.environ.get("PYTHONPATH", "")])}
-
-    def refine_grasp(*arguments: str) -> str:
-        command = [sys.executable, "-m", "grasp_refine_apps.cli", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    refine_grasp("convert", str(file), "ours.npz", "--to", "ours")
+    code = (
+        "import sys\nfrom grasp_refine_apps.cli import main\nsys.exit(any(main(one.split()) for one in sys.argv[1:]))"
+    )
+    commands = "convert grasps.json ours.npz --to ours", "convert ours.npz back.json --to mine"
+    paths = os.pathsep.join([str(package), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", code, *commands], cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
     assert load_grasps(tmp_path / "ours.npz").q.tolist() == CONTENT["q"]
-    refine_grasp("convert", "ours.npz", "back.json", "--to", "mine")
     assert json.loads((tmp_path / "back.json").read_text()) == CONTENT
 
 
