@@ -85,11 +85,6 @@ def test_a_hand_and_its_left_one_are_found_by_name(package: Path, capsys: pytest
     assert capsys.readouterr().out == ""
 
 
-def test_a_hand_on_an_arm_begins_at_its_palm(package: Path) -> None:
-    hand = load_hand("robot_descriptions/arm", candidates=16)
-    assert (hand.base_link, hand.joint_names) == ("palm", ("a", "b"))
-
-
 @pytest.mark.parametrize(
     ("name", "named"),
     [
@@ -115,10 +110,4 @@ def test_a_folder_of_that_name_is_not_run(package: Path, tmp_path: Path, monkeyp
         (trap / f"{name}.py").write_text("raise SystemExit('this was run')")
     monkeypatch.syspath_prepend(trap.parent)
     with refused(AssetError, "claw"):
-        described("robot_descriptions/claw", lambda line: None)
-
-
-def test_without_the_package_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with refused(AssetError, "grasp-refine[robot_descriptions]"):
         described("robot_descriptions/claw", lambda line: None)

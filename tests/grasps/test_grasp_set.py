@@ -18,7 +18,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, Targets, load_grasps, match_joints, save_npz
 from grasp_refine.grasps.rows import best_rows, choose_rows, row_numbers, rows_where
 from grasp_refine.hands.files.tree import Joint, Mimic
-from grasp_refine.hands.hand import Actuator, Hand, load_hand
+from grasp_refine.hands.hand import Actuator, Hand
 from refusals import assert_names
 from refusals import refused as expected
 
@@ -122,10 +122,6 @@ def test_a_file_without_schema_is_version_1(write):
     assert len(load_grasps(write(schema=None))) == 3
 
 
-def test_other_entries_may_stand_beside(write):
-    assert len(load_grasps(write(contact_error=np.zeros(3), src_file=["x", "y", "z"]))) == 3
-
-
 def test_quaternions_of_float32_are_normalised(write):
     pose = entries()["hand_pose"]
     pose[:, 3:] *= 1.0009
@@ -141,33 +137,7 @@ def test_reads_targets_with_nan_for_none(write):
     assert np.isfinite(grasps.targets.point_object[0]).all()
 
 
-def test_a_hand_without_joints_is_a_grasp_too(write):
-    grasps = load_grasps(write(joint_names=np.array([]), q=np.zeros((3, 0))))
-    assert grasps.joint_names == ()
-    assert grasps.q.shape == (3, 0)
-
-
-@pytest.mark.parametrize(
-    ("name", "count", "objects"),
-    [
-        ("bodex_shadow", 240, 3),
-        ("dexgraspnet_shadow", 657, 3),
-        ("frogger_allegro", 640, 14),
-        ("leap_cube", 768, 1),
-    ],
-)
-def test_reads_the_shared_grasp_sets(shared_assets: Path, name: str, count: int, objects: int):
-    grasps = load_grasps(shared_assets / "grasps" / "normalised" / f"{name}.npz")
-    assert len(grasps) == count
-    assert len(np.unique(grasps.object)) == objects
-    assert grasps.q.shape == (count, len(grasps.joint_names))
-
-
 # -- refusing --------------------------------------------------------------------------------------------
-
-
-def test_missing_file(tmp_path: Path):
-    refused(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", pickle.dumps({"q": [1.0]}), b"\x93NUMPY"])
@@ -182,21 +152,6 @@ def test_a_zip_of_something_else(tmp_path: Path):
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "hello")
     assert_names(refused(path), ".npz", "readme.txt")
-
-
-def test_a_truncated_array_is_named(tmp_path: Path):
-    path = tmp_path / "grasps.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("q.npy", b"\x93NUMPY\x01\x00\x05\x00{'de")
-    assert_names(refused(path), "'q'")
-
-
-def test_bytes_damaged_in_the_archive(write):
-    path = write()
-    content = bytearray(path.read_bytes())
-    content[content.index(b"NUMPY") + 127] ^= 0xFF
-    path.write_bytes(content)
-    assert_names(refused(path), ".npz", "Bad CRC")
 
 
 class Bomb:
@@ -339,12 +294,6 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path,
         save_npz(path, entries())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
-    (tmp_path / "file").write_text("")
-    with expected(GraspFileError, tmp_path / "file"):
-        save_npz(tmp_path / "file" / "result.npz", entries())
 
 
 def test_object_arrays_are_not_written(tmp_path: Path):
@@ -528,31 +477,6 @@ def test_another_hand_than_the_file_names_is_said(named: str, said: bool):
         assert_names(note, "'gripper'", "'claw'")
 
 
-@pytest.mark.parametrize(
-    ("grasps", "urdf"),
-    [
-        ("dexgraspnet_shadow", "shadow/shadow_right.urdf"),
-        ("bodex_shadow", "shadow/shadow_right.urdf"),
-        ("frogger_allegro", "allegro/allegro_right.urdf"),
-        ("leap_cube", "leap/leap_right.urdf"),
-    ],
-)
-def test_the_shared_grasps_fit_their_hands_below_the_base_link(shared_assets: Path, grasps: str, urdf: str):
-    chosen = load_grasps(shared_assets / "grasps" / "normalised" / f"{grasps}.npz").select([0, 1])
-    hand = load_hand(shared_assets / "hands" / urdf, base_link=chosen.base_link, candidates=64)
-    q, notes = match_joints(chosen, hand)
-    assert notes == ()
-    for i, name in enumerate(hand.joint_names):
-        np.testing.assert_array_equal(q[:, i], chosen.q[:, chosen.joint_names.index(name)])
-
-
-def test_grasps_of_another_hand_are_refused(shared_assets: Path):
-    chosen = load_grasps(shared_assets / "grasps" / "normalised" / "leap_cube.npz").select([0])
-    hand = load_hand(shared_assets / "hands" / "allegro" / "allegro_right.urdf", candidates=64)
-    with expected(GraspFileError, "'leap'", "'allegro"):
-        match_joints(chosen, hand)
-
-
 # -- rows ------------------------------------------------------------------------------------------------
 
 
@@ -570,19 +494,8 @@ def mixed() -> GraspSet:
     )
 
 
-def test_rows_of_one_object(mixed: GraspSet):
-    assert choose_rows(mixed.object, object_name="mug", index=None).tolist() == [0, 2, 4]
-    assert choose_rows(mixed.object, object_name="can", index=None).tolist() == [1, 3]
-
-
 def test_an_index_counts_the_grasps_of_the_object(mixed: GraspSet):
     assert choose_rows(mixed.object, object_name="mug", index=[2, 0]).tolist() == [4, 0]
-
-
-def test_a_file_of_one_object_needs_no_name(mixed: GraspSet):
-    mugs = mixed.select([0, 2, 4])
-    assert choose_rows(mugs.object, object_name=None, index=None).tolist() == [0, 1, 2]
-    assert choose_rows(mugs.object, object_name=None, index=[1]).tolist() == [1]
 
 
 @pytest.mark.parametrize(

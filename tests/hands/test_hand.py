@@ -184,11 +184,6 @@ def test_chains_of_mimic_joints_are_resolved(tmp_path: Path) -> None:
     assert_names(hand.notes[-1], "'a'", "-0.125", "0.375 rad", "-1", "2", " c ")
 
 
-def test_a_hand_without_solid_links_has_no_contacts_and_says_so(tmp_path: Path) -> None:
-    hand = load_hand(write(tmp_path, dict.fromkeys("ab", ""), joint("1", "a", "b")))
-    assert hand.contacts == () and "contact" in hand.notes[0]
-
-
 def test_bodies_and_masses_are_in_place(tmp_path: Path) -> None:
     links = {
         "a": BALL + BALL.replace("sphere radius", 'box size="1 1 1" x'),
@@ -303,20 +298,3 @@ def test_unknown_hands_are_refused_with_the_known_ones(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     with refused(HandError, tmp_path, "a.urdf, b.urdf"):
         load_hand(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("link", "named"),
-    [
-        ('<inertial><mass value="-1"/></inertial>', ("'a'", "-1 kg")),
-        ('<collision><geometry><mesh filename="no.stl"/></geometry></collision>', ("'a'", "'no.stl'")),
-        (BALL + BALL.replace("0.01", "1"), None),
-    ],
-)
-def test_links_that_cannot_be_built_are_named(tmp_path: Path, link: str, named: tuple[str, ...] | None) -> None:
-    path = write(tmp_path, {"a": link})
-    if named is None:
-        assert isinstance(load_hand(path), Hand), "a piece inside another is no mistake"
-    else:
-        with refused(HandError, "hand.urdf", *named):
-            load_hand(path)

@@ -1,6 +1,5 @@
 """Forward kinematics, ours and that for autograd: against yourdfpy, finite differences and each other."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,20 +7,13 @@ import pytest
 import torch
 import yourdfpy
 
-from grasp_refine.collision.query import Pairs, query
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.se3 import exp_se3, inverse, transform_points
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
-from grasp_refine.witness.autograd import WitnessLayer
-from grasp_refine.witness.distance import Distance
 from made_hands import BALL, joint, link, links, made_hand, slide
 from refusals import refused
-from shapes_for_tests import convex_body
-from twists import gradient_along_twists
 
 WIDE = {"limits": (-1, 2), "effort": 3}
 
@@ -122,16 +114,6 @@ def test_joints_that_move_none_of_the_links_are_left_out(gripper: Hand) -> None:
     assert chain.joints == ("lift", "left_slide", "tip_turn")
     assert frames.axes.shape == (3, 6, 6 + 3)
     np.testing.assert_allclose(frames.T_world_link, by_torch(gripper, ["frame", "arm"], T, q), atol=1e-12)
-
-
-def test_links_that_only_the_root_moves(allegro: Hand) -> None:
-    T, q = configurations(allegro, 2, seed=2)
-    chain = Chain(allegro, [allegro.base_link])
-    frames = chain(T, q)
-    np.testing.assert_array_equal(frames.T_world_link[:, 0], T)
-    pulled = chain.to_joint_space(frames, np.ones((2, 3, 6)), np.zeros(3, dtype=int))
-    assert frames.axes.shape == (2, 6, 6) and pulled.shape == (2, 3, 6 + len(allegro.joint_names))
-    assert not pulled[..., 6:].any() and np.all(pulled[..., :3] == 1.0)
 
 
 @pytest.mark.parametrize("kinematics", [Chain, Kinematics])
@@ -265,54 +247,3 @@ def test_torch_and_numpy_agree(hand: Hand) -> None:
 
 
 # gradients by autograd
-
-
-def slopes(value: Callable[[np.ndarray, np.ndarray], np.ndarray], T: np.ndarray, q: np.ndarray, h: float) -> np.ndarray:
-    """Central differences (6 + n, batch) of value(T, q) along the root's spatial twists and the joints."""
-    ends = [[value(exp_se3(s * h * unit) @ T, q) for s in (1, -1)] for unit in np.eye(6)]
-    ends += [[value(T, q + s * h * unit) for s in (1, -1)] for unit in np.eye(q.shape[1])]
-    return np.array([(forth - back) / (2 * h) for forth, back in ends])
-
-
-def loss_gradient(
-    loss: Callable[[torch.Tensor, torch.Tensor], torch.Tensor], T: np.ndarray, q: np.ndarray
-) -> np.ndarray:
-    """Derivatives (6 + n, batch) of loss(T, q) (batch,) along the root's spatial twists and the joints."""
-    T_root, joints = torch.from_numpy(T).requires_grad_(), torch.from_numpy(q).requires_grad_()
-    loss(T_root, joints).sum().backward()
-    return np.concatenate([gradient_along_twists(T_root.grad.numpy(), T), joints.grad.numpy().T])
-
-
-@pytest.mark.parametrize(("name", "other"), [("allegro", "sphere"), ("shadow", "hull")])
-def test_signed_distance_to_root_and_joints_end_to_end(name: str, other: str, request: pytest.FixtureRequest) -> None:
-    hand = request.getfixturevalue(name)
-    links = [contact.link for contact in hand.contacts]
-    body = build_body("ball", [sphere(0.03)]) if other == "sphere" else convex_body(6)
-    pairs = Pairs.against([hand.links_by_name[link].body for link in links], body)
-    kinematics = Kinematics(hand, links)
-    # Three configurations, each put where the first contact link is 4 mm deep and where it is 8 mm away.
-    T, q = configurations(hand, 3, seed=6)
-    T, q = np.tile(T, (2, 1, 1)), np.tile(q, (2, 1))
-    wanted = np.repeat([-0.004, 0.008], 3)
-    T_object = np.broadcast_to(np.eye(4), (6, len(links), 4, 4))
-    T[:, :3, 3] -= by_torch(hand, links, T, q)[:, 0, :3, 3] - 0.02
-    for _ in range(12):
-        found = query(pairs, by_torch(hand, links, T, q), T_object)
-        T[:, :3, 3] -= (wanted - found.distance[:, 0])[:, None] * found.normal[:, 0]
-    assert np.abs(query(pairs, by_torch(hand, links, T, q), T_object).distance[:, 0] - wanted).max() < 1e-6
-
-    def distance(T: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return query(pairs, by_torch(hand, links, T, q), T_object).distance
-
-    layer = WitnessLayer(pairs, Distance())
-    weights = np.random.default_rng(7).uniform(1, 2, len(links))
-    near, far = (slopes(distance, T, q, h) @ weights for h in (1e-6, 4e-6))
-    found = loss_gradient(
-        lambda T, q: layer(kinematics(T, q), torch.from_numpy(T_object.copy())).distance @ torch.from_numpy(weights),
-        T,
-        q,
-    )
-    # Where two step sizes disagree, a witness jumps from one feature to another within the step.
-    smooth = np.abs(near - far).max(axis=0) < 1e-5
-    assert smooth.sum() >= 4
-    np.testing.assert_allclose(found[:, smooth], near[:, smooth], atol=1e-5)

@@ -11,7 +11,6 @@ import trimesh
 
 from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.geometry.pieces import Piece
-from grasp_refine.hands.files import mesh_files
 from grasp_refine.hands.files.link_geometry import LinkMeshes, link_pieces
 from grasp_refine.hands.files.mesh_files import read_mesh, resolve_mesh
 from grasp_refine.hands.files.shape import MeshFile
@@ -91,15 +90,6 @@ def test_several_collisions_of_one_link_are_several_pieces_and_repeated_ones_cou
 ) -> None:
     shapes = ['<box size="1 1 1"/>', '<sphere radius="1"/>', '<sphere radius="2"/>', '<box size="1 1 1"/>']
     assert [len(piece.vertices) for piece in pieces(package, *shapes)] == [8, 1, 1]
-
-
-def test_a_file_that_is_used_twice_is_read_once(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read = []
-    load_mesh = mesh_files.load_mesh
-    monkeypatch.setattr(mesh_files, "load_mesh", lambda path: read.append(path) or load_mesh(path))
-    names = ["../meshes/wedge.stl", "package://my_hand/meshes/wedge.stl"]
-    assert len(pieces(package, *(f'<mesh filename="{name}" scale="{s}"/>' for s in (1, 2) for name in names))) == 2
-    assert len(read) == 2, "once per spelling of its path"
 
 
 @pytest.fixture
@@ -190,14 +180,6 @@ def test_mesh_addresses(package: Path, filename: str) -> None:
     assert found.samefile(package / "meshes/wedge.stl")
 
 
-def test_the_package_of_that_name_wins_over_a_folder_nearby(package: Path) -> None:
-    nearby, named = package / "urdf/meshes/wedge.stl", package / "urdf/my_hand/meshes/wedge.stl"
-    for file in (nearby, named):
-        file.parent.mkdir(parents=True)
-        file.touch()
-    assert resolve_mesh("package://my_hand/meshes/wedge.stl", package / "urdf/hand.urdf") == named
-
-
 @pytest.mark.parametrize(
     ("geometry", "named"),
     [
@@ -221,20 +203,6 @@ def test_geometry_that_cannot_be_used_names_the_link(package: Path, geometry: st
     (package / "urdf/broken.dae").write_text("broken")
     with refused(HandError, "hand.urdf", "'tip'", *named):
         pieces(package, geometry)
-
-
-def test_both_sides_of_faces_are_one_surface(package: Path) -> None:
-    clamp = trimesh.boolean.union(
-        [
-            trimesh.creation.box(bounds=bounds)
-            for bounds in ([[0, 0, 0], [0.06, 0.02, 0.01]], [[0, 0, 0], [0.01, 0.02, 0.04]])
-        ]
-    )
-    both = trimesh.Trimesh(clamp.vertices, np.concatenate([clamp.faces, clamp.faces[:, ::-1]]), process=False)
-    for suffix in ("obj", "stl"):
-        both.export(package / f"meshes/both.{suffix}")
-        found, notes = cut(package, f'<mesh filename="../meshes/both.{suffix}"/>')
-        assert len(found) == 2, notes
 
 
 def test_a_zip_is_not_unpacked_as_a_mesh(tmp_path: Path) -> None:

@@ -44,13 +44,6 @@ def test_limits_keep_all_followers_within_theirs() -> None:
         assert follower.lower - 1e-12 <= ends.min() and ends.max() <= follower.upper + 1e-12
 
 
-def test_the_follower_that_narrows_most_is_named() -> None:
-    joints = [joint("a", 0, 1), joint("b", 0, 0.5, ("a", 1, 0)), joint("c", -0.25, 0, ("a", -1, 0))]
-    narrow, (note,) = limit_by_followers(joints, URDF)
-    assert (narrow[0].lower, narrow[0].upper) == (0, 0.25)
-    assert_names(note, "'a'", "0 to 0.25 rad", "0 to 1", " c ")
-
-
 def test_limits_that_were_rounded_are_kept_without_a_word() -> None:
     joints = [joint("a", 0, 1.5708), joint("b", 0, 1.57, ("a", 1, 0))]
     narrow, notes = limit_by_followers(joints, URDF)
@@ -64,10 +57,6 @@ def test_a_continuous_joint_turns_as_far_as_its_followers_let_it() -> None:
     assert_names(note, "'a'", "-2 to 2 rad", "-inf to inf")
     joints = [joint("a", -np.inf, np.inf, kind="continuous"), joint("b", -np.inf, np.inf, ("a", 1, 0), "continuous")]
     assert limit_by_followers(joints, URDF) == (joints, [])
-
-
-def test_joints_that_are_locked_anyway_stay() -> None:
-    assert limits(joint("a", 0.5, 0.5), joint("b", 0, 1, ("a", 1, 0)))["a"] == (0.5, 0.5)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from adaptive_gripper import write_adaptive_gripper
 from grasp_refine.core.errors import HandError
-from grasp_refine.core.se3 import exp_so3, inverse, log_so3, matvec, transform
+from grasp_refine.core.se3 import exp_so3, inverse, matvec, transform
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount, standing
@@ -91,30 +91,6 @@ def test_names_that_both_have_get_the_prefix_of_the_arm(arm: Hand, hand: Hand) -
     assert np.flatnonzero(whole.arm_joints).tolist() == list(range(len(arm.joint_names)))
     assert whole.arm is not None and whole.arm.links.isdisjoint(hand.links_by_name)
     assert whole.contacts == hand.contacts
-
-
-def test_jacobian_of_a_hand_on_an_arm_is_its_finite_difference(arm: Hand, hand: Hand) -> None:
-    """Columns of arm and hand, by central differences of the pose of a fingertip."""
-    whole = mount(arm, hand)
-    chain = Chain(whole, [hand.contacts[0].link])
-    q, T = random_q(whole, 1, seed=3), np.eye(4)[None]
-    frames = chain(T, q)
-    origin = frames.T_world_link[0, 0, :3, 3]
-    covector = np.concatenate(
-        [
-            np.concatenate([np.eye(3), np.cross(origin, np.eye(3))], axis=1),
-            np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1),
-        ]
-    )
-    J = chain.to_joint_space(frames, covector[None], np.zeros(6, dtype=int))[0]
-    h = 1e-6
-    for column in range(len(whole.joint_names)):
-        step = np.zeros_like(q)
-        step[:, column] = h
-        before, after = (chain(T, q + sign * step).T_world_link[0, 0] for sign in (-1, 1))
-        moved = (after[:3, 3] - before[:3, 3]) / (2 * h)
-        turned = log_so3(after[:3, :3] @ before[:3, :3].T) / (2 * h)
-        np.testing.assert_allclose(J[:, 6 + column], [*moved, *turned], atol=1e-8)
 
 
 def test_mujoco_places_the_links_of_a_hand_on_an_arm_where_we_do(arm: Hand, hand: Hand) -> None:

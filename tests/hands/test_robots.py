@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.se3 import transform_from_pose, transform_points
-from grasp_refine.geometry.pieces import Piece
 from grasp_refine.grasps.grasp_set import load_grasps, match_joints
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.files.hand_toml import read_hand_toml
 from grasp_refine.hands.files.source import needs_urdf
-from grasp_refine.hands.files.visuals import load_visuals
 from grasp_refine.hands.hand import Hand, list_hands, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.measures.geometry import measure
@@ -193,32 +190,6 @@ def test_masses_are_spread_evenly_over_the_shapes(name: str) -> None:
         spread = link.mass * np.cov(points.T, bias=True)
         expected = np.trace(spread) * np.eye(3) - spread
         np.testing.assert_allclose(link.inertia.matrix, expected, atol=0.03 * np.trace(expected), err_msg=link.name)
-
-
-@pytest.mark.parametrize("name", FACTS)
-def test_visual_meshes_are_the_collision_shapes_with_round_edges(name: str) -> None:
-    hand = ours(name)
-    visuals = {visual.link: visual.mesh for visual in load_visuals(hand.urdf, hand.links_by_name)}
-    for link in hand.links:
-        if link.body is None:
-            continue
-        mesh = visuals.pop(link.name)
-        assert mesh.is_watertight
-        outside = np.min([_outside(piece, mesh.vertices) for piece in link.body.pieces], axis=0)
-        # Hubs around the joints stand out.
-        assert np.median(outside) < 1e-3 and outside.max() < 0.012, link.name
-        pads = np.array([contact.point for contact in hand.contacts if contact.link == link.name]).reshape(-1, 3)
-        assert not len(pads) or trimesh.proximity.closest_point(mesh, pads)[1].max() < 3e-4
-    assert not visuals
-    assert sum(path.stat().st_size for path in (hand.urdf.parent / "visual").iterdir()) < 300_000
-
-
-def _outside(piece: Piece, points: np.ndarray) -> np.ndarray:
-    """Distances by which points (N, 3) are outside of a piece, at least (N,)."""
-    if piece.radius > 0:
-        return np.linalg.norm(points - piece.vertices[0], axis=1) - piece.radius
-    normals, offsets = piece.planes
-    return (points @ normals.T - offsets).max(axis=1)
 
 
 @pytest.mark.parametrize("name", WHOLE)

@@ -264,11 +264,6 @@ def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) 
     assert [file.name for file in cache.iterdir()] == names[:1], "neither names of links matter, nor paths, nor rest"
 
 
-def test_a_folder_that_cannot_be_written_to_only_costs_the_entry(pliers: Hand, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    assert touching_pairs(pliers, QUICK, cache=tmp_path / "file" / "touching") == PLIERS
-
-
 # how deep
 
 
@@ -291,14 +286,6 @@ def test_penetration_of_what_is_not_finite_is_unknown_and_spoils_no_other(tmp_pa
     q = np.array([[0.0, 0.015, 0.1], [0.0, bad, 0.1], [0.0, 0.015, bad]])
     for pairs, depth in (([("a", "b")], 0.005), ([], 0.0)):
         np.testing.assert_allclose(self_penetration(hand, pairs, q), [depth, np.nan, np.nan], atol=1e-9)
-
-
-def test_penetration_of_links_that_are_not_there_or_not_solid(tmp_path: Path) -> None:
-    hand = build(tmp_path, slide("base", "a", 0, 1, radius=None))
-    with refused(HandError, " b;", "a, base"):
-        self_penetration(hand, [("base", "b")], np.zeros((1, 1)))
-    with refused(HandError, "'a'"):
-        self_penetration(hand, [("base", "a")], np.zeros((1, 1)))
 
 
 # real hands

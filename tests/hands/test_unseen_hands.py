@@ -77,18 +77,6 @@ def links(hand: Hand) -> list[str]:
 # what is read
 
 
-def test_contact_links_are_the_fingertips(hands: dict[str, Hand]) -> None:
-    of_five = {contact.link: contact.group for contact in hands["five fingers"].contacts}
-    assert of_five == {
-        "thumb_c": "thumb",
-        "index_b": "index",
-        "middle_b": "middle",
-        "ring_b": "ring",
-        "little_b": "little",
-    }
-    assert [c.link for c in hands["three fingers"].contacts] == ["finger_1_b", "finger_2_b", "finger_3_b"]
-
-
 # kinematics
 
 

@@ -49,18 +49,14 @@ def test_primitives_are_one_exact_piece(name: str):
     assert thing.mesh.is_watertight
 
 
-def test_a_sphere_is_a_point_with_a_radius():
-    (piece,) = load_object("sphere:0.04", scale=2.0, candidates=64).body.pieces
-    assert piece.vertices.tolist() == [[0, 0, 0]]
-    assert piece.radius == 0.08
-
-
 def test_the_scale_takes_everything_along(cube: Path, cache: Path):
     for source, size in ((cube, 2.0), ("box:2,2,2", 2.0)):
         thing = load_object(source, scale=0.03, candidates=64, cache=cache)
         np.testing.assert_allclose(thing.mesh.extents, 0.03 * size)
         np.testing.assert_allclose(thing.body.diagonal, 0.03 * size * np.sqrt(3))
         np.testing.assert_allclose(np.abs(thing.body.candidates.points).max(), 0.03 * size / 2)
+    (piece,) = load_object("sphere:0.04", scale=2.0, candidates=64).body.pieces
+    assert piece.vertices.tolist() == [[0, 0, 0]] and piece.radius == 0.08
 
 
 def test_a_convex_mesh_is_its_hull_and_needs_no_decomposition(cube: Path, cache: Path):
@@ -141,11 +137,6 @@ def test_the_users_cache_is_used_unless_another_is_named(corner: Path, tmp_path:
     assert len(list((tmp_path / "user" / "pieces").iterdir())) == 1
 
 
-def test_decomposition_settings_reach_coacd(corner: Path):
-    coarse = Decomposition(threshold=1.0)
-    assert len(load_object(corner, candidates=64, cache=None, decomposition=coarse).body.pieces) == 1
-
-
 @pytest.mark.parametrize("name", EMBEDDED)
 def test_embedded_objects_load(name: str):
     thing = load_object(name, candidates=64, cache=None, decomposition=Decomposition(threshold=1.0))
@@ -159,21 +150,6 @@ def test_same_seed_same_candidates():
     points = [load_object("box:1,1,1", candidates=64, seed=s).body.candidates.points for s in (1, 1, 2)]
     np.testing.assert_array_equal(points[0], points[1])
     assert not np.array_equal(points[0], points[2])
-
-
-def test_repairs_are_noted(tmp_path: Path, cache: Path):
-    mesh = trimesh.creation.box(extents=(2, 2, 2))
-    mesh.invert()
-    mesh.export(tmp_path / "inverted.stl")
-    thing = load_object(tmp_path / "inverted.stl", candidates=64, cache=cache)
-    assert thing.mesh.volume > 0
-    assert len(thing.notes) == 1 and "inside out" in thing.notes[0]
-
-
-def test_an_embedded_name_wins_over_a_file_only_without_a_suffix(tmp_path: Path, monkeypatch, cache: Path):
-    monkeypatch.chdir(tmp_path)
-    trimesh.creation.box(extents=(2, 2, 2)).export("bowl.obj")
-    assert load_object("bowl.obj", candidates=64, cache=cache).convex
 
 
 @pytest.mark.parametrize("source", ["box:90,60,40", "file"])
@@ -249,25 +225,6 @@ def test_what_there_is_not(source: str | Path, scale: float, error: type, named:
         load_object(source, scale=scale)
 
 
-def test_an_open_mesh_is_refused_by_name(tmp_path: Path):
-    mesh = trimesh.creation.icosphere(subdivisions=3)
-    mesh.update_faces(mesh.triangles_center[:, 2] < 0.3)
-    mesh.export(tmp_path / "open.ply")
-    with refused(MeshError, "open: ", "watertight"):
-        load_object(tmp_path / "open.ply")
-
-
-def test_a_shared_object_loads(shared_assets: Path):
-    path = shared_assets / "objects" / "ycb_005_tomato_soup_can.obj"
-    # One coarse piece: the threshold of the defaults takes CoACD minutes here.
-    thing = load_object(path, candidates=64, cache=None, decomposition=Decomposition(threshold=1.0))
-    assert thing.name == "ycb_005_tomato_soup_can"
-    assert 0.1 < thing.body.diagonal < 0.2
-
-
-# -- folders of convex pieces ----------------------------------------------------------------------------
-
-
 ARM, LEG = ([0, 0, 0], [3, 1, 1]), ([0, 1, 0], [1, 3, 1])
 """Two boxes in the shape of an L that share a face."""
 
@@ -339,6 +296,9 @@ def test_the_meshes_of_a_folder_are_the_pieces(layout: str, request: pytest.Fixt
     assert thing.mesh.volume == pytest.approx(5)
     # Nothing was decomposed.
     assert lines == [] and not list(cache.glob("*.npz"))
+    small = load_object(folder, scale=0.02, candidates=64, cache=cache)
+    np.testing.assert_allclose(corners(small.body.pieces), 0.02 * np.array([ARM, LEG]), atol=1e-12)
+    np.testing.assert_allclose(small.mesh.extents, [0.06, 0.06, 0.02])
 
 
 def test_the_distance_of_given_pieces_from_their_surface_is_said(bodex: Path, cache: Path):
@@ -350,45 +310,12 @@ def test_the_distance_of_given_pieces_from_their_surface_is_said(bodex: Path, ca
     assert len(list((cache / "distances").glob("*.npz"))) == 1
 
 
-def test_pieces_are_hulls_of_what_the_mesh_uses(tmp_path: Path):
-    """A point inside a piece, and one that no face uses, are no vertices of the collision geometry."""
-    mesh = trimesh.creation.icosphere(subdivisions=2)
-    stray = np.concatenate([mesh.vertices, [[5, 5, 5]]])
-    put(tmp_path / "ball" / "piece.ply", trimesh.Trimesh(stray, mesh.faces, process=False))
-    thing = load_object(tmp_path / "ball", candidates=64)
-    (piece,) = thing.body.pieces
-    assert len(piece.vertices) == len(mesh.vertices)
-    assert thing.convex and thing.notes == ()
-    assert thing.mesh.is_watertight
-
-
-def test_the_scale_takes_pieces_and_surface_along(bodex: Path):
-    big, small = (load_object(bodex, scale=scale, candidates=64) for scale in (1.0, 0.02))
-    for one, other in zip(big.body.pieces, small.body.pieces, strict=True):
-        np.testing.assert_allclose(other.bounds, 0.02 * one.bounds, atol=1e-15)
-    np.testing.assert_allclose(small.mesh.extents, [0.06, 0.06, 0.02])
-    np.testing.assert_allclose(small.body.diagonal, 0.02 * big.body.diagonal)
-
-
-def test_a_folder_is_named_in_any_way_that_the_system_allows(parts: Path, monkeypatch):
-    monkeypatch.chdir(parts)
-    for source in (".", f"{parts}/", "../el", Path()):
-        assert load_object(source, candidates=64).name == "el"
-    monkeypatch.chdir(parts.parent)
-    assert load_object("el", candidates=64).name == "el"
-
-
 def test_an_embedded_name_is_no_folder_unless_it_comes_as_a_path(parts: Path, monkeypatch):
     monkeypatch.chdir(parts.parent)
     parts.rename("rounded_box")
     assert load_object("rounded_box", candidates=64).convex
     for source in ("./rounded_box", Path("rounded_box")):
         assert len(load_object(source, candidates=64).body.pieces) == 2
-
-
-def test_a_folder_may_have_a_dot_in_its_name(parts: Path):
-    assert load_object(parts.rename(parts.parent / "el_v1.5"), candidates=64).name == "el_v1.5"
-    assert load_object(parts.parent / "el_v1.5", candidates=64).convex is False
 
 
 def test_what_is_shown_is_the_simplified_mesh_or_the_only_one_or_all_pieces(bodex: Path):
@@ -428,44 +355,12 @@ def test_an_open_surface_changes_nothing_that_is_touched(bodex: Path):
     np.testing.assert_array_equal(thing.body.candidates.points, whole.body.candidates.points)
 
 
-def test_a_surface_that_can_be_repaired_is(bodex: Path):
-    inverted = block(ARM)
-    inverted.invert()
-    put(bodex / "mesh" / "simplified.obj", inverted)
-    thing = load_object(bodex, candidates=64)
-    assert thing.mesh.volume == pytest.approx(3)
-    check_surface_note(thing, "simplified.obj", "inside out")
-
-
 def test_a_piece_that_is_not_convex_is_noted(parts: Path):
     # The hull of the L has the area of the square without the corner: 9 - 2 * 2 / 2 = 7, against 5.
     put(parts / "c.obj", trimesh.boolean.union([block(ARM), block(LEG)]))
     thing = load_object(parts, candidates=64)
     check_only_note(thing, "c.obj", "hull", "40.0%")
     assert thing.body.pieces[2].mesh().volume == pytest.approx(7)
-
-
-@pytest.mark.parametrize(("dent", "noted"), [(0.05, False), (0.07, True)])
-def test_two_percent_more_volume_are_convex_enough(tmp_path: Path, dent: float, noted: bool):
-    """A dent of depth d in a face of the unit cube, a pyramid on it, takes d / 3 of its volume."""
-    cube = block([[0, 0, 0], [1, 1, 1]])
-    top = np.isclose(cube.triangles_center[:, 2], 1)
-    ring = [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]]
-    apex = [0.5, 0.5, 1 - dent]
-    pyramid = trimesh.Trimesh([*ring, apex], [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], process=False)
-    cube.update_faces(~top)
-    put(tmp_path / "dented" / "cube.obj", cube, pyramid)
-    notes = load_object(tmp_path / "dented", candidates=64).notes
-    assert bool(notes) == noted
-
-
-def test_a_piece_inside_out_is_a_piece(tmp_path: Path):
-    inverted = block(ARM)
-    inverted.invert()
-    put(tmp_path / "one" / "a.obj", inverted)
-    thing = load_object(tmp_path / "one", candidates=64)
-    assert thing.convex and thing.notes == ()
-    assert thing.mesh.volume == pytest.approx(3)
 
 
 def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
@@ -503,22 +398,6 @@ def test_a_broken_piece_is_refused_not_left_out(parts: Path, text: str):
         load_object(parts)
 
 
-def test_pieces_of_a_shared_object_fill_its_surface(shared_assets: Path):
-    """BODex cut its bottle into three pieces; sizes and volumes agree with the mesh beside them."""
-    folder = find_object(
-        "523cddb320608c09a37f3fc191551700", shared_assets / "grasps" / "bodex_shadow" / "example_object"
-    )
-    thing = load_object(folder, scale=0.06, candidates=64, cache=None)
-    assert thing.name == folder.name
-    check_only_note(thing, "3 convex pieces", "1.31 mm")
-    assert len(thing.body.pieces) == 3
-    assert sum(piece.mesh().volume for piece in thing.body.pieces) == pytest.approx(thing.mesh.volume, rel=0.02)
-    np.testing.assert_allclose(thing.body.diagonal, np.linalg.norm(thing.mesh.extents), rtol=0.02)
-
-
-# -- finding ---------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     folder = tmp_path / "objects"
@@ -550,13 +429,6 @@ def test_a_name_is_the_end_of_a_stem_from_a_word_on(folder: Path, name: str, fil
         assert find_object(name, folder) == folder / file
 
 
-def test_the_exact_stem_wins(folder: Path):
-    (folder / "mug.obj").touch()
-    assert find_object("mug", folder) == folder / "mug.obj"
-    (folder / "m-u-g.obj").touch()
-    assert find_object("mug", folder) == folder / "mug.obj"
-
-
 @pytest.mark.parametrize(
     ("name", "listed"),
     [
@@ -571,22 +443,12 @@ def test_none_or_several(folder: Path, name: str, listed: str):
     assert len(re.findall(r"\.(?:obj|STL|ply)\b", str(caught.value))) == len(listed.split(", "))
 
 
-def test_a_folder_that_is_missing_or_empty(tmp_path: Path):
-    with refused(AssetError, tmp_path / "none"):
-        find_object("mug", tmp_path / "none")
-    with refused(AssetError, "'mug'", tmp_path, ".obj, .stl, .ply, .glb, .off"):
-        find_object("mug", tmp_path)
-
-
 def test_finds_the_objects_of_the_shared_grasps(shared_assets: Path):
     for path in sorted((shared_assets / "grasps" / "normalised").glob("*.npz")):
         with np.load(path) as grasps:
             names = set(grasps["object"].tolist()) - {"cube_75mm"}
         for name in names:
             assert find_object(name, shared_assets / "objects").is_file()
-
-
-# -- finding folders of pieces -----------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -646,22 +508,6 @@ def test_a_mesh_and_a_folder_of_other_names_that_fit_alike_are_ambiguous(mixed: 
     (mixed / "green_mug" / "p0.obj").touch()
     with refused(AssetError, "'mug'", " blue_mug.obj, green_mug/, red-mug.STL ", mixed):
         find_object("mug", mixed)
-
-
-def test_all_meshes_and_folders_of_pieces_are_listed(mixed: Path):
-    listed = (
-        " Cup.ply, banana_peel.obj, blue_mug.obj, core_bottle_5f/, old_Cup/, peach.v2/, red-mug.STL, sem-Car-1/, "
-        "ycb_011_banana.obj"
-    )
-    with refused(AssetError, "'pear'", mixed, listed):
-        find_object("pear", mixed)
-
-
-def test_finds_the_pieces_of_the_shared_grasps(shared_assets: Path):
-    folder = shared_assets / "grasps" / "bodex_shadow" / "example_object"
-    with np.load(shared_assets / "grasps" / "normalised" / "bodex_shadow.npz") as grasps:
-        for name in set(grasps["object"].tolist()):
-            assert find_object(name, folder) == folder / name
 
 
 def test_a_name_that_is_too_long_for_a_file_is_no_folder():

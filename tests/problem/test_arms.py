@@ -80,21 +80,6 @@ def test_grasps_out_of_reach_have_a_status_and_no_measures() -> None:
     assert "out of reach" in str(found)
 
 
-def test_grasps_are_sampled_until_as_many_are_within_reach() -> None:
-    """The arm reaches few of the first draw from there; the notes say how many were drawn."""
-    far = spec(base="-0.9,0,-0.06", grasps=Path("sample:6"))
-    alone = gr.load_problem(replace(far, arm=None, base=None)).groups[0].scene
-    problem = gr.load_problem(far)
-    scene = problem.groups[0].scene
-    assert len(scene.q) == 6 and not scene.out_of_reach.any()
-    T = palm_poses(scene.hand, scene.T_world_root, scene.q)
-    known = [distances(alone.T_world_root, one[None])[0].min() < 1e-6 for one in T]
-    assert not all(known) and known == sorted(known, reverse=True)
-    (sampled,) = (note for note in problem.notes if note.startswith("sampled"))
-    assert int(sampled.split()[1]) in range(12, 49, 6)
-    assert any("within reach" in note for note in problem.notes)
-
-
 def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -> None:
     """From 3 m away the palm misses metres; a wall across the arm is met by one of its links, in all solutions."""
     notes = gr.load_problem(spec(base="-3,0,0", grasps=Path("sample:2"))).notes
@@ -110,14 +95,6 @@ def test_grasps_out_of_reach_say_how_far_or_what_is_in_the_way(tmp_path: Path) -
     (note,) = (note for note in blocked.notes if note.startswith("grasp 0 out of reach"))
     arm = blocked.hand.arm
     assert arm is not None and "'wall'" in note and " mm" in note and any(link in note for link in arm.links)
-
-
-@pytest.mark.parametrize(("height", "told"), [(0.70, False), (0.66, True)])
-def test_base_inside_a_table_is_reported(height: float, told: bool) -> None:
-    """The top of the table of this scene is at 0.7 m."""
-    scene = spec(object=None, table=None, scene="mug-on-table", base=f"-0.5,0,{height}", grasps=Path("sample:1"))
-    notes = [note for note in gr.load_problem(scene).notes if "inside" in note]
-    assert len(notes) == told and all("40 mm" in note and "'table'" in note for note in notes)
 
 
 def test_results_are_read_again_on_the_same_arm(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
@@ -193,20 +170,6 @@ def test_wrong_options_are_refused_with_the_way_out(changes: dict, named: tuple[
     with pytest.raises(GraspRefineError) as error:
         gr.load_problem(spec(**changes))
     assert all(part in str(error.value) for part in named) and "\n" not in str(error.value)
-
-
-def test_facade_places_grasps_in_memory() -> None:
-    """With the base as numbers, or as a transform."""
-    hand, box = gr.load_hand("franka_hand"), gr.load_object("box:0.05,0.06,0.12")
-    grasps = gr.sample_grasps(hand, box, 2)
-    whole = gr.mount(gr.load_hand("ur5e"), hand)
-    a = gr.problem_of(whole, box, grasps, task=gr.Task(base=[-0.5, 0.0, -0.1]))
-    b = gr.problem_of(whole, box, grasps, task=gr.Task(base=a.groups[0].scene.T_world_root[0]))
-    np.testing.assert_allclose(a.groups[0].scene.q, b.groups[0].scene.q, atol=1e-9)
-    with pytest.raises(GraspRefineError, match="base"):
-        gr.problem_of(whole, box, grasps)
-    with pytest.raises(GraspRefineError, match="base"):
-        gr.problem_of(whole, box, grasps, task=gr.Task(base=[1.0, 2.0]))
 
 
 def test_base_stands_in_the_world_of_a_scene_and_on_its_table() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +12,11 @@ import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.measures.metrics import metrics
-from grasp_refine.objects.region import Box, ContactRegions
 from grasp_refine.problem.load import load_problem
 from grasp_refine.refinement.max_move import MaxMove
-from grasp_refine.refinement.refine import refine
 from grasp_refine.results.verdict import advice
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine_apps.batch.jobs import read_jobs
-from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from refusals import refused
 
@@ -119,51 +115,12 @@ def test_sampled_hands_touch_where_they_should(hand: gr.Hand, block: gr.Object) 
     assert np.median(found.region_miss_m) < 5e-3 < np.median(anywhere.region_miss_m)
 
 
-def test_regions_that_hold_everything_change_no_grasp(hand: gr.Hand, block: gr.Object, given: gr.GraspSet) -> None:
-    everything = ContactRegions((Box("all", np.full(3, -1.0), np.full(3, 1.0)),))
-    scene = gr.problem_of(hand, block, given).groups[0].scene.select(slice(0, 2))
-    config = gr.Config(starts=1)
-    free, held = (refine(replace(scene, task=gr.Task(touch=touch)), config) for touch in ((), everything.touch))
-    np.testing.assert_allclose(held.q, free.q, atol=1e-6)
-    np.testing.assert_allclose(held.T_world_root, free.T_world_root, atol=1e-6)
-
-
 def test_results_find_their_regions_again(refined: gr.RefinedGrasps, tmp_path: Path) -> None:
     (path,) = refined.save(tmp_path / "refined.npz")
     again = load_problem(gr.ProblemSpec(grasps=path))
     assert again.groups[0].scene.regions is not None and again.groups[0].scene.regions.text == f"avoid {AVOID}"
     other = load_problem(gr.ProblemSpec(grasps=path, touch=("below:z=0.02",)))
     assert other.groups[0].scene.regions is not None and other.groups[0].scene.regions.text == "touch below:z=0.02"
-
-
-def test_files_of_regions_are_found_from_other_folders_and_missed_where_they_are_gone(
-    refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (made := tmp_path / "made").mkdir()
-    (made / "faces.txt").write_text("0 1 2 3")
-    monkeypatch.chdir(made)
-    scene = refined.problem.groups[0].scene
-    problem = gr.problem_of(scene.hand, scene.object, given, task=gr.Task(touch="faces:faces.txt"))
-    paths = replace(refined, problem=problem).save(made / "refined.npz")
-    monkeypatch.chdir(tmp_path)
-    again = load_problem(gr.ProblemSpec(grasps=paths[0]))
-    assert again.groups[0].scene.regions is not None
-    assert again.groups[0].scene.regions.text == f"touch faces:{made / 'faces.txt'}"
-    (made / "faces.txt").unlink()
-    lost = load_problem(gr.ProblemSpec(grasps=paths[0]))
-    assert lost.groups[0].scene.regions is None and any("faces.txt" in note for note in lost.notes)
-    assert not any("faces.txt" in note for note in again.notes)
-
-
-def test_results_of_different_regions_report_that_none_counts(
-    refined: gr.RefinedGrasps, given: gr.GraspSet, tmp_path: Path
-) -> None:
-    scene = refined.problem.groups[0].scene
-    other = gr.problem_of(scene.hand, scene.object, given, task=gr.Task(avoid="above:z=0.02"))
-    refined.save(tmp_path / "one.npz")
-    replace(refined, problem=other).save(tmp_path / "two.npz")
-    read = load_problem(gr.ProblemSpec(grasps=tmp_path, hand="allegro", object="rounded_box"))
-    assert read.groups[0].scene.regions is None and any("different regions" in note for note in read.notes)
 
 
 def test_scene_files_and_job_lists_have_regions(tmp_path: Path, block: gr.Object) -> None:
@@ -186,19 +143,3 @@ def test_scene_files_and_job_lists_have_regions(tmp_path: Path, block: gr.Object
     jobs.write_text('[[job]]\ngrasps = "sample:2"\navoid = 3\n')
     with refused(GraspRefineError, "jobs.toml", "avoid", "3"):
         read_jobs([str(jobs)], Inputs())
-
-
-def test_options_are_given_again_for_several_regions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    run = ("run", "--hand", "allegro", "--object", "rounded_box", "--index", "0,1", "--starts", "1")
-    regions = ("--avoid", "above:z=0.035", "--avoid", "below:z=-0.035")
-    assert main([*run, *regions, "--json", "run.json"]) == 0
-    assert "touch only where they should" in capfd.readouterr().out
-    for grasp in json.loads(Path("run.json").read_text())["grasps"]:
-        assert grasp["region_miss_m"]["after"] <= TOLERANCE_M
-    assert main([*run, "--avoid", "above:0.035"]) == 2
-    assert "above:z=0.05" in capfd.readouterr().err
-    assert main([*run, "--weights.region", "3"]) == 2
-    assert "--touch" in capfd.readouterr().err

@@ -88,14 +88,6 @@ def test_nothing_is_cut_before_every_input_is_checked(
     assert decomposed == []
 
 
-def test_both_files_of_a_comparison_are_checked_before_anything_is_cut(
-    objects: Path, tmp_path: Path, workplace: Path, decomposed: list[int], capfd: pytest.CaptureFixture[str]
-):
-    one, two = file_of(tmp_path, "corner"), file_of(tmp_path, "corner", "corner")
-    assert "1 against 2" in refused(capfd, "validate", "--objects", objects, "--compare", one, two)
-    assert decomposed == []
-
-
 def test_an_object_that_is_not_asked_for_is_not_even_read(
     objects: Path, tmp_path: Path, workplace: Path, decomposed: list[int]
 ):
@@ -132,15 +124,3 @@ def test_a_batch_finds_unusable_objects_before_it_cuts_any(
     assert [plan.shards[number].task.object for number in failed] == ["large", "open"]
     assert "`unit='mm'`" in failed[1] and "open" in failed[2]
     assert heard == [0, 1, 2] and decomposed == []
-
-
-def test_a_batch_refines_what_is_usable(
-    objects: Path, tmp_path: Path, workplace: Path, capfd: pytest.CaptureFixture[str]
-):
-    (objects / "block.toml").write_text(f'corner = "box:0.05,0.05,0.05"\nlarge = "{objects / "large.ply"}"\n')
-    quick = (*QUICK, "--index-format", "csv", "--no-report", "--workers", "1", "--out", "out")
-    listed = ("--objects", str(objects / "block.toml"))
-    assert main(["batch", str(file_of(tmp_path, "corner", "large")), *listed, *quick]) == 1
-    assert [path.name for path in Path("out").rglob("*.npz")] == ["allegro_corner_00000.npz"]
-    assert "large.ply" in " ".join(capfd.readouterr().err.split())
-    assert main(["batch", str(file_of(tmp_path, "large")), *listed, *quick]) == 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.npz_files import save_npz
-from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.forces.wrench import LEVER_M, center_of_mass
 from grasp_refine.problem.worlds import worlds_of
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -71,27 +69,6 @@ def test_the_forces_of_the_squeeze_are_in_every_result_under_one_name(refined: g
     np.testing.assert_array_equal([entry["vector"] for entry in entries], forces.vector[forces.grasp == 2])
 
 
-def test_the_way_of_the_command_line_gives_the_same(workplace: Path):
-    """`load_problem` of names and files, and arrays in memory, refine to the same bits."""
-    config = gr.Config(LevenbergMarquardt(iterations=10), starts=1)
-    spec = gr.ProblemSpec(hand="allegro", object="rounded_box", index=(0, 2))
-    from_files = gr.refine(gr.load_problem(spec), config=config)
-    (group,) = from_files.problem.groups
-    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
-    grasps = gr.GraspSet.of(hand, group.scene.T_world_root, group.scene.q, object="rounded_box")
-    in_memory = gr.refine(hand, obj, replace(grasps, hand_pose=group.grasps.hand_pose), config)
-    for name in ("hand_pose", "q"):
-        np.testing.assert_array_equal(getattr(in_memory.after, name), getattr(from_files.after, name))
-        np.testing.assert_allclose(getattr(in_memory.before, name), getattr(grasps, name), atol=1e-12)
-    assert (in_memory.status == from_files.status).all() and (in_memory.quality == from_files.quality).all()
-
-
-def test_poses_may_be_matrices_or_seven_numbers(gripper: gr.Hand, refined: gr.RefinedGrasps):
-    pose, q = refined.after.hand_pose, refined.after.q
-    of_matrices = gr.GraspSet.of(gripper, transform_from_pose(pose), q)
-    np.testing.assert_allclose(of_matrices.hand_pose, gr.GraspSet.of(gripper, pose.tolist(), q).hand_pose, atol=1e-12)
-
-
 def test_what_is_refined_is_measured_and_simulated_as_one(gripper: gr.Hand, refined: gr.RefinedGrasps):
     box = refined.problem.groups[0].scene.object
     evaluation = gr.evaluate(gripper, box, refined.after, "dexgraspbench")
@@ -133,12 +110,6 @@ def test_simulations_are_in_the_order_of_the_grasps(tmp_path: Path, monkeypatch:
         np.testing.assert_allclose(found.closing_m, wanted.hand_pose[:, 0], atol=1e-12)
 
 
-def test_a_notebook_shows_the_same_table(refined: gr.RefinedGrasps):
-    plain, page = str(refined), refined._repr_html_()
-    assert page.startswith("<pre")
-    assert all(word in page for word in plain.split() if word.isalnum())
-
-
 def test_no_grasps_are_refined_to_none(gripper: gr.Hand, refined: gr.RefinedGrasps, workplace: Path):
     box, grasps = refined.problem.groups[0].scene.object, refined.before
     none = gr.refine(gripper, box, grasps.select(np.zeros(0, dtype=int)))
@@ -146,17 +117,6 @@ def test_no_grasps_are_refined_to_none(gripper: gr.Hand, refined: gr.RefinedGras
     with refused(gr.GraspRefineError, "none.npz", "no grasps"):
         none.save("none.npz")
     assert not (workplace / "none.npz").exists()
-
-
-def test_a_file_that_exists_is_kept(refined: gr.RefinedGrasps, workplace: Path):
-    (path,) = refined.save("mine.npz")
-    content = path.read_bytes()
-    with refused(gr.GraspRefineError, "mine.npz"):
-        refined.save("mine.npz")
-    assert path.read_bytes() == content
-    assert refined.save("mine.npz", overwrite=True) == (path,)
-    with refused(gr.GraspRefineError, "nowhere"):
-        refined.save("nowhere/mine.npz")
 
 
 def test_the_suffix_says_what_is_written(refined: gr.RefinedGrasps, workplace: Path):
@@ -174,16 +134,6 @@ def test_the_suffix_says_what_is_written(refined: gr.RefinedGrasps, workplace: P
         assert not Path(name).exists()
     with refused(gr.GraspRefineError, "mine.csv"):
         refined.save("mine.csv")
-
-
-def test_a_mesh_in_memory_is_an_object(gripper: gr.Hand, refined: gr.RefinedGrasps):
-    mesh = refined.problem.groups[0].scene.object.mesh
-    config = gr.Config(LevenbergMarquardt(iterations=3), starts=1)
-    found = gr.refine(gripper, mesh, refined.before, config)
-    again = gr.refine(gripper, (mesh.vertices, mesh.faces), refined.before, config)
-    np.testing.assert_array_equal(found.after.q, again.after.q)
-    assert len(gr.sample_grasps(gripper, mesh, 1)) == 1
-    np.testing.assert_allclose(gr.evaluate(gripper, mesh, refined.after).quality, refined.quality[:, 1], atol=0.02)
 
 
 def test_a_specification_takes_text_and_paths(workplace: Path):
@@ -209,18 +159,6 @@ def test_bad_arguments_are_refused_by_name(gripper: gr.Hand, refined: gr.Refined
         gr.refine(gripper, box, replace(grasps, base_link="elsewhere"))
     with refused(gr.GraspRefineError, "alone"):
         gr.refine(refined.problem, box, grasps)
-
-
-def test_the_viewer_shows_refined_grasps(refined: gr.RefinedGrasps):
-    viewer = gr.view(refined)
-    try:
-        assert urlopen(viewer.address).status == 200
-        state = viewer.controller.state
-        np.testing.assert_allclose(state.pose.q, refined.after.q[0], atol=1e-12)
-        np.testing.assert_allclose(state.collection.initial(1)[1], refined.before.q[1], atol=1e-12)
-        assert state.collection.columns["status"].values.tolist() == refined.status.tolist()
-    finally:
-        viewer.close()
 
 
 def test_every_name_of_the_vocabulary_is_there_and_has_a_docstring():
@@ -256,20 +194,3 @@ def test_margins_stand_on_the_table_of_the_task(gripper: gr.Hand, refined: gr.Re
     found = gr.margins(gripper, box, alone, task, draws=1, with_limits=False)
     (scene,) = (group.scene for group in found.problem.groups)
     assert found.protocol.checks == 1 and scene.table is not None and scene.table.offset == -0.0355
-
-
-def test_margins_are_as_in_the_library_in_the_order_of_the_grasps(gripper: gr.Hand, refined: gr.RefinedGrasps):
-    box = gr.load_object("box:0.05,0.06,0.07")
-    task, factors = gr.Task(gr.Protocol(checks=1)), gr.Factors(friction=(0.5, 0.9))
-    found = gr.margins(gripper, box, refined.after, task, factors=factors, draws=4, seed=2, with_limits=False)
-    assert len(found) == 3 and found.margins.limits is None and found.margins.draws == 4
-    assert found.draws.friction.min() >= 0.5 and found.draws.friction.max() <= 0.9
-    np.testing.assert_array_equal(found.probability, found.margins.held["all"].mean(axis=1))
-    assert "3 grasps in 4 drawn worlds" in str(found) and "friction" in found._repr_html_()
-    assert "GraspMargins(3 grasps of gripper" in repr(found)
-    turned = gr.margins(
-        gripper, box, refined.after.select([2, 0]), task, factors=factors, draws=4, seed=2, with_limits=False
-    )
-    np.testing.assert_array_equal(turned.margins.held["all"], found.margins.held["all"][[2, 0]])
-    with refused(gr.GraspRefineError, "tabletop"):
-        gr.margins(gripper, box, refined.after, "tabletop")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from command_line import refused
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.npz_files import save_npz
-from grasp_refine.grasps.grasp_set import load_grasps
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.load import load_problem
@@ -123,23 +121,6 @@ def test_other_pieces_of_the_same_mesh_are_noted(tmp_path: Path):
 
 def _plain(entries: list[dict]) -> list[dict]:
     return [{**entry, "measures_m": list(entry["measures_m"])} for entry in entries]
-
-
-def test_each_object_and_size_of_a_folder_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(tmp_path)
-    box = load_grasps(ALLEGRO / "example_rounded_box.npz")
-    two = replace(box, scale=np.where(np.arange(len(box)) % 2, 1.1, 1.0))
-    save_npz("two.npz", two.arrays())
-    for grasps, index in (("two.npz", ("0", "1")), (str(ALLEGRO / "example_bottle.npz"), ("0",))):
-        assert main(["run", "--geometry-only", "--grasps", grasps, "--index", *index, "--out", "out"]) == 0
-    entries = read_provenance(Path("out/allegro_rounded_box.npz"))["objects"]
-    assert [(entry["name"], entry["scale"]) for entry in entries] == [("rounded_box", 1.0), ("rounded_box", 1.1)]
-    assert entries[0]["mesh"] != entries[1]["mesh"]
-    assert len(load_problem(ProblemSpec(grasps=Path("out"))).groups) == 3
-    for bottle, named in (("bottle", ()), ("mug", ("allegro_bottle.npz", "'bottle'"))):
-        Path("objects.toml").write_text(f'rounded_box = "rounded_box"\nbottle = "{bottle}"\n')
-        with refusals.refused(GraspFileError, *named) if named else nullcontext():
-            load_problem(ProblemSpec(objects=Path("objects.toml"), grasps=Path("out")))
 
 
 def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.CaptureFixture[str]):

@@ -1,6 +1,5 @@
 """`--grasps sample:N`: what it needs, what it does not go with, and that what it gives is refined."""
 
-import json
 import re
 from pathlib import Path
 
@@ -9,12 +8,9 @@ import pytest
 
 import refusals
 from command_line import refused
-from grasp_refine.core.errors import GraspFileError, GraspRefineError
+from grasp_refine.core.errors import GraspFileError
 from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.problem import Problem
-from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine.sampling import sample
-from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 from plate_gripper import URDF
 from refusals import assert_names
@@ -52,24 +48,6 @@ def test_sampled_grasps_are_a_problem_like_any_other(gripper: str):
     assert "4 grasps" in note and re.search(r"\d s$", note)
 
 
-def test_what_takes_a_while_is_reported_after_what_was_asked_is_known_to_be_sound(gripper: str):
-    heard: list[str] = []
-    with refusals.refused(GraspRefineError, "`scale`", "0"):
-        load_problem(
-            ProblemSpec(hand=gripper, object=BOX, scale=0.0, grasps=Path("sample:4")),
-            on_message=heard.append,
-            on_wait=heard.append,
-        )
-    assert heard == []
-    load_problem(
-        ProblemSpec(hand=gripper, object=BOX, scale=0.1, grasps=Path("sample:4")),
-        on_message=heard.append,
-        on_wait=heard.append,
-    )
-    (line,) = heard
-    assert_names(line, "gripper", BOX)
-
-
 def test_the_index_is_that_of_sampled_grasps_and_the_seed_varies_them(gripper: str):
     every, some = (load(gripper, index=index).groups[0] for index in ((), (2, 0)))
     np.testing.assert_array_equal(some.scene.q, every.scene.q[[2, 0]])
@@ -83,14 +61,6 @@ def test_the_table_is_that_of_the_grasps(gripper: str):
     (group,) = load(gripper, table=-0.035).groups
     assert group.scene.table.offset == -0.035
     assert (group.scene.T_world_root[:, 2, 3] > -0.035).all()
-
-
-def test_it_is_noted_where_fewer_are_found(gripper: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sample, "TRIES_PER_GRASP", 1)
-    monkeypatch.setattr(sample, "MIN_TRIES", 256)
-    problem = load(gripper, grasps=Path("sample:256"))
-    (note,) = [note for note in problem.notes if f"{len(problem)} of 256" in note]
-    assert_names(note, "'gripper'", f"'{BOX}'")
 
 
 @pytest.mark.parametrize("number", ["0", "x", "", "1.5", "²"])
@@ -120,19 +90,3 @@ def test_what_does_not_go_with_it_is_refused(
 ):
     given = [gripper if option == "HAND" else option for option in options]
     assert_names(refused(capfd, "run", *given, "--grasps", "sample:2"), *named)
-
-
-def test_sampled_grasps_are_refined_and_written(gripper: str, workplace: Path, capsys: pytest.CaptureFixture[str]):
-    assert (
-        main(["run", "--hand", gripper, "--object", BOX, "--scale", "0.1", "--grasps", "sample:3", "--iterations", "5"])
-        == 0
-    )
-    assert "3 grasps" in capsys.readouterr().out
-    (path,) = Path("grasp-refine-results").glob("*.npz")
-    with np.load(path) as arrays:
-        assert arrays["hand_pose"].shape == (3, 7)
-        np.testing.assert_array_equal(arrays["scale"], 0.1)
-        provenance = json.loads(str(arrays["provenance"]))
-    # Drawn, not read: the hand, the object and the seed say which they are.
-    assert provenance["source"]["sampled"] == "sample:3" and provenance["source"]["hand"]["path"] == gripper
-    assert provenance["seed"] == 0 and provenance["config"]["inputs"]["object"] == BOX

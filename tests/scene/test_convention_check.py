@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import grasp_refine as gr
 from boxed_example import FILE, boxed_example
@@ -23,9 +19,6 @@ from grasp_refine.problem.load import load_problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.scene.convention_check import convention_notes, joint_notes, position_notes
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.batch.progress import Progress
-from grasp_refine_apps.batch.session import Session
-from grasp_refine_apps.batch.shard import Done, Shard
 from grasp_refine_apps.cli import main
 from refusals import assert_names, refused
 
@@ -143,14 +136,14 @@ def test_what_is_meant_is_read_as_it_is_with_a_warning(file: Path):
     assert set(problem.convention_notes) <= set(problem.notes)
 
 
-@pytest.mark.parametrize("call", [gr.problem_of, gr.refine, gr.evaluate])
 @pytest.mark.parametrize("fault", ["degrees", "x y z w"])
-def test_arrays_in_memory_are_refused_unless_they_are_meant(call: Callable[..., object], fault: str):
-    hand, obj = gr.load_hand("allegro"), gr.load_object("rounded_box")
+def test_arrays_in_memory_are_refused_unless_they_are_meant(fault: str):
+    hand, obj = example().hand, example().object
     pose, q = written(fault)
     suspected = replace(load_grasps(FILE), hand_pose=pose, q=q)
-    with refused(ConventionError, fault, "as_is"):
-        call(hand, obj, suspected)
+    for call in (gr.problem_of, gr.refine, gr.evaluate):
+        with refused(ConventionError, fault, "as_is"):
+            call(hand, obj, suspected)
     with pytest.warns(UserWarning, match=fault):
         gr.problem_of(hand, obj, suspected, as_is=True)
 
@@ -186,24 +179,6 @@ def test_convert_writes_what_is_meant_and_says_so(file: Path, capsys: pytest.Cap
     np.testing.assert_array_equal(load_grasps("new.npz").q, load_grasps(file).q)
 
 
-def test_validate_measures_what_is_meant(file: Path):
-    assert run("validate", file, "--no-simulate", "--as-is") == 0
-
-
-@pytest.mark.slow
-def test_a_suspected_file_fails_its_own_rows_of_a_batch(file: Path, capsys: pytest.CaptureFixture[str]):
-    Path("sound.npz").write_bytes(FILE.read_bytes())
-    words = ["batch", file, "sound.npz", "--geometry-only", "--workers", 1, "--out", "results", "--json", "new.json"]
-    assert run(*words) == 1
-    document = json.loads(Path("new.json").read_text())
-    totals, (failed,) = document["totals"], document["failed"]
-    assert (totals["complete"], totals["failed"], totals["suspected"]) == (1, 1, 1)
-    assert failed["reason"] == "suspected"
-    assert_names(failed["message"], "degrees", "millimetres")
-    assert "1 of them" in capsys.readouterr().out
-    assert run(*words, "--as-is") == 0
-
-
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_few_grasps_show_what_is_clear(fault: str, count: int):
@@ -223,19 +198,3 @@ def test_small_angles_in_degrees_show_where_fingers_are():
     # Radians that are as far beyond, where nothing is near.
     T[:, 2, 3] = 0.12
     assert convention_notes([Scene(hand, plate, T, np.degrees(q))]) == ()
-
-
-def test_batch_says_so_once_a_job(tmp_path: Path):
-    jobs = ("first", "first", "second")
-    shards = [
-        Shard(n, "hand/object", f"{job}, part {n}", 4, tmp_path / f"{n}.npz", "stamp", SimpleNamespace(job=job))
-        for n, job in enumerate(jobs)
-    ]
-    session, console = Session(tuple(shards), (), set()), Console(file=io.StringIO())
-    with Progress(console, shards, 1) as progress:
-        for one in shards:
-            notes = (f"joint values look like degrees: in {one.number} of 4",)
-            done = Done(4, 4, (0, 0), None, 0.0, 0.0, 0, convention_notes=notes)
-            session.take(one, done, progress)
-    told = [line for line in console.file.getvalue().splitlines() if "degrees" in line]
-    assert [line.split(": ")[1] for line in told] == ["first", "second"]

@@ -15,7 +15,7 @@ from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
-from refusals import assert_names, refused
+from refusals import refused
 
 Load = Callable[..., Hand]
 FINGERS = [
@@ -70,11 +70,6 @@ def test_the_pose_is_that_of_the_palm(names: list[str], hand: str, link: str, tm
     np.testing.assert_array_equal(again.q[:, order], grasps.q)
 
 
-def test_what_its_evaluation_adds_is_reported(tmp_path: Path):
-    read = reading(save(tmp_path / "a.npy", record(succ_flag=True, ho_pene=0.0)))
-    assert_names(read.notes[0], "succ_flag")
-
-
 def test_joints_are_written_with_prefixes_and_other_hands_are_refused(grasps: Callable[..., GraspSet], load: Load):
     for hand, names in (("shadow", SHADOW), ("leap", LEAP)):
         parts, lost = FORMATS["hugs"].write(grasps(hand), partial(load, hand))
@@ -102,8 +97,3 @@ def test_defects_are_named(changes: dict[str, Any], named: tuple[str, ...], tmp_
     path = save(tmp_path / "a.npy", record(**changes))
     with refused(GraspFileError, path, *named):
         reading(path)
-
-
-def test_a_grasp_that_is_not_finite(tmp_path: Path):
-    path = save(tmp_path / "a.npy", record(grasp_qpos=np.full(29, np.nan, np.float32)))
-    assert reading(path).grasps.finite.tolist() == [False]

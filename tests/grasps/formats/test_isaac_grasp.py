@@ -211,11 +211,6 @@ def test_defects_are_named(content: dict, named: tuple[str, ...], tmp_path: Path
         reading(path)
 
 
-def test_a_grasp_that_is_not_finite_is_kept_apart(tmp_path: Path):
-    path = save(tmp_path / "a.yaml", changed(position=[0.0, float("nan"), 0.0]))
-    assert reading(path).grasps.finite.tolist() == [False, True]
-
-
 def test_other_files_of_a_folder_are_left_out(tmp_path: Path):
     save(tmp_path / "a.yaml", ISAAC_SIM)
     save(tmp_path / "settings.yaml", {"a": 1})

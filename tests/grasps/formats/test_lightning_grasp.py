@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -49,18 +47,6 @@ def test_the_order_of_shadow_is_its_own():
     assert LAYOUTS[0].joints[:9] == ("RFJ1", "RFJ2", "RFJ3", "RFJ4", "LFJ1", "LFJ2", "LFJ3", "LFJ4", "LFJ5")
     fingers = (("TH", 5), ("MF", 4), ("FF", 4))
     assert LAYOUTS[0].joints[9:] == tuple(f"{finger}J{n}" for finger, k in fingers for n in range(1, k + 1))
-
-
-def test_however_it_was_saved(tmp_path: Path):
-    held = contents(22)
-    lists = {key: value.tolist() for key, value in held.items()}
-    save(tmp_path / "a.pt", held)
-    (tmp_path / "a.json").write_text(json.dumps(lists))
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(held))
-    np.save(tmp_path / "a.npy", np.array(held, dtype=object))
-    sets = [reading(tmp_path / f"a.{suffix}").grasps for suffix in ("pt", "json", "pkl", "npy")]
-    for other in sets[1:]:
-        np.testing.assert_array_equal(other.hand_pose, sets[0].hand_pose)
 
 
 def test_names_of_the_object(tmp_path: Path):

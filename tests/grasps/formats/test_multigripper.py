@@ -95,12 +95,6 @@ def test_one_finger_of_the_franka_hand_is_enough(tmp_path: Path):
     assert parts[0].content["dofs"] == [[first, first] for first in both.q[:, 0]]
 
 
-def test_another_hand_with_joints_of_the_same_names(tmp_path: Path):
-    read = reading(save(tmp_path / "a.json", contents("sawyer"))).grasps
-    with refused(GraspFileError, "sawyer", "'mine'"):
-        FORMATS["multigripper"].write(replace(read, hand="mine"), load_none)
-
-
 def test_poses_only(tmp_path: Path):
     held = {key: value for key, value in contents("ezgripper").items() if key != "dofs"}
     held["object_ID"] = held.pop("object_id")

@@ -108,11 +108,6 @@ def tensor(offset: int, shape: tuple[int, ...], strides: tuple[int, ...], count:
     return stream.getvalue()
 
 
-def test_the_crafted_tensor_itself_is_sound(file: Path):
-    read = load_content(archive(file, tensor(1, (3,), (1,)), n0=np.arange(4, dtype=np.float32).tobytes()))
-    np.testing.assert_array_equal(read, [1, 2, 3])
-
-
 @pytest.mark.parametrize(
     ("pickled", "named"),
     [

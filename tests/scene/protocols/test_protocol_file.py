@@ -21,7 +21,6 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.commands.simulation_options import Simulation
 from gripper import around, ball, gripper
-from readme import ROOT
 from refusals import assert_names, refused
 
 TEXT = """
@@ -139,16 +138,6 @@ def test_what_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, text: str, 
     with refused(GraspRefineError, path, *named) as caught:
         load_protocol(path)
     assert str(caught.value).startswith(f"{path}: ")
-
-
-def test_the_example_of_the_guide_is_a_protocol(tmp_path: Path) -> None:
-    guide = (ROOT / "docs" / "pages" / "guides" / "validate.md").read_text(encoding="utf-8")
-    (example,) = (
-        block.removeprefix("toml\n") for block in guide.split("```") if "based_on" in block and "[noise]" in block
-    )
-    heavy = load_protocol(written(tmp_path, example))
-    assert (heavy.name, heavy.friction, heavy.density, heavy.contact.cone) == ("heavy", 0.3, 1200.0, "pyramidal")
-    assert heavy.multiccd and heavy.directions == ("+z", "-z") and heavy.noise.count == 5
 
 
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
