@@ -1,7 +1,5 @@
 """Builder of URDF files of made-up hands: links, joints and shapes as short calls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from grasp_refine.hands.hand import Hand, load_hand

@@ -1,7 +1,5 @@
 """A gripper of slides, one of which follows another, and a hinge, with links of any shape."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

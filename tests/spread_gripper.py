@@ -1,7 +1,5 @@
 """A gripper of three fingers, two of which spread together: 8 joints, of which 4 are independent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from grasp_refine.hands.hand import Hand

@@ -1,7 +1,5 @@
 """An underactuated hand of five fingers: 12 joints, of which 6 are independent; and its mirror image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

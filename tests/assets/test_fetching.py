@@ -1,7 +1,5 @@
 """Fetching for real, from a web server on this machine and from folders; what arrives wrong leaves nothing behind."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -67,9 +65,6 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if not path.is_dir()}
 
 
-# What arrives
-
-
 def test_files_arrive_whole_and_find_each_other(claw: Asset, server: Server, cache: Path):
     told: list[tuple[str, int, int | None]] = []
     folder = fetch(claw, server, progress=lambda *now: told.append(now))
@@ -121,9 +116,6 @@ def test_files_come_from_upstream_under_their_own_paths(claw: Asset, tmp_path: P
         assert set(server.asked) == {f"/made/up/{claw.commit}/{name}" for name in CONTENTS}
     assert folder.name.startswith("upstream-") and files_in(folder) == CONTENTS
     assert not is_whole(claw, "mirror"), "a mirror's copy is another one"
-
-
-# What arrives wrong
 
 
 @pytest.mark.parametrize(
@@ -192,9 +184,6 @@ def test_a_folder_with_another_file_or_without_one_is_refused(claw: Asset, tmp_p
     assert not cache.exists()
 
 
-# Nothing outside of the cache
-
-
 @pytest.mark.parametrize("place", ["../x", "/etc/passwd", "a/../../../x", "a\\..\\x", "", "../../../../../x"])
 def test_a_place_outside_of_the_cache_is_refused(claw: Asset, place: str):
     with refused(AssetError, f"'{place}'"):
@@ -217,9 +206,6 @@ def test_nothing_is_written_or_read_through_a_link(claw: Asset, server: Server, 
         assert verdict.state == "damaged" and "link" in verdict.reason
 
 
-# Licences
-
-
 @pytest.mark.parametrize("terms", ["non-commercial", "unclear"])
 def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Server, terms: str, cache: Path):
     claw = made_asset(tmp_path / "manifest", terms=terms, licence="some words")
@@ -234,9 +220,6 @@ def test_a_licence_that_restricts_is_accepted_first(tmp_path: Path, server: Serv
     fetch(claw, server)
     assert is_accepted(claw)
     assert not is_accepted(made_asset(tmp_path / "newer", terms=terms, licence="other words"))
-
-
-# Python packages
 
 
 @pytest.fixture
@@ -281,9 +264,6 @@ def test_what_upstream_has_in_another_form_needs_a_mirror():
         fetch_asset(read_manifest("hands")["robotiq3f"], Upstream())
 
 
-# Locating
-
-
 def test_locating_fetches_what_is_open(claw: Asset, server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address + "/")
     with refused(AssetError, "refine-grasp assets fetch hands/claw"):
@@ -310,8 +290,6 @@ def test_a_mirror_is_a_folder_or_a_web_address(claw: Asset, monkeypatch: pytest.
     with refused(AssetError, f"GRASP_REFINE_ASSETS={named}", "http://"):
         locate_asset(claw)
 
-
-# The real mirror
 
 FETCH = """
 import sys

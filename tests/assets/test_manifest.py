@@ -1,7 +1,5 @@
 """The manifests of other people's assets: complete, well formed, and nothing that leaves a folder."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json
@@ -69,9 +67,6 @@ def test_terms_follow_from_the_words_of_the_licence(kind: str):
             assert entry["terms"] == "unclear", name
         else:
             assert entry["terms"] == "open" and re.search(r"MIT|BSD|Apache|CC BY 4\.0", words), name
-
-
-# The schema, and what the program says of manifests that are not like it
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Hands of the package robot_descriptions, of which a fake one with its layout is installed here."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Grasp files: what is read, what is refused and with which words, and how joints meet a hand."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import pickle
@@ -79,9 +77,6 @@ def refused(path: Path) -> str:
     return message.removeprefix(f"{path}: ")
 
 
-# -- reading ---------------------------------------------------------------------------------------------
-
-
 def test_reads_a_file_and_spreads_single_values_over_the_rows(write):
     grasps = load_grasps(write())
     assert len(grasps) == 3
@@ -135,9 +130,6 @@ def test_reads_targets_with_nan_for_none(write):
     assert grasps.targets.links == ("tip", "thumb")
     assert np.isnan(grasps.targets.point_link[1, 0]).all()
     assert np.isfinite(grasps.targets.point_object[0]).all()
-
-
-# -- refusing --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("content", [b"", b"text", pickle.dumps({"q": [1.0]}), b"\x93NUMPY"])
@@ -251,9 +243,6 @@ def test_stages_are_read_where_they_are(write):
     assert load_grasps(write()).squeeze is None
 
 
-# -- the set ---------------------------------------------------------------------------------------------
-
-
 def test_select_takes_rows_of_everything_in_the_given_order(write):
     grasps = load_grasps(write(object=["mug", "can", "jar"], label_score=[1.0, np.nan, 3.0], **targets(), **stages()))
     chosen = grasps.select([2, 0])
@@ -265,9 +254,6 @@ def test_select_takes_rows_of_everything_in_the_given_order(write):
     np.testing.assert_array_equal(chosen.hand_pose, grasps.hand_pose[[2, 0]])
     np.testing.assert_array_equal(chosen.targets.point_link, grasps.targets.point_link[[2, 0]])
     assert len(grasps.select([])) == 0
-
-
-# -- writing ---------------------------------------------------------------------------------------------
 
 
 def test_saved_grasps_load_again(write, tmp_path: Path):
@@ -300,9 +286,6 @@ def test_object_arrays_are_not_written(tmp_path: Path):
     with expected(GraspFileError, "note"):
         save_npz(tmp_path / "result.npz", {"note": np.array([None])})
     assert not list(tmp_path.iterdir())
-
-
-# -- joints ----------------------------------------------------------------------------------------------
 
 
 def joint(name: str, mimic: Mimic | None = None) -> Joint:
@@ -475,9 +458,6 @@ def test_another_hand_than_the_file_names_is_said(named: str, said: bool):
     assert len(notes) == said
     for note in notes:
         assert_names(note, "'gripper'", "'claw'")
-
-
-# -- rows ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Grasps told from another link of the hand: links stay where they were."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

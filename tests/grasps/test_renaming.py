@@ -1,7 +1,5 @@
 """Grasps of a hand whose other file has a prefix before its names."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from grasp_refine.grasps.grasp_set import GraspSet, Targets

@@ -1,7 +1,5 @@
 """Rest poses in which no links overlap."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

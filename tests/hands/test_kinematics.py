@@ -73,9 +73,6 @@ def by_torch(hand: Hand, links: list[str], T: np.ndarray, q: np.ndarray) -> np.n
     return Kinematics(hand, links)(torch.from_numpy(T), torch.from_numpy(q)).numpy()
 
 
-# poses; those of made-up hands with slides and mimic joints are in tests/properties
-
-
 SHARED = ("allegro/allegro_right", "leap/leap_right", "shadow/shadow_right", "barrett/barrett", "robotiq3f/robotiq3f")
 """URDFs of the shared assets; the joint order of pytorch-kinematics is not the file's for leap and robotiq3f."""
 
@@ -120,9 +117,6 @@ def test_joints_that_move_none_of_the_links_are_left_out(gripper: Hand) -> None:
 def test_unknown_links_are_refused_with_the_ones_that_exist(allegro: Hand, kinematics: type) -> None:
     with refused(HandError, "allegro", "knee", "base_link, ", "link_3.0_tip"):
         kinematics(allegro, ["base_link", "knee"])
-
-
-# derivatives
 
 
 @pytest.mark.parametrize("relative", [False, True], ids=["one link", "two links"])
@@ -217,9 +211,6 @@ def test_what_follows_what(gripper: Hand) -> None:
     assert movers(1) == {"lift", "left_slide", "tip_turn"}
     assert movers(3 + chain.joints.index("left_slide")) == {"lift", "left_slide"}
     assert movers(3 + chain.joints.index("spin")) == {"spin"}
-
-
-# libraries
 
 
 def test_torch_and_numpy_agree(hand: Hand) -> None:

@@ -60,9 +60,6 @@ def found(hand: Hand, sampling: Sampling = QUICK) -> tuple[tuple[str, str], ...]
     return touching_pairs(hand, sampling, cache=None)
 
 
-# which pairs
-
-
 def test_links_that_can_meet_are_found_and_rigid_ones_and_neighbours_are_not(tmp_path: Path) -> None:
     hand = build(
         tmp_path,
@@ -202,9 +199,6 @@ def test_settings_out_of_range_are_refused(setting: dict[str, float]) -> None:
     assert str(caught.value).count(name) >= 2
 
 
-# the cache
-
-
 @pytest.fixture
 def pliers(tmp_path: Path) -> Hand:
     return build(tmp_path / "pliers", slide("base", "a", 0.05, 0.1), slide("base", "b", 0.1, 0.2))
@@ -264,9 +258,6 @@ def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) 
     assert [file.name for file in cache.iterdir()] == names[:1], "neither names of links matter, nor paths, nor rest"
 
 
-# how deep
-
-
 def test_penetration_is_that_of_the_deepest_pair(tmp_path: Path) -> None:
     hand = build(tmp_path, *(slide("base", name, -0.1, 0.1) for name in "abc"))
     pairs = list(combinations("abc", 2))
@@ -287,8 +278,6 @@ def test_penetration_of_what_is_not_finite_is_unknown_and_spoils_no_other(tmp_pa
     for pairs, depth in (([("a", "b")], 0.005), ([], 0.0)):
         np.testing.assert_allclose(self_penetration(hand, pairs, q), [depth, np.nan, np.nan], atol=1e-9)
 
-
-# real hands
 
 THUMB_AND_FINGER = {
     "allegro": ("link_3.0_tip", "link_15.0_tip"),

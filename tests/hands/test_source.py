@@ -1,7 +1,5 @@
 """Which files a hand's name means: ours, the user's, or an asset's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Hands that nobody tuned anything for: underactuated, with a coupled spread, on an arm, left; from URDF to a hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,9 +72,6 @@ def links(hand: Hand) -> list[str]:
     return [link.name for link in hand.links]
 
 
-# what is read
-
-
 # kinematics
 
 
@@ -95,9 +90,6 @@ def test_mujoco_has_the_links_where_we_have_them(hand: Hand) -> None:
             body = data.body(bodies[link])
             np.testing.assert_allclose(body.xpos, expected[:3, 3], atol=1e-9)
             np.testing.assert_allclose(body.xmat.reshape(3, 3), expected[:3, :3], atol=1e-9)
-
-
-# from nothing to a grasp that holds
 
 
 def grasped(
@@ -127,9 +119,6 @@ def test_grasps_are_found_refined_and_hold(hand: Hand) -> None:
     assert simulate(world, motion, threads=1).success.sum() >= count - 1
 
 
-# a hand on an arm
-
-
 def test_only_the_hand_of_an_arm_moves(hands: dict[str, Hand]) -> None:
     alone, on_arm = hands["three fingers"], hands["arm"]
     assert on_arm.base_link == "palm" and on_arm.joint_names == alone.joint_names
@@ -154,9 +143,6 @@ def test_slides_and_endless_joints_of_an_arm_move_when_asked(tmp_path: Path) -> 
     assert (found.status == Status.CONVERGED).sum() >= 2, "the stand is in the way"
     assert np.ptp(found.q[:, 0]) > 0 and ((found.q >= whole.lower) & (found.q <= whole.upper)).all()
     assert metrics(whole, scene.object, found.T_world_root, found.q).penetration_m.max() < 1e-4
-
-
-# a left hand
 
 
 def test_a_left_hand_is_the_mirror_image_of_the_right_one(hands: dict[str, Hand]) -> None:

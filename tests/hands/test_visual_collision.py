@@ -1,7 +1,5 @@
 """Hands without collision geometry, whose links collide as they look."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

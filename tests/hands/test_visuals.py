@@ -1,7 +1,5 @@
 """What links show: placed, scaled, mirrored and coloured as the URDF says, and what is broken is told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Objects from names, primitives, files and folders of pieces; which mesh or folder in a folder a name means."""
 
-from __future__ import annotations
-
 import re
 from functools import partial
 from pathlib import Path

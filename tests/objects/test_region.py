@@ -1,7 +1,5 @@
 """Regions of objects: signed distances in closed form, their gradients, and specifications right and wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

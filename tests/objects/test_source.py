@@ -1,7 +1,5 @@
 """What an object's name means on the command line, and in a grasp file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

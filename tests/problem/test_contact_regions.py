@@ -1,7 +1,5 @@
 """Regions of objects, from sampling to result files: contacts are in them, or the grasp says that they are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Objects are cut when everything else is known to be right, and only those that are needed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`import grasp_refine as gr`: the names of the vocabulary refine, evaluate, simulate, save and show."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Poses of another frame are said before anything is done with them; those of the base link, and wild ones, are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

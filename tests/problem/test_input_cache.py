@@ -1,7 +1,5 @@
 """Inputs in memory: whatever a hand or an object depends on has an entry of its own; grasps come back in order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Terms and solvers of users: minimised like ours, checked by finite differences, and refused by name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

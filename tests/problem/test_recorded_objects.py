@@ -1,7 +1,5 @@
 """Results are for the object that they were refined on: another one is refused by name, or taken when asked."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
@@ -46,9 +44,6 @@ def result(refined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     return tmp_path / "out" / "allegro_rounded_box.npz"
 
 
-# hashes
-
-
 def test_a_mesh_is_known_by_its_triangles_alone():
     mesh = load_object("mug").mesh
     rng = np.random.default_rng(0)
@@ -69,9 +64,6 @@ def test_pieces_are_known_by_their_vertices_and_radii():
     assert pieces_digest(pieces[::-1]) == pieces_digest(pieces)
     assert pieces_digest(pieces[1:]) != pieces_digest(pieces)
     assert pieces_digest([replace(pieces[0], radius=1e-3)]) != pieces_digest(pieces[:1])
-
-
-# commands
 
 
 @pytest.mark.parametrize("words", [("validate", "--no-simulate"), ("view", "--no-open", "--port", "0"), ("run",)])

@@ -1,7 +1,5 @@
 """Order of the work of a problem: simulated worlds are built first, and results are kept before they are simulated."""
 
-from __future__ import annotations
-
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError

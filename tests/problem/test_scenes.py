@@ -1,7 +1,5 @@
 """Grasps in scenes, from sampling to result files: clear of all bodies at every stage, and measured, saved, told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Contact links of grasps: recorded ones, those with a target, or those near the object, in this order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,18 +1,23 @@
 """Which links should touch, when nobody says: those that are near, of two groups at least."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import made_hands
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError, HandError
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.mount import mount
 from grasp_refine.objects.region import ContactRegions, HalfSpace
-from grasp_refine.scene.contact_selection import PALM, ContactSelection, link_groups, nearest_points
+from grasp_refine.scene.contact_selection import FLUSH_M, PALM, ContactSelection, link_groups, nearest_points
+from made_hands import BALL, joint, made_hand
+from plate_gripper import URDF
 from refusals import refused
 from twists import random_poses
 
@@ -148,6 +153,30 @@ def test_a_finger_stands_for_its_contact_links(hand: Hand) -> None:
     # All of them, where a finger has several.
     pair = replace(hand, contacts=(*hand.contacts, replace(hand.contacts[-1], link="link_14.0")))
     assert set(ContactSelection(links=(hand.contacts[-1].group,)).named(pair, links)) >= {"link_14.0"}
+
+
+def test_a_palm_that_carries_two_fingers_or_an_arm_touches_nothing(hand: Hand, tmp_path: Path) -> None:
+    """Nothing presses the object against either."""
+    jaws = tmp_path / "jaws.urdf"
+    jaws.write_text(URDF)
+    gripper, arm = load_hand(jaws, candidates=16), mount(load_hand("ur5e", candidates=16), hand)
+    for one, idle in ((gripper, {"palm"}), (arm, set(arm.arm.links))):
+        links = links_of(one)
+        found = ContactSelection().choose(one, links, at(one, dict.fromkeys(links, 0.001)))[0]
+        assert {link for link, touches in zip(links, found, strict=True) if not touches} == idle & set(links)
+
+
+def test_of_contact_links_fixed_together_those_flush_with_the_nearest_touch(tmp_path: Path) -> None:
+    """Where they were guessed: a nail does not touch behind a pad."""
+    turn = {"at": "0.1 0 0", "axis": "0 0 1", "limits": (-1, 1)}
+    gripper = made_hand(
+        tmp_path,
+        made_hands.links("palm", "finger", "pad", "nail", "thumb", inside=BALL),
+        joint("f", "palm", "finger", **turn) + joint("t", "palm", "thumb", **turn),
+        joint("p", "finger", "pad", "fixed") + joint("n", "finger", "nail", "fixed"),
+    )
+    near = {"finger": 0.002 + 0.5 * FLUSH_M, "pad": 0.002, "nail": 0.002 + 1.5 * FLUSH_M, "thumb": 0.003, "palm": 0.02}
+    assert chosen(gripper, ContactSelection(), near) == {"finger", "pad", "thumb"}
 
 
 def test_targets_are_points_of_the_bodies_in_closed_form() -> None:

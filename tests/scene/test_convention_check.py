@@ -1,7 +1,5 @@
 """What a grasp file most likely means: told where it is clear, and nothing said of grasps that may be meant so."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache, partial

@@ -18,16 +18,20 @@ def scene() -> Scene:
     return boxed_example(candidates=64)
 
 
+AIMED = [0, 5, 9]
+"""Links with targets, of different shapes."""
+
+
 def given(scene: Scene, seed: int = 0) -> Scene:
-    """Targets of the first three links: points on the surfaces, but for the last grasp, which has none."""
+    """Targets of three links: points on the surfaces, but for the last grasp, which has none."""
     rng = np.random.default_rng(seed)
     shape = (len(scene.q), len(scene.links), 3)
     on_link, on_object = np.full((2, *shape), np.nan)
-    for column in range(3):
+    for column in AIMED:
         surface = scene.hand.links_by_name[scene.links[column]].body.candidates.points
         on_link[:-1, column] = surface[rng.integers(len(surface), size=len(scene.q) - 1)]
     surface = scene.object.body.candidates.points
-    on_object[:-1, :3] = surface[rng.integers(len(surface), size=(len(scene.q) - 1, 3))]
+    on_object[:-1, AIMED] = surface[rng.integers(len(surface), size=(len(scene.q) - 1, 3))]
     return replace(scene, target_link=on_link, target_object=on_object)
 
 
@@ -77,7 +81,7 @@ def test_links_given_by_name_are_the_goal_even_of_a_grasp_far_away(scene: Scene)
 
 def test_given_targets_are_the_goal_and_nothing_is_asked_for_it(scene: Scene) -> None:
     aimed = given(scene)
-    for touching, nearest in ((ContactSelection(), True), (ContactSelection(links=(scene.links[5],)), False)):
+    for touching, nearest in ((ContactSelection(), True), (ContactSelection(links=(scene.links[7],)), False)):
         goal = goal_of(aimed, touching, nearest=nearest)
         np.testing.assert_array_equal(goal.target_link, aimed.target_link)
         np.testing.assert_array_equal(goal.target_object, aimed.target_object)
@@ -89,7 +93,7 @@ def test_given_targets_are_the_goal_and_nothing_is_asked_for_it(scene: Scene) ->
 def test_a_point_on_one_side_only_is_no_target(scene: Scene, side: str) -> None:
     aimed = given(scene)
     points = getattr(aimed, side).copy()
-    points[0], points[1, 1, 2] = np.nan, np.nan
+    points[0], points[1, AIMED[1], 2] = np.nan, np.nan
     goal = goal_of(replace(aimed, **{side: points}), ContactSelection())
     np.testing.assert_array_equal(goal.touching.sum(axis=1), [0, 2, 3, 0])
     for target in (goal.target_link, goal.target_object):
@@ -105,13 +109,13 @@ def test_targets_on_the_surfaces_are_on_them_and_others_as_far_off_as_they_are(s
     top = body.points[body.normals[:, 2] > 0.999]
     middle = top[np.linalg.norm(top[:, :2], axis=1).argmin()]
     where[0, 0], where[1, 0] = middle + [0, 0, 0.005], middle - [0, 0, 0.004]
-    where[2, :2] = middle + [0, 0, 0.003]
+    where[2, AIMED[:2]] = middle + [0, 0, 0.003]
     goal = goal_of(replace(aimed, target_object=where), ContactSelection())
     np.testing.assert_allclose(np.sqrt(goal.off_surface), [0.005, 0.004, 0.003 * np.sqrt(2), 0.0], atol=1e-6)
     # On the links' side, too, each in the frame of its own link.
     on_link = aimed.target_link.copy()
-    tip = scene.hand.links_by_name[scene.links[2]].body.candidates
-    on_link[0, 2] = tip.points[0] + 0.002 * tip.normals[0]
+    tip = scene.hand.links_by_name[scene.links[AIMED[2]]].body.candidates
+    on_link[0, AIMED[2]] = tip.points[0] + 0.002 * tip.normals[0]
     off = goal_of(replace(aimed, target_link=on_link), ContactSelection()).off_surface
     assert 0.0005 < np.sqrt(off[0]) < 0.002 * 1.001 and off[1] < 1e-12
 

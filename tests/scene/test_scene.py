@@ -1,7 +1,5 @@
 """Scenes: the grasps of a scene are chosen with all that belongs to them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from grasp_refine.hands.hand import load_hand

@@ -1,7 +1,5 @@
 """Surroundings that cannot be: refused or named, with the millimetres that follow from where things were put."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -39,9 +37,11 @@ def body(name: str, piece: Piece, x: float, y: float, z: float, *, movable: bool
 
 
 def on_table(height: float, thickness: float = 0.04, *more: EnvironmentBody) -> Environment:
-    """A table, and the cube with its lower side at a height above it."""
+    """A table, and the cube, which lies on another side than in its mesh, with its lower side at a height above it."""
     table = body("table", box([1.0, 1.0, thickness]), 0.0, 0.0, -thickness / 2)
-    return Environment((table, *more), at(0.0, 0.0, height + SIDE / 2))
+    pose = at(0.0, 0.0, height + SIDE / 2)
+    pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    return Environment((table, *more), pose)
 
 
 def millimetres(text: str) -> list[float]:
@@ -85,7 +85,7 @@ def test_an_object_floats_by_the_way_down_to_what_is_below(cube: Object) -> None
     (note,) = check_object(cube, None, on_table(0.1))
     assert millimetres(note) == pytest.approx([100.0], abs=0.06)
     # A wall that touches it holds nothing.
-    wall = body("wall", box([0.1, 0.02, 1.0]), 0.0, SIDE / 2 + 0.01, 0.2)
+    wall = body("wall", box([0.1, 0.02, 1.0]), 0.0, SIDE / 2 + 0.01 - 5e-6, 0.2)
     (note,) = check_object(cube, None, on_table(0.1, 0.04, wall))
     assert millimetres(note) == pytest.approx([100.0], abs=0.06)
     assert check_object(cube, None, on_table(0.004)) == ()
@@ -143,3 +143,8 @@ def test_a_note_says_that_all_palms_are_in_the_table(tmp_path: Path) -> None:
     assert millimetres(note) == [pytest.approx(50.0, abs=0.6)]
     assert hand_notes(replace(scene, task=Task(table=float(lowest.max()) + 0.015))) == ()
     assert hand_notes(replace(scene, task=Task())) == ()
+    # In a scene the note names the body in which a palm is deepest.
+    ends = [scene.T_world_root[row, :3, 3] for row in (0, 1)]
+    bodies = [body(name, sphere(r), *end, movable=True) for name, r, end in zip("ab", (0.05, 0.08), ends, strict=True)]
+    (note,) = hand_notes(replace(scene, task=Task(scene=Environment(tuple(bodies), np.eye(4)))).select([0, 1]))
+    assert "'b'" in note and "'a'" not in note

@@ -1,7 +1,5 @@
 """Scene files: bodies and poses as they are written, and refusals that name key, value and choices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is near the links of a hand: all pairs by brute force, along a motion, in any frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hands and grasps for tests of formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

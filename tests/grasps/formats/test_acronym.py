@@ -1,7 +1,5 @@
 """ACRONYM: HDF5 within bounds, its gripper's frame in the Franka hand's, JSON with the same keys, and GraspGen's."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable
@@ -145,9 +143,6 @@ def test_a_hand_without_that_link_is_refused(grasps: Callable[..., GraspSet], tm
 
     with refused(GraspFileError, "panda_hand", "'allegro'"):
         reading(save(tmp_path / "a.h5", tree()), hand=load_hand("allegro", candidates=16))
-
-
-# HDF5
 
 
 def test_bounds_and_links(tmp_path: Path):

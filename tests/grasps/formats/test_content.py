@@ -1,7 +1,5 @@
 """Array files and pickles: read plain, bounded, and refused in one line that begins with the path."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Each format writes what it reads: fingertips stay, orders and frames are those of the format, defects are named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

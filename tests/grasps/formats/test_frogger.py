@@ -1,7 +1,5 @@
 """FRoGGeR's pickles: poses of the hand from the joints of its arm, read without dill and Drake."""
 
-from __future__ import annotations
-
 import io
 import pickle
 import sys

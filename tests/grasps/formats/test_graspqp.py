@@ -1,7 +1,5 @@
 """GraspQP: named joints and the pose of its root link, its hands in the frames of the makers'."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

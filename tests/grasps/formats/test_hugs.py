@@ -1,7 +1,5 @@
 """HUGS: records of its benchmark, told from those of DexGraspBench, whose pose is that of another frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

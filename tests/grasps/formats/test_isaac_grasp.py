@@ -1,7 +1,5 @@
 """isaac_grasp as Isaac Sim documents it, as GraspGen and GraspDataGen write it; round trips; what is wrong in it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Orders and frames of formats agree with the makers' MJCF files, and an order that is not certain is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

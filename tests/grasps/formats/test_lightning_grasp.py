@@ -1,7 +1,5 @@
 """Lightning Grasp: the object's pose in the hand's frame, joints in the order of its own files of the hands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

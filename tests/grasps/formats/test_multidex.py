@@ -1,7 +1,5 @@
 """MultiDex and D(R,O)-Grasp: rows of torch files, after what their own code does with them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

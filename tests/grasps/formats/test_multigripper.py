@@ -1,7 +1,5 @@
 """MultiGripperGrasp: poses of a gripper's root, and joints in the order of Isaac Sim, as its project lists it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Formats of users: added by a script or by an entry point, found wherever ours are, and refused by name."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Pickles are read like Python reads them where they hold data, and refused by name, without running, elsewhere."""
 
-from __future__ import annotations
-
 import builtins
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Grasp files of others, as they were published: all are read, and fingertips are where they should be."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """JSON and YAML: plain values, and refusals in one line of what is damaged, too deep, or refers to itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

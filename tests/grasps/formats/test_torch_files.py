@@ -1,7 +1,5 @@
 """Files of torch.save: tensors become arrays, nothing runs, and what is damaged or far too large is refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle
