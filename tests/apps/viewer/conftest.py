@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
+from grasp_refine.objects.object import load_object
 from grasp_refine.problem.problem import Problem
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.jobs.controller import Controller
+from made_hands import BALL, joint, link, links, made_hand, slide
 from open_viewer import controller, example
 from viewer_process import Viewer, start_viewer_process
 
@@ -34,6 +37,21 @@ def browser() -> Iterator[Browser]:
 def problem() -> Problem:
     """The embedded example grasps of Allegro on the mug."""
     return example()
+
+
+@pytest.fixture(scope="session")
+def clamp(tmp_path_factory: pytest.TempPathFactory) -> HandObject:
+    """Two balls of 1 cm that hold a ball of 5 cm, and one far away: joint values are the gaps of the two."""
+    hand = made_hand(
+        tmp_path_factory.mktemp("clamp"),
+        link("base") + links("left", "right", "far", inside=BALL),
+        slide("l", "base", "left", at="0.06 0 0", axis="1 0 0", limits=(-0.1, 0.1), effort=None, velocity=None),
+        slide("r", "base", "right", at="-0.06 0 0", axis="-1 0 0", limits=(-0.1, 0.1), effort=None, velocity=None),
+        joint("f", "base", "far", "fixed", at="0 0 0.3"),
+        name="clamp",
+        toml="".join(f'[[contact]]\nlink = "{side}"\ngroup = "{side}"\n' for side in ("left", "right")),
+    )
+    return HandObject(hand, load_object("sphere:0.05", candidates=16))
 
 
 @pytest.fixture

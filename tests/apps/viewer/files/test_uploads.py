@@ -97,6 +97,9 @@ def test_what_is_refused_says_what_can_be_uploaded(name: str, content: bytes, na
         ("a\0b\n\x1b[31m.obj", "a?b??[31m.obj", "a_b_31m.obj"),
         ("ä" * 300 + ".OBJ", "ä" * 100 + ".OBJ", "ä" * 100 + ".obj"),
         ("-rf $(reboot);.obj", "-rf $(reboot);.obj", "rf_reboot.obj"),
+        ("Ka\u0308nnchen.obj", "Ka\u0308nnchen.obj", "Kännchen.obj"),
+        ("茶碗 1.obj", "茶碗 1.obj", "茶碗_1.obj"),
+        ("茶" * 100 + ".obj", "茶" * 100 + ".obj", "茶" * 66 + ".obj"),
     ],
 )
 def test_names_say_nothing_of_where_a_file_lies(name: str, shown: str, on_disk: str | None, tmp_path: Path):

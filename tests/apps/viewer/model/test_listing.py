@@ -53,6 +53,14 @@ def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
         (Listing("quality_after", mark=NO_MARK), [0, 7, 6, 4, 3, 1]),
         (Listing(object="mug"), [0, 1, 2, 3, 4, 5, 6, 7]),
         (Listing(object="cup"), []),
+        # Both ends of a range are in it; an unknown measure filters nothing.
+        (Listing(ranges=(("quality_after", 0.25, 0.5), ("no such column", 0.0, 1.0))), [4, 5, 6]),
+        (
+            Listing("quality_after")
+            .with_range("quality_after", (0.5, 1.0))
+            .with_range("penetration_m_after", (0, 3e-4)),
+            [2, 1],
+        ),
     ],
 )
 def test_sorting_and_filters_work_together(collection: Collection, listing: Listing, numbers: list[int]) -> None:
@@ -74,7 +82,6 @@ def test_steps_follow_the_list_and_its_ends_are_joined() -> None:
     numbers = np.array([4, 1, 7])
     assert [step(numbers, number, 1) for number in (4, 1, 7)] == [1, 7, 4]
     assert [step(numbers, number, -1) for number in (4, 1, 7)] == [7, 4, 1]
-    # From a grasp that the filters leave out one gets into the list.
     assert step(numbers, 0, 1) == 4
     assert step(numbers, 0, -1) == 7
     assert step(numbers[:0], 0, 1) is None
@@ -97,9 +104,7 @@ def test_the_worst_is_worst_by_quality_else_by_penetration(collection: Collectio
     assert worst(collection, key="status") is None
     assert worst(replace(collection, columns={})) is None
     assert worst(collection, np.zeros(0, dtype=int)) is None
-
-
-def test_an_unknown_grasp_is_never_the_worst(collection: Collection) -> None:
+    # An unknown grasp is never the worst.
     quality = collection.columns["quality_after"]
     values = np.where(np.arange(8) == 0, np.nan, quality.values)
     assert worst(collection.with_columns(quality.with_values(values))) == 7

@@ -86,7 +86,6 @@ def test_a_huge_file_of_marks_is_not_read(tmp_path: Path) -> None:
 
 
 def test_a_folder_in_the_place_of_marks_is_reported(tmp_path: Path) -> None:
-    """As root one may write to any folder, so that a read-only one is no test."""
     path = tmp_path / "g.npz.marks.csv"
     marks = Marks.read(path).with_mark(0, "good", object="mug", index=0)
     (path / "inside").mkdir(parents=True)

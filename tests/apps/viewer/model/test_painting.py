@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,14 +13,13 @@ from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_points
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.objects.region_spec import contact_regions
-from grasp_refine.problem.problem import Problem
+from grasp_refine_apps.commands.settings import Settings
 from grasp_refine_apps.viewer.drawing.picking import hit_mesh
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.files.saved_results import entries_of
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.painting import Camera, PaintedFaces, seen_faces
-from grasp_refine_apps.viewer.server.page import close_server, open_server
-from open_viewer import controller, settled
+from open_viewer import settled
 from websocket_page import Page, until
 
 DOWN = transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.5]))
@@ -32,13 +31,6 @@ WHOLE = (0.0, 0.0), (1.0, 1.0)
 @pytest.fixture(scope="module")
 def mug() -> Object:
     return load_object("mug")
-
-
-@pytest.fixture
-def viewer(problem: Problem) -> Iterator[Controller]:
-    made = controller(problem)
-    yield made
-    made.close()
 
 
 def specs(viewer: Controller) -> tuple[list[str], list[str]]:
@@ -110,39 +102,36 @@ def test_a_face_of_several_triangles_is_painted_as_one(tmp_path: Path) -> None:
     assert np.flatnonzero(painted[0].chosen).tolist() == [10, 11] and faces.text(painted) == "5\n"
 
 
-def test_a_rectangle_that_is_drawn_in_the_page_paints(viewer: Controller) -> None:
-    server = open_server("127.0.0.1", 0).server
+def test_a_rectangle_that_is_drawn_in_the_page_paints(server: Any, view: View, viewer: Controller) -> None:
     page = Page(server)
-    try:
-        view = View(server, viewer)
-        viewer.set(brush="avoid")
+
+    def use(brush: str) -> None:
+        viewer.set(brush=brush)
         view.draw(viewer.state)
-        page.look((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.5))
-        page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
-        until(lambda: viewer.state.scene.regions is not None)
-        (painted,) = viewer.state.scene.regions.avoid
-        normal = np.cross(*np.moveaxis(np.diff(painted.triangles, axis=1), 1, 0))
-        facing = np.einsum("fi,fi->f", normal, [0.0, 0.0, 0.5] - painted.triangles.mean(axis=1)) > 0
-        assert painted.chosen.any() and not (painted.chosen & ~facing).any()
-        # Other display options make new nodes.
-        viewer.set(display=viewer.state.display.__class__(ground=False))
-        view.draw(viewer.state)
-        viewer.set(brush="erase")
-        view.draw(viewer.state)
-        page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
-        until(lambda: viewer.state.scene.regions is None)
-        assert len(viewer.state.undo_steps) == 2
-        # Without a brush, Shift and the mouse do what they did before.
-        viewer.set(brush="off")
-        view.draw(viewer.state)
-        until(
-            lambda: (
-                [said["modifiers"] for said in page.messages if said["type"] == "ScenePointerEnableMessage"][-1] == []
-            )
-        )
-    finally:
-        page.close()
-        close_server(server)
+
+    # The object is turned and moved; the camera looks down on it.
+    viewer.editor.move_object(transform(exp_so3(np.array([0.0, 0.4, 0.0])), np.array([0.05, 0.0, 0.0])))
+    use("avoid")
+    page.look((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+    page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
+    until(lambda: viewer.state.scene.regions is not None)
+    (painted,) = viewer.state.scene.regions.avoid
+    eye = transform_points(inverse(viewer.state.T_world_object), np.array([0.0, 0.0, 0.5]))
+    camera = Camera(transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.5])), 1.0, 800 / 600, *WHOLE)
+    seen = seen_faces(painted.triangles, viewer.state.T_world_object, camera)
+    np.testing.assert_array_equal(painted.chosen, seen)
+    normal = np.cross(*np.moveaxis(np.diff(painted.triangles, axis=1), 1, 0))
+    facing = np.einsum("fi,fi->f", normal, eye - painted.triangles.mean(axis=1)) > 0
+    assert painted.chosen.any() and not (painted.chosen & ~facing).any()
+    # Other display options make new nodes.
+    viewer.set(display=viewer.state.display.__class__(ground=False))
+    use("erase")
+    page.draw_rectangle((0.0, 0.0), (1.0, 1.0))
+    until(lambda: viewer.state.scene.regions is None)
+    # Without a brush, Shift and the mouse do what they did before.
+    use("off")
+    until(lambda: [m["modifiers"] for m in page.messages if m["type"] == "ScenePointerEnableMessage"][-1] == [])
+    page.close()
 
 
 def test_regions_are_undone_where_they_were_set_and_hold_for_all_grasps(viewer: Controller) -> None:
@@ -190,6 +179,7 @@ def test_a_rectangle_beside_the_object_and_a_brush_that_is_off_paint_nothing(vie
 
 
 def test_refinements_respect_the_regions_and_saved_results_record_them(viewer: Controller) -> None:
+    viewer.set(settings=Settings(geometry_only=True))
     viewer.regions.set("", "above:z=0.06")
     assert viewer.elsewhere(viewer.state)
     viewer.refinement.start()

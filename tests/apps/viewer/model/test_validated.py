@@ -67,6 +67,15 @@ def test_the_verdict_is_one_line() -> None:
     assert_names(lost.verdict, FAILS, "2 of 6", "+x, -z")
     barely = trial(result("+y", Reason.HELD, 28.7, 7.0))
     assert barely.held and barely.barely and not trial(result("+y", Reason.HELD, 24.9, 7.4)).barely
+    # Either half of the way counts, but only of directions that held.
+    assert trial(result("+y", Reason.HELD, 25.1)).barely and trial(result("+y", Reason.HELD, 2.0, 7.6)).barely
+    five = replace(DEXGRASPBENCH, required_share=5 / 6)
+    enough = trial(result("+x", Reason.ROTATED, 9.0, 15.2, at=0.2), protocol=five)
+    assert enough.held and not enough.barely
+    assert_names(enough.verdict, HOLDS, "5 directions", "1 of 6", "(+x)")
+    two = trial(*(result(name, Reason.MOVED, 61.0, at=0.4) for name in ("+x", "-z")), protocol=five)
+    assert not two.held
+    assert_names(two.verdict, FAILS, "2 of 6", "+x, -z")
     assert_names(barely.verdict, HOLDS, "6", "29 mm", "7°")
     lifted = trial(protocol=TABLETOP)
     assert_names(lifted.verdict, HOLDS, "10 cm")

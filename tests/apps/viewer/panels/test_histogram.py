@@ -8,11 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.columns import Column
-from grasp_refine_apps.viewer.model.listing import Listing
 from grasp_refine_apps.viewer.panels.histogram import NUM_BINS, brushed_range, histogram_html
-from open_viewer import example
 
 
 def column(values: np.ndarray) -> Column:
@@ -44,15 +41,3 @@ def test_names_and_values_of_files_run_no_scripts():
     assert "<img" not in histogram_html(bad, np.arange(2), None) and "<script>" not in histogram_html(
         bad, np.arange(2), None
     )
-
-
-def test_ranges_filter_the_list_together():
-    collection = Collection.of(example())
-    depth = replace(column(np.array([0.0, 1.0, 2.0, np.nan])), key="a")
-    other = replace(column(np.array([3.0, 2.0, 1.0, 0.0])), key="b")
-    collection = collection.with_columns(depth, other)
-    listing = Listing().with_range("a", (0.5, 2.0))
-    assert listing.numbers(collection).tolist() == [1, 2]
-    both = listing.with_range("b", (1.5, 3.0))
-    assert both.numbers(collection).tolist() == [1] and both.range_of("a") == (0.5, 2.0)
-    assert both.with_range("a", None).numbers(collection).tolist() == [0, 1]
