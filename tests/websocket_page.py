@@ -5,16 +5,34 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
+import numpy as np
 import viser
 import zstandard
 from viser._messages import GuiUpdateMessage, Message, ScenePointerMessage, ViewerCameraMessage
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from grasp_refine.core.se3 import transform_from_pose
 from running_processes import PATIENCE_S
+
+
+@dataclass
+class Node:
+    """A node of the scene."""
+
+    props: dict[str, Any]
+    """Its properties."""
+    pose: dict[str, Any] = field(default_factory=lambda: {"position": (0.0, 0.0, 0.0), "wxyz": (1.0, 0.0, 0.0, 0.0)})
+    visible: bool = True
+
+    @property
+    def T(self) -> np.ndarray:
+        """Pose (4, 4) in the frame of its parent."""
+        return transform_from_pose(np.concatenate([self.pose["position"], self.pose["wxyz"]])[None])[0]
 
 
 class Page:
@@ -50,6 +68,22 @@ class Page:
         updates = [message for message in list(self.messages) if message["type"] == "GuiUpdateMessage"]
         changes = [message["updates"] for message in updates if message["uuid"] == handle._impl.uuid]
         return [changed[name] for changed in changes if name in changed]
+
+    def nodes(self) -> dict[str, Node]:
+        """The scene as a browser makes it of the messages: name -> node."""
+        found: dict[str, Node] = {}
+        for message in list(self.messages):
+            name, kind = message.get("name"), message["type"]
+            if kind == "RemoveSceneNodeMessage":
+                found = {each: node for each, node in found.items() if not f"{each}/".startswith(f"{name}/")}
+            elif "props" in message and isinstance(name, str):
+                found[name] = Node(dict(message["props"]))
+            elif name in found:
+                node = found[name]
+                node.pose |= {key: message[key] for key in node.pose.keys() & message}
+                node.visible = message.get("visible", node.visible)
+                node.props |= message.get("updates", {})
+        return found
 
     def close(self) -> None:
         """Leave."""

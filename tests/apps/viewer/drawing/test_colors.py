@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer.drawing.colors import COLOR_STOPS_MM, UNKNOWN_COLOR, distance_colors, distance_legend
+from grasp_refine_apps.viewer.drawing.colors import COLOR_STOPS_MM, UNKNOWN_COLOR, distance_colors, tinted
 
 DISTANCES = 1e-3 * np.array([-8.0, -5.0, -2.0, -1.0, -0.5, -0.3, 0.0, 0.3, 0.5, 1.0, 3.0, 6.0, 10.0, 50.0])
 
@@ -42,13 +42,10 @@ def lab(rgb: np.ndarray) -> np.ndarray:
     return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
 
 
-def test_stops_of_the_scale_have_its_colours():
+def test_between_stops_colours_are_mixed_and_beyond_they_stay():
     at = distance_colors(1e-3 * np.array([millimetres for millimetres, _ in COLOR_STOPS_MM]))
     np.testing.assert_array_equal(at, [color for _, color in COLOR_STOPS_MM])
-    assert at.dtype == np.uint8
-
-
-def test_between_stops_colours_are_mixed_and_beyond_they_stay():
+    assert tinted((0, 100, 250), (250, 100, 0)) == (150, 100, 100)
     middle, deep, far = distance_colors(1e-3 * np.array([-3.0, -30.0, 500.0]))
     np.testing.assert_allclose(middle, np.mean([COLOR_STOPS_MM[0][1], COLOR_STOPS_MM[1][1]], axis=0), atol=0.5)
     assert tuple(deep) == COLOR_STOPS_MM[0][1] and tuple(far) == COLOR_STOPS_MM[-1][1]
@@ -79,11 +76,3 @@ def test_people_who_see_fewer_colours_distinguish_the_sides(missing: str):
     """Inside by 1 mm, touching, and off by 1 mm differ by ten times what can just be seen."""
     seen = lab(linear(distance_colors(np.array([-1e-3, 0.0, 1e-3]))) @ SEEN[missing].T)
     assert all(np.linalg.norm(one - other) > 23 for one, other in combinations(seen, 2))
-
-
-def test_the_legend_goes_from_inside_to_outside():
-    legend = distance_legend()
-    assert [text for text, _ in legend] == ["5 mm inside", "1 mm inside", "touching", "0.3 mm off", "3 mm off"]
-    np.testing.assert_array_equal(
-        [color for _, color in legend], distance_colors(1e-3 * np.array([-5.0, -1.0, 0.0, 0.3, 3.0]))
-    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -31,9 +33,12 @@ def test_depth_in_a_ball_a_capsule_and_a_box():
     found = DepthField.of(body(capsule(RADIUS, (0, 0, -0.01), (0, 0, 0.01))))(points)
     np.testing.assert_allclose(found, RADIUS - np.linalg.norm(points - core, axis=1), atol=1e-12)
     half = np.array([0.01, 0.02, 0.03])
-    np.testing.assert_allclose(
-        DepthField.of(body(box(2 * half)))(points), (half - np.abs(points)).min(axis=1), atol=1e-12
-    )
+    from_faces = (half - np.abs(points)).min(axis=1)
+    np.testing.assert_allclose(DepthField.of(body(box(2 * half)))(points), from_faces, atol=1e-12)
+    # A box with rounded edges reaches as far beyond its core as its radius.
+    rounded = replace(box(2 * half - 0.01), radius=0.005)
+    inside = from_faces > 0
+    np.testing.assert_allclose(DepthField.of(body(rounded))(points[inside]), from_faces[inside], atol=1e-12)
 
 
 def test_depth_in_two_pieces_is_that_in_the_deeper_one():

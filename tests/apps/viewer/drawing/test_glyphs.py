@@ -64,7 +64,3 @@ def test_an_arrow_of_a_centimetre_has_the_force_that_is_reported():
     force = np.array([[newtons_per_centimetre(BODY, 30.0) / 30.0, 0.0, 0.0]])
     ((start, end),) = force_arrows(np.zeros((1, 3)), force, BODY)
     assert np.linalg.norm(end - start) == pytest.approx(0.01, rel=1e-5)
-
-
-def test_no_contacts_no_cones():
-    assert friction_cones(np.zeros((0, 3)), np.zeros((0, 3)), 0.5, BODY).shape == (0, 2, 3)

@@ -29,15 +29,11 @@ def turned(x: float, y: float, z: float) -> np.ndarray:
 
 
 def test_a_ray_hits_the_near_side_first():
-    hit = hit_mesh(at(-5, 0.3, 0.2), at(2, 0, 0), CUBE.vertices, CUBE.faces)
-    assert hit is not None
-    np.testing.assert_allclose(hit, [-1, 0.3, 0.2], atol=1e-12)
-
-
-def test_from_inside_the_far_side_is_hit():
-    hit = hit_mesh(at(0, 0.3, 0.2), at(0, 0, 1), CUBE.vertices, CUBE.faces)
-    assert hit is not None
-    np.testing.assert_allclose(hit, [0, 0.3, 1], atol=1e-12)
+    for origin, direction, place in (
+        (at(-5, 0.3, 0.2), at(2), [-1, 0.3, 0.2]),
+        (at(0, 0.3, 0.2), at(0, 0, 1), [0, 0.3, 1]),  # from inside
+    ):
+        np.testing.assert_allclose(hit_mesh(origin, direction, CUBE.vertices, CUBE.faces), place, atol=1e-12)
 
 
 @pytest.mark.parametrize("ray", [(at(-5, 1.1), at(1)), (at(-5), at(-1)), (at(-5, 1.01), at(1, 0, 0.001))])
@@ -57,16 +53,13 @@ def test_small_meshes_are_hit_as_well_as_large_ones():
     assert hit is not None and hit[0] == pytest.approx(1e-5, abs=1e-8)
 
 
-@pytest.mark.parametrize("inside", [True, False])
-def test_the_nearest_point_of_a_box(inside: bool):
+@pytest.mark.parametrize(
+    ("point", "nearest"),
+    [((0.9, 0.2, -0.3), (1, 0.2, -0.3)), ((1.4, 0.2, -0.3), (1, 0.2, -0.3)), ((2, 3, 4), (1, 1, 1))],
+)
+def test_the_nearest_point_of_a_box(point: tuple, nearest: tuple):
     body = build_body("box", [box((2, 2, 2))], candidates=16)
-    found = nearest_on_surface(body, at(0.9 if inside else 1.4, 0.2, -0.3))
-    np.testing.assert_allclose(found, [1, 0.2, -0.3], atol=1e-12)
-
-
-def test_the_nearest_point_beyond_a_corner_is_the_corner():
-    body = build_body("box", [box((2, 2, 2))], candidates=16)
-    np.testing.assert_allclose(nearest_on_surface(body, at(2, 3, 4)), [1, 1, 1], atol=1e-12)
+    np.testing.assert_allclose(nearest_on_surface(body, np.array(point, dtype=float)), nearest, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", [0.3, 1.7])

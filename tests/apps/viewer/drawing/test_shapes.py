@@ -6,12 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
-from grasp_refine.core.se3 import exp_se3
 from grasp_refine.hands.hand import Hand, load_hand
-from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.objects.object import load_object
 from grasp_refine_apps.viewer.drawing import shapes as module
 from grasp_refine_apps.viewer.drawing.shapes import (
@@ -108,12 +105,6 @@ def test_sharp_edges_have_vertices_of_their_own():
     assert len(ball.vertices) == 2 + len(ball.faces) // 2  # Euler: each vertex once
 
 
-def test_arrays_are_what_a_browser_takes(hand: Hand):
-    for shape in (*visual_shapes(hand), *object_shapes(load_object("mug", candidates=16), "pieces")):
-        assert shape.vertices.dtype == np.float32 and shape.faces.dtype == np.uint32
-        assert shape.faces.max() < len(shape.vertices)
-
-
 def test_an_object_is_its_surface_or_its_pieces():
     mug = load_object("mug", candidates=16)
     whole, pieces = object_shapes(mug, "mesh")[0], object_shapes(mug, "pieces")
@@ -133,50 +124,11 @@ def test_large_meshes_are_made_simpler(monkeypatch: pytest.MonkeyPatch):
     assert volume(shape.vertices, shape.faces) == pytest.approx(bottle.mesh.volume, rel=0.1)
 
 
-def test_links_are_where_kinematics_says():
-    hand = load_hand("shadow", candidates=16)
-    names = [link.name for link in hand.links]
-    rng = np.random.default_rng(0)
-    T, q = exp_se3(rng.normal(size=6)), rng.uniform(hand.lower, hand.upper)
-    poses = LinkPoses.of(hand)(T, q)
-    expected = Kinematics(hand, names)(torch.as_tensor(T)[None], torch.as_tensor(q)[None])[0].numpy()
-    assert list(poses) == names
-    np.testing.assert_allclose(np.stack(list(poses.values())), expected, atol=1e-12)
-
-
 def test_links_that_only_show_something_have_poses(hand: Hand):
     poses = LinkPoses.of(hand)(np.eye(4), np.array([np.pi / 6, np.pi / 6]))
     # 5 cm up, turned by 30 degrees about x, then 1 cm along y turned by 60 degrees.
     expected = [0.0, -0.05 * 0.5 + 0.01 * 0.5, 0.05 * np.sqrt(0.75) + 0.01 * np.sqrt(0.75)]
     np.testing.assert_allclose(poses["nail"][:3, 3], expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["shadow", "barrett", "allegro", "robotiq3f"])
-def test_makers_meshes_are_shown(shared_assets: Path, name: str):
-    """They lie where the collision geometry does, which is their hull or simpler."""
-    file = f"{name}_right.urdf" if name in ("shadow", "allegro") else f"{name}.urdf"
-    hand = load_hand(name, urdf=shared_assets / "hands" / name / file, candidates=16, hull_limit=np.inf)
-    said: list[str] = []
-    visual, collision = by_link(visual_shapes(hand, said.append)), by_link(collision_shapes(hand))
-    assert said == [] and set(collision) <= set(visual)
-    assert sum(len(shape.faces) for shape in visual.values()) < 150_000
-    for link, shape in collision.items():
-        boxes = [np.stack([found.vertices.min(axis=0), found.vertices.max(axis=0)]) for found in (shape, visual[link])]
-        overlap = np.minimum(boxes[0][1], boxes[1][1]) - np.maximum(boxes[0][0], boxes[1][0])
-        smaller = np.minimum(*(np.ptp(box, axis=0) for box in boxes))
-        assert (overlap > 0.5 * smaller).all(), link
-
-
-def test_smooth_parts_stay_one(shared_assets: Path):
-    """Vertices are doubled at edges only: a scan without any keeps nearly as many as it has."""
-    mesh = trimesh.load_mesh(shared_assets / "objects" / "ycb_011_banana.obj")
-    vertices, _ = module._arrays(mesh)
-    assert len(vertices) < 1.5 * len(mesh.vertices)
-
-
-def test_a_small_mesh_stays_as_it_is():
-    mesh = trimesh.creation.icosphere(subdivisions=2)
-    assert decimate(mesh, len(mesh.faces)) is mesh
 
 
 @pytest.mark.parametrize("most", [200, 2000, 5000])
@@ -190,16 +142,6 @@ def test_a_ball_keeps_its_shape(most: int):
     outward = np.einsum("fi,fi->f", small.face_normals, small.triangles_center) > 0
     assert outward.mean() > 0.98
     assert small.volume > 0.8 * mesh.volume
-
-
-def test_open_meshes_and_several_bodies_are_fine():
-    sheet = trimesh.creation.icosphere(subdivisions=4)
-    sheet.update_faces(sheet.triangles_center[:, 2] > 0)
-    far = sheet.copy().apply_translation([10.0, 0.0, 0.0])
-    small = decimate(trimesh.util.concatenate([sheet, far]), 300)
-    assert 0 < len(small.faces) <= 300
-    assert (np.minimum(*(np.linalg.norm(small.vertices - [x, 0, 0], axis=1) for x in (0, 10))) < 1 + 1e-9).all()
-    np.testing.assert_allclose(small.bounds, [[-1, -1, 0], [11, 1, 1]], atol=0.2)
 
 
 def test_no_triangle_is_there_twice_and_none_is_a_line():

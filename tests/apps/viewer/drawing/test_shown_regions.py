@@ -12,13 +12,12 @@ from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.contact_selection import CONTACT_DISTANCE_M
 from grasp_refine.scene.task import Task
-from grasp_refine_apps.viewer.drawing.region_nodes import bisected
+from grasp_refine_apps.viewer.drawing.region_nodes import AVOID_COLOR, TOUCH_COLOR, bisected
 from grasp_refine_apps.viewer.drawing.scene_nodes import Meshes
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.meters.region_meter import RegionMeter, elsewhere_text
-from grasp_refine_apps.viewer.server.page import close_server, open_server
-from open_viewer import controller, settled
+from open_viewer import controller
 
 HEIGHT_M = 0.06
 """Height on the mug above which hands may not touch it: below two of the fingertips of the first grasp."""
@@ -62,32 +61,20 @@ def test_a_contact_at_the_border_is_not_named(viewer: Controller, above: float, 
     assert bool(RegionMeter()(contacts, regions)) == named
 
 
-def test_a_refined_grasp_touches_where_it_should(viewer: Controller) -> None:
-    viewer.refinement.start()
-    settled(viewer)
-    assert viewer.elsewhere(viewer.state) == () and elsewhere_text(()) == ""
-
-
-def test_the_whole_surface_is_tinted_by_the_regions(viewer: Controller) -> None:
-    server = open_server("127.0.0.1", 0).server
-    try:
-        view = View(server, viewer)
-        view.draw(viewer.state)
-        (touch, touch_area), (avoid, avoid_area) = map(centres_and_areas, view.nodes.regions.meshes)
-        assert touch[:, 2].max() <= HEIGHT_M + 2e-4 and avoid[:, 2].min() >= HEIGHT_M - 2e-4
-        mesh = viewer.state.scene.object.mesh
-        assert touch_area.sum() + avoid_area.sum() == pytest.approx(mesh.area, rel=0.02)
-        above = mesh.slice_plane([0, 0, HEIGHT_M], [0, 0, 1]).area
-        assert avoid_area.sum() == pytest.approx(above, rel=0.05)
-        link = viewer.elsewhere(viewer.state)[0].link
-        (k,) = [k for k, shape in enumerate(view.nodes.hand.shapes) if shape.link == link]
-        red = tuple(view.nodes.hand.nodes[k].color)
-        assert red != view.nodes.hand.shapes[k].color
-        viewer.set(display=replace(viewer.state.display, regions=False))
-        view.draw(viewer.state)
-        assert not view.nodes.regions.meshes
-    finally:
-        close_server(server)
+def test_the_whole_surface_is_tinted_by_the_regions(view: View, viewer: Controller) -> None:
+    (touch, touch_area), (avoid, avoid_area) = map(centres_and_areas, view.nodes.regions.meshes)
+    assert touch[:, 2].max() <= HEIGHT_M + 2e-4 and avoid[:, 2].min() >= HEIGHT_M - 2e-4
+    assert [meshes.shapes[0].color for meshes in view.nodes.regions.meshes] == [TOUCH_COLOR, AVOID_COLOR]
+    mesh = viewer.state.scene.object.mesh
+    assert touch_area.sum() + avoid_area.sum() == pytest.approx(mesh.area, rel=0.02)
+    above = mesh.slice_plane([0, 0, HEIGHT_M], [0, 0, 1]).area
+    assert avoid_area.sum() == pytest.approx(above, rel=0.05)
+    link = viewer.elsewhere(viewer.state)[0].link
+    (k,) = [k for k, shape in enumerate(view.nodes.hand.shapes) if shape.link == link]
+    assert tuple(view.nodes.hand.nodes[k].color) != view.nodes.hand.shapes[k].color
+    viewer.set(display=replace(viewer.state.display, regions=False))
+    view.draw(viewer.state)
+    assert not view.nodes.regions.meshes
 
 
 def test_cut_faces_are_short_and_cover_what_they_covered() -> None:

@@ -1,8 +1,9 @@
-"""What the view draws of a state, on a real server without a browser."""
+"""The scene of a state on a real server without a browser: what pages are sent, against the library's own numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,36 +11,42 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose, transform_points
+from grasp_refine.core.se3 import exp_so3, inverse, transform, transform_from_pose, transform_points
 from grasp_refine.problem.problem import Problem
+from grasp_refine.scene.plane import Plane
+from grasp_refine.scene.task import Task
+from grasp_refine_apps.viewer.drawing.glyphs import force_arrows
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
 from grasp_refine_apps.viewer.drawing.view import View
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.recording import Recording
 from grasp_refine_apps.viewer.model.state import DisplayOptions
-from grasp_refine_apps.viewer.server.page import close_server, open_server
-from open_viewer import controller, example, settled
+from open_viewer import controller, example, settled, short_trials
+from websocket_page import Node, Page, until
+
+TIP = "link_3.0_tip"
+ASIDE = transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, -0.03, 0.01]))
+"""A pose of the object, world frame."""
 
 
-@pytest.fixture
-def viewer(problem: Problem) -> Iterator[Controller]:
-    made = controller(problem)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def view(viewer: Controller) -> Iterator[View]:
-    server = open_server("127.0.0.1", 0).server
-    made = View(server, viewer)
-    made.draw(viewer.state)
-    yield made
-    close_server(server)
-
-
-def pose(node: object) -> np.ndarray:
+def pose(node: Any) -> np.ndarray:
     return transform_from_pose(np.concatenate([node.position, node.wxyz])[None])[0]
+
+
+def link_poses(viewer: Controller) -> dict[str, np.ndarray]:
+    """Poses of the links by forward kinematics, object frame."""
+    shown = viewer.state.shown
+    return LinkPoses.of(viewer.state.scene.hand)(shown.T_object_root, shown.q)
+
+
+def drawn(view: View, viewer: Controller) -> dict[str, Node]:
+    """The scene of the present state as a new page gets it."""
+    view.draw(viewer.state)
+    page = Page(view.server)
+    nodes = until(lambda: "/ground/shadow" in (found := page.nodes()) and found)
+    page.close()
+    return nodes
 
 
 def done(coroutine: Coroutine[None, None, None]) -> None:
@@ -51,31 +58,131 @@ def done(coroutine: Coroutine[None, None, None]) -> None:
 def test_links_stand_where_kinematics_says_and_follow_the_joints(view: View, viewer: Controller) -> None:
     hand = viewer.state.collection.hand
     for _ in range(2):
-        shown = viewer.state.shown
-        T = LinkPoses.of(hand)(shown.T_object_root, shown.q)
+        T = link_poses(viewer)
         for shape, node in zip(view.nodes.hand.shapes, view.nodes.hand.nodes, strict=True):
             np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
         for joint in range(len(hand.joint_names)):
-            viewer.editor.set_joint(joint, shown.q[joint] + 0.1)
+            viewer.editor.set_joint(joint, viewer.state.shown.q[joint] + 0.1)
         view.draw(viewer.state)
 
 
-def assert_sees(camera: Any, points: np.ndarray) -> None:
+def test_all_of_a_grasp_is_drawn_where_the_library_has_it(view: View, viewer: Controller) -> None:
+    viewer.targets.set_nearest()
+    settled(viewer)
+    viewer.editor.move_object(ASIDE)
+    viewer.set(display=DisplayOptions(forces=True, frames=True, gaps=True, transparent=False))
+    nodes, found, T = drawn(view, viewer), view.contacts, link_poses(viewer)
+    np.testing.assert_allclose(nodes["/grasp"].T, ASIDE, atol=1e-7)
+    for name, expected in (("hand", viewer.state.shown.T_object_root), ("object", np.eye(4))):
+        assert nodes[f"/grasp/frame_of_{name}"].visible
+        np.testing.assert_allclose(nodes[f"/grasp/frame_of_{name}"].T, expected, atol=1e-7)
+    targets = viewer.state.targets
+    for k, target in enumerate(targets):
+        on_link = transform_points(T[target.link], target.point_link)
+        np.testing.assert_allclose(nodes[f"/grasp/targets/object/{k}"].T[:3, 3], target.point_object, atol=1e-7)
+        np.testing.assert_allclose(nodes[f"/grasp/targets/link/{k}"].T[:3, 3], on_link, atol=1e-7)
+    assert len(targets) > 2 and f"/grasp/targets/object/{len(targets)}" not in nodes
+    for end, points in (("link", found.point_link), ("object", found.point_object)):
+        drawn_points = [nodes[f"/grasp/contacts/{end}/{k}"].T[:3, 3] for k in range(len(found.link))]
+        np.testing.assert_allclose(drawn_points, points, atol=1e-7)
+    deep = np.array(found.link)[found.deep]
+    assert len(deep) and len([name for name in nodes if name.startswith("/grasp/depth/")]) > len(deep)
+    for name, links in (("depth", deep), ("gaps", found.link)):
+        places = [np.eye(4)] * (name == "depth") + [T[link] for link in links]
+        for each in [node for key, node in nodes.items() if key.startswith(f"/grasp/{name}/")]:
+            assert min(np.abs(each.T - place).max() for place in places) < 1e-6, name
+    forces = found.forces
+    expected = force_arrows(forces.point, forces.force, viewer.state.scene.object.body)
+    np.testing.assert_allclose(view.nodes.forces.node.points, expected, atol=1e-6)
+    assert len(view.nodes.cones.node.points) == 28 * len(forces.point)
+    red = {
+        shape.link
+        for shape, node in zip(view.nodes.hand.shapes, view.nodes.hand.nodes, strict=True)
+        if tuple(node.color) != shape.color
+    }
+    assert red == set(deep)
+    # Without these options nothing of it is left; nor far away.
+    viewer.set(display=DisplayOptions(contacts=False, overlap=False, object="wireframe"))
+    nodes = drawn(view, viewer)
+    assert not any(
+        name.startswith(("/grasp/contacts/", "/grasp/depth", "/grasp/gaps", "/grasp/forces")) for name in nodes
+    )
+    assert not nodes["/grasp/frame_of_hand"].visible and nodes["/grasp/object/mesh/0"].props["wireframe"]
+    viewer.set(display=DisplayOptions(gaps=True, object="pieces", hand="collision"))
+    viewer.editor.move_root(transform(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    nodes = drawn(view, viewer)
+    assert not any(name.startswith(("/grasp/depth", "/grasp/gaps")) for name in nodes)
+    pieces = [name for name in nodes if name.startswith("/grasp/object/mesh/")]
+    assert len(pieces) == len(viewer.state.scene.object.body.pieces) > 1
+
+
+def test_the_ground_lies_below_all_and_the_light_comes_from_the_upper_left(view: View, viewer: Controller) -> None:
+    nodes, shown = drawn(view, viewer), view.nodes.corners(viewer.state.shown)
+    assert nodes["/ground/grid"].T[2, 3] == pytest.approx(shown[:, 2].min(), abs=0.003)
+    shadow = nodes["/ground/shadow"]
+    np.testing.assert_allclose(shadow.T[:2, 3], (shown.min(axis=0) + shown.max(axis=0))[:2] / 2, atol=0.01)
+    # The picture of the shadow lies on its back: rows go along y.
+    np.testing.assert_allclose(shadow.T[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-9)
+    camera = view.server.initial_camera
+    back = np.array(camera.position) - np.array(camera.look_at)
+    towards, right = nodes["/light/key"].T[:3, 3], np.cross([0.0, 0.0, 1.0], back)
+    assert towards @ back > 0 and towards @ right < 0 and towards[2] > 0
+
+
+def test_a_table_is_drawn_with_its_top_at_the_plane(problem: Problem, server: Any) -> None:
+    plane = Plane((0.6, 0.0, 0.8), -0.05)
+    (group,) = problem.groups
+    scene = replace(group.scene, task=Task(table=plane))
+    viewer = controller(replace(problem, groups=(replace(group, scene=scene),)))
+    table = drawn(View(server, viewer), viewer)["/grasp/table"]
+    viewer.close()
+    top = table.T @ np.array([0.0, 0.0, table.props["dimensions"][2] / 2, 1.0])
+    assert top[:3] @ plane.normal == pytest.approx(plane.offset, abs=1e-9)
+    np.testing.assert_allclose(table.T[:3, 2], plane.normal, atol=1e-9)
+    middle = scene.object.mesh.bounds.mean(axis=0)
+    np.testing.assert_allclose(np.cross(top[:3] - middle, plane.normal), 0.0, atol=2e-3)
+
+
+def assert_sees(camera: Any, points: np.ndarray, aspect: float = 1.1) -> None:
     """Assert that a camera has points (N, 3) in its picture, up to few corners that are cut."""
     forward = np.array(camera.look_at) - np.array(camera.position)
-    distance = np.linalg.norm(forward)
-    forward /= distance
+    forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     seen = (points - camera.position) @ np.stack([right, np.cross(right, forward), forward]).T
     opening = np.tan(camera.fov / 2)
     assert (seen[:, 2] > 0).all()
     assert (np.abs(seen[:, 1]) < opening * seen[:, 2]).mean() > 0.99
-    assert (np.abs(seen[:, 0]) < 1.1 * opening * seen[:, 2]).mean() > 0.99
+    assert (np.abs(seen[:, 0]) < aspect * opening * seen[:, 2]).mean() > 0.99
 
 
 def test_the_first_camera_sees_hand_and_object(view: View, viewer: Controller) -> None:
     assert_sees(view.server.initial_camera, view.nodes.corners(viewer.state.shown))
+
+
+@pytest.mark.parametrize("aspect", [0.5, 2.0])
+def test_the_camera_of_a_page_is_fitted_to_its_picture_and_looks_as_before(
+    view: View, viewer: Controller, aspect: float
+) -> None:
+    viewer.editor.move_object(ASIDE)
+    viewer.set(side_by_side=True)
+    view.draw(viewer.state)
+    camera = SimpleNamespace(position=np.array([3.0, 1.0, 2.0]), look_at=np.array([0.0, 0.0, 1.0]))
+    client = SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext)
+    before = np.array([3.0, 1.0, 1.0])
+    now = transform_points(ASIDE, view.nodes.corners(viewer.state.shown))
+    input_grasp = transform_points(pose(view.nodes.input_frame), view.nodes.corners(viewer.state.initial))
+    for first in (False, True):
+        view.fit(client, aspect, first=first)
+        back = camera.position - camera.look_at
+        first_camera = view.server.initial_camera
+        expected = np.array(first_camera.position) - np.array(first_camera.look_at) if first else before
+        np.testing.assert_allclose(np.cross(back, expected), 0.0, atol=1e-9 * np.linalg.norm(expected) + 1e-9)
+        assert_sees(camera, np.concatenate([now, input_grasp]), aspect)
+    # From straight above there is no right side: it looks from another one.
+    camera.position, camera.look_at = np.array([0.0, 0.0, 3.0]), np.zeros(3)
+    view.fit(client, aspect)
+    assert_sees(camera, np.concatenate([now, input_grasp]), aspect)
 
 
 def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> None:
@@ -95,111 +202,61 @@ def test_hands_that_lift_stay_in_the_picture(view: View, viewer: Controller) -> 
     assert np.linalg.norm(away) < 5.0
 
 
-def test_witness_points_are_on_both_surfaces_and_links_inside_are_red(view: View, viewer: Controller) -> None:
-    nodes = view.nodes
-    found = view.contacts
-    assert found is not None and len(found.link) == len(nodes.points_link.nodes) == len(nodes.points_object.nodes)
-    for node, point in zip(nodes.points_link.nodes, found.point_link, strict=True):
-        np.testing.assert_allclose(node.position, point, atol=1e-7)
-    deep = {link for link, is_deep in zip(found.link, found.deep, strict=True) if is_deep}
-    red = {
-        shape.link
-        for shape, node in zip(nodes.hand.shapes, nodes.hand.nodes, strict=True)
-        if tuple(node.color) != shape.color
-    }
-    assert deep and red == deep
-    viewer.set(display=DisplayOptions(contacts=False))
-    view.draw(viewer.state)
-    assert not view.nodes.points_link.nodes
-
-
 def test_scrubbing_moves_the_hand_and_the_ghost_stays(view: View, viewer: Controller) -> None:
-    assert not view.nodes.ghost.nodes[0].visible
+    ghost, initial = view.nodes.ghost, link_poses(viewer)
+    assert not ghost.nodes[0].visible
     viewer.refinement.start()
     settled(viewer)
-    view.draw(viewer.state)
-    tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
-    ghost = pose(view.nodes.ghost.nodes[tip])
-    end = pose(view.nodes.hand.nodes[tip])
-    viewer.player.scrub(0)
-    view.draw(viewer.state)
-    first = pose(view.nodes.hand.nodes[tip])
-    assert np.linalg.norm(end[:3, 3] - first[:3, 3]) > 2e-3
-    np.testing.assert_allclose(first, ghost, atol=1e-7)
-    assert not view.nodes.ghost.nodes[0].visible
-    viewer.player.scrub(5)
-    view.draw(viewer.state)
-    assert view.nodes.ghost.nodes[0].visible
-    np.testing.assert_array_equal(pose(view.nodes.ghost.nodes[tip]), ghost)
+    for frame, moved in ((None, True), (5, True), (0, False)):
+        viewer.player.scrub(frame)
+        view.draw(viewer.state)
+        T = link_poses(viewer)
+        assert (np.linalg.norm((T[TIP] - initial[TIP])[:3, 3]) > 1e-3) == moved
+        for shape, node, copy in zip(ghost.shapes, view.nodes.hand.nodes, ghost.nodes, strict=True):
+            np.testing.assert_allclose(pose(node), T[shape.link], atol=1e-7)
+            np.testing.assert_allclose(pose(copy), initial[shape.link], atol=1e-7)
+            assert copy.visible == moved
 
 
-def test_other_shapes_and_forces_are_drawn_when_asked_for(view: View, viewer: Controller) -> None:
-    obj = viewer.state.scene.object
-    assert len(view.nodes.object.nodes) == 1 and view.nodes.cones.node is None
-    prepared = view.nodes.prepared
-    viewer.set(display=DisplayOptions(object="pieces", hand="collision", forces=True, frames=True, transparent=False))
-    view.draw(viewer.state)
-    nodes = view.nodes
-    assert len(nodes.object.nodes) == len(obj.body.pieces) > 1
-    assert nodes.object.nodes[0].opacity is None and nodes.prepared is prepared
-    assert nodes.cones.node is not None and nodes.forces.node is not None and all(node.visible for node in nodes.axes)
-    viewer.set(display=DisplayOptions(object="wireframe", forces=False))
-    view.draw(viewer.state)
-    assert view.nodes.object.nodes[0].wireframe and view.nodes.cones.node is None
-
-
-def test_gaps_are_drawn_on_links_that_are_near_when_asked_for(view: View, viewer: Controller) -> None:
-    assert not view.nodes.gaps.nodes
-    viewer.set(display=DisplayOptions(gaps=True))
-    view.draw(viewer.state)
-    found = view.contacts
-    assert 0 < len(view.nodes.gaps.nodes) <= len(found.link)
-    T = viewer.state.pose.T_object_root.copy()
-    T[2, 3] += 0.5
-    viewer.editor.move_root(T)
-    view.draw(viewer.state)
-    assert not view.nodes.gaps.nodes
-
-
-def test_all_goes_with_the_object_and_side_by_side_shows_both(view: View, viewer: Controller) -> None:
-    T = transform(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.02, 0.0, 0.01]))
-    viewer.editor.move_object(T)
+def test_side_by_side_the_input_grasp_has_an_object_of_its_own(view: View, viewer: Controller) -> None:
+    viewer.editor.move_object(ASIDE)
     viewer.set(side_by_side=True)
     view.draw(viewer.state)
     nodes = view.nodes
-    np.testing.assert_allclose(pose(nodes.root), T, atol=1e-7)
     assert nodes.input_frame.visible and not nodes.ghost.nodes[0].visible
-    apart = pose(nodes.input_frame)[:3, 3] - T[:3, 3]
-    assert np.linalg.norm(apart) > 0.1
+    apart = pose(nodes.input_frame)[:3, 3] - ASIDE[:3, 3]
+    across = np.array(view.server.initial_camera.look_at) - np.array(view.server.initial_camera.position)
+    assert np.linalg.norm(apart) > 0.1 and apart @ np.cross(across, [0.0, 0.0, 1.0]) < 0, "to the left"
     viewer.set(side_by_side=False)
     view.draw(viewer.state)
     assert not nodes.input_frame.visible and nodes.ghost.nodes[0].visible
 
 
 def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: View, viewer: Controller) -> None:
-    viewer.editor.move_object(transform(exp_so3(np.array([0.3, 0.0, 0.5])), np.array([0.02, 0.0, 0.01])))
+    viewer.editor.move_object(ASIDE)
     viewer.targets.set_picking(True)
     view.draw(viewer.state)
     state, nodes = viewer.state, view.nodes
-    tip = [shape.link for shape in view.nodes.hand.shapes].index("link_3.0_tip")
-    T = state.T_world_object @ LinkPoses.of(state.scene.hand)(state.shown.T_object_root, state.shown.q)["link_3.0_tip"]
+    tip = [shape.link for shape in view.nodes.hand.shapes].index(TIP)
+    T = ASIDE @ link_poses(viewer)[TIP]
     middle = transform_points(T, nodes.shapes[tip].vertices.astype(float).mean(axis=0))
     eye = np.array([0.5, 0.4, 0.6])
     nodes.interaction._clicked_link(tip, eye, (middle - eye) / np.linalg.norm(middle - eye))
     view.draw(viewer.state)
-    assert viewer.state.picked is not None and len(nodes.picked.nodes) == 1
+    link, point = viewer.state.picked
+    (picked,) = nodes.picked.nodes
+    np.testing.assert_allclose(picked.position, transform_points(inverse(ASIDE) @ T, point), atol=1e-7)
     centre = transform_points(state.T_world_object, np.array([0.0, 0.0, 0.05]))
     nodes.interaction._clicked_object(eye, (centre - eye) / np.linalg.norm(centre - eye))
     view.draw(viewer.state)
     (target,) = viewer.state.targets
-    assert target.link == "link_3.0_tip" and len(nodes.targets.nodes) == 1
+    assert link == target.link == TIP and len(nodes.targets.nodes) == 1
     # On the mug's wall: 4 cm from its axis, to within the pieces.
     assert np.linalg.norm(target.point_object[:2]) == pytest.approx(0.04, abs=2.5e-3)
     before = target.point_object
     away = transform_points(state.T_world_object, before + np.array([0.0, 0.0, 0.01]))
     client = SimpleNamespace(camera=SimpleNamespace(position=eye))
-    event = SimpleNamespace(client=client, end_position=away, phase="update")
-    nodes.interaction._drag_target(0, event)
+    nodes.interaction._drag_target(0, SimpleNamespace(client=client, end_position=away, phase="update"))
     moved = viewer.state.targets[0].point_object
     assert 5e-3 < np.linalg.norm(moved - before) < 3e-2
     assert np.linalg.norm(moved[:2]) == pytest.approx(0.04, abs=2.5e-3)
@@ -208,20 +265,28 @@ def test_clicks_on_a_link_and_on_the_object_set_a_target_on_both_surfaces(view: 
     assert len(viewer.state.targets) == 1
 
 
-def test_a_gizmo_follows_what_it_moves(view: View, viewer: Controller) -> None:
-    viewer.set(gizmo="hand")
-    view.draw(viewer.state)
-    node = view.nodes.interaction.gizmos["hand"]
-    np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
-    node.position = np.array(node.position) + np.array([0.01, 0.0, 0.0])
-    done(view.nodes.interaction._drag_hand(SimpleNamespace(client=object(), target=node, phase="update")))
-    np.testing.assert_allclose(pose(node), viewer.state.shown.T_object_root, atol=1e-7)
-    viewer.set(gizmo="object")
-    view.draw(viewer.state)
-    assert list(view.nodes.interaction.gizmos) == ["object"]
-    # What Python sets is no drag.
-    done(view.nodes.interaction._drag_object(SimpleNamespace(client=None, target=node, phase="update")))
-    np.testing.assert_array_equal(viewer.state.T_world_object, np.eye(4))
+def test_a_gizmo_moves_what_it_stands_at_in_one_step_for_each_drag(view: View, viewer: Controller) -> None:
+    viewer.editor.move_object(ASIDE)
+    for kind in ("hand", "object"):
+        viewer.set(gizmo=kind)
+        view.draw(viewer.state)
+        gizmos, state = view.nodes.interaction.gizmos, viewer.state
+        assert list(gizmos) == [kind]
+        hand = ASIDE @ state.shown.T_object_root
+        np.testing.assert_allclose(pose(gizmos[kind]), hand if kind == "hand" else ASIDE, atol=1e-7)
+        steps, drag = len(state.undo_steps), getattr(view.nodes.interaction, f"_drag_{kind}")
+        for phase, x in (("start", 0.0), ("update", 0.01), ("update", 0.01), ("start", 0.0), ("update", 0.01)):
+            gizmos[kind].position = np.array(gizmos[kind].position) + np.array([x, 0.0, 0.0])
+            done(drag(SimpleNamespace(client=object(), target=gizmos[kind], phase=phase)))
+        # What Python sets is no drag.
+        done(drag(SimpleNamespace(client=None, target=gizmos[kind], phase="update")))
+        now = viewer.state
+        assert len(now.undo_steps) == steps + 2
+        aside = transform(np.eye(3), np.array([0.03, 0.0, 0.0]))
+        hand = now.T_world_object @ now.shown.T_object_root
+        before = state.T_world_object @ state.shown.T_object_root
+        np.testing.assert_allclose(hand, aside @ before if kind == "hand" else before, atol=1e-7)
+        np.testing.assert_allclose(now.T_world_object, ASIDE if kind == "hand" else aside @ ASIDE, atol=1e-7)
 
 
 def test_another_object_takes_the_place_of_the_first(view: View, viewer: Controller) -> None:
@@ -236,23 +301,28 @@ def test_another_object_takes_the_place_of_the_first(view: View, viewer: Control
 
 def test_a_pose_that_is_not_finite_is_not_drawn(view: View, viewer: Controller) -> None:
     shown = viewer.state.pose
-    bad = viewer.state.evolve(pose=replace(shown, q=np.full_like(shown.q, np.nan)))
-    view.draw(bad)
+    view.draw(viewer.state.evolve(pose=replace(shown, q=np.full_like(shown.q, np.nan))))
     assert np.isfinite(pose(view.nodes.hand.nodes[0])).all()
 
 
-def test_a_simulation_moves_the_object_and_shows_the_push(view: View, viewer: Controller) -> None:
+def test_a_simulation_moves_the_object_and_shows_the_push(
+    view: View, viewer: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # The first example grasp that holds with the usual friction: what is ejected while the hand closes is not pushed.
     viewer.grasps.show(1)
-    viewer.simulation.test("dexgraspbench", 0.15)
+    viewer.simulation.test(short_trials(monkeypatch), 0.15)
     settled(viewer)
     viewer.simulation.record("+z")
     settled(viewer)
-    viewer.player.show_frame(10_000)
-    view.draw(viewer.state)
-    nodes = view.nodes
-    np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
-    assert not nodes.ghost.nodes[0].visible
+    nodes, motion = view.nodes, viewer.state.motion
+    for frame in (max(range(len(motion)), key=lambda k: len(motion.contacts[k])), len(motion) - 1):
+        viewer.player.show_frame(frame)
+        view.draw(viewer.state)
+        points = np.reshape([node.position for node in nodes.points_object.nodes], (-1, 3))
+        np.testing.assert_allclose(points, motion.contacts[frame], atol=1e-6)
+        np.testing.assert_allclose(pose(nodes.object_frame), viewer.state.T_shown_object, atol=1e-6)
+    assert len(motion.contacts[0]) == 0 < max(map(len, motion.contacts))
+    assert not nodes.ghost.nodes[0].visible and not nodes.points_link.nodes
     # From the middle of the object along the axis of its frame in which it was pushed at the start.
     ((start, end),) = nodes.push.node.points
     np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), [0.0, 0.0, 1.0], atol=1e-5)
