@@ -9,9 +9,8 @@ from __future__ import annotations
 import shutil
 import time
 from base64 import b64decode
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,23 +86,12 @@ def matrix(numbers: Sequence[float]) -> np.ndarray:
     return np.array(numbers, dtype=float).reshape(4, 4).T
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A chart as it is drawn now."""
-
-    x: np.ndarray
-    """Positions along the horizontal axis, (n,)."""
-    lines: Mapping[str, np.ndarray]
-    """Each line's heights, (n,), by the name in its legend; gaps are NaN."""
-
-
 class ViserPage:
     """One page, live or of a file, with the errors of its console."""
 
     def __init__(self, browser: Browser, size: tuple[int, int] = VIEWPORT):
         context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
         self.page: Page = context.new_page()
-        self._detail = DETAIL
         self.errors: list[str] = []
         """What went wrong in the page: errors of the console and exceptions that nothing caught."""
         self.requests: list[str] = []
@@ -120,20 +108,16 @@ class ViserPage:
         """Close the page and forget its session."""
         self.page.context.close()
 
-    def open(self, address: str, detail: float = DETAIL, seconds: float = SECONDS) -> None:
+    def open(self, address: str, query: str = "") -> None:
         """Load an address and wait until its scene exists; viser's remark on slow graphics is closed."""
-        self._detail = detail
-        self.page.goto(f"{address}?fixedDpr={detail:g}")
-        self.wait_for("() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']", seconds)
+        self.page.goto(f"{address}?{query}&fixedDpr={DETAIL:g}")
+        ready = "() => window.__viserMutable && window.__viserMutable.nodeRefFromName['']"
+        self.page.wait_for_function(ready, timeout=1000 * SECONDS)
         self.close_notifications()
 
     def reload(self) -> None:
         """Load the page again, in the same window."""
-        self.open(self.page.url.split("?")[0], self._detail)
-
-    def wait_for(self, script: str, seconds: float = SECONDS) -> None:
-        """Wait until a JavaScript function returns something true."""
-        self.page.wait_for_function(script, timeout=1000 * seconds)
+        self.open(self.page.url.split("?")[0])
 
     # What is drawn.
 
@@ -158,14 +142,17 @@ class ViserPage:
         size = round(width), round(height)
         return np.asarray(Image.alpha_composite(white, drawn).convert("RGB").resize(size, Image.Resampling.NEAREST))
 
-    def wait_for_scene(self, share: float = 0.01, seconds: float = SECONDS) -> np.ndarray:
-        """The picture, as soon as more than `share` of its pixels differ from the white background."""
-        drawn = self.picture()
-        end = time.monotonic() + seconds
-        while share_of(drawn, (0, 0, 0), (235, 235, 235)) <= share:
-            assert time.monotonic() < end, f"nothing was drawn within {seconds:g} s"
-            drawn = self.picture()
-        return drawn
+    def wait_for_scene(self) -> np.ndarray:
+        """The picture, as soon as more than 1 % of its pixels differ from the white background."""
+
+        def drawn() -> np.ndarray | None:
+            picture = self.picture()
+            return picture if (picture < 235).all(axis=-1).mean() > 0.01 else None
+
+        end = time.monotonic() + SECONDS
+        while (picture := drawn()) is None:
+            assert time.monotonic() < end, f"nothing was drawn within {SECONDS:g} s"
+        return picture
 
     # The scene.
 
@@ -173,9 +160,9 @@ class ViserPage:
         """The names of all nodes that exist in three.js, hidden ones too."""
         return set(self.page.evaluate("() => Object.keys(window.__viserMutable.nodeRefFromName)"))
 
-    def wait_for_node(self, name: str, seconds: float = SECONDS) -> None:
+    def wait_for_node(self, name: str) -> None:
         """Wait until a node exists."""
-        until(lambda: name in self.nodes(), f"node {name}", seconds)
+        until(lambda: name in self.nodes(), f"node {name}")
 
     def pose(self, name: str) -> np.ndarray:
         """T_world_node (4, 4) as drawn."""
@@ -211,7 +198,8 @@ class ViserPage:
 
     # The widgets. viser sends one message in 50 ms and forgets all but the last in between, of whichever widget.
 
-    def _let_it_send(self) -> None:
+    def let_it_send(self) -> None:
+        """Wait for viser's next message."""
         self.page.wait_for_timeout(60)
 
     def row(self, label: str) -> Locator:
@@ -227,7 +215,7 @@ class ViserPage:
     def click(self, label: str) -> None:
         """Click a button as soon as it is there and enabled."""
         self.button(label).click(timeout=1000 * SECONDS)
-        self._let_it_send()
+        self.let_it_send()
 
     def tab(self, label: str) -> None:
         """Bring a tab to the front."""
@@ -250,7 +238,7 @@ class ViserPage:
         box = self.row(label).locator("input:not([type=hidden])").last
         box.fill(str(value), timeout=1000 * SECONDS)
         box.blur()
-        self._let_it_send()
+        self.let_it_send()
 
     def drag_slider(self, label: str, *shares: float, steps: int = 8) -> None:
         """Hold a slider and move it through `shares` of its way, 0 left, 1 right, in `steps` each."""
@@ -262,30 +250,7 @@ class ViserPage:
         for place in places[1:]:
             self.page.mouse.move(*place, steps=steps)
         self.page.mouse.up()
-        self._let_it_send()
-
-    def check(self, label: str, checked: bool = True) -> None:
-        """Tick a box, or take its tick away."""
-        self.row(label).locator("input[type=checkbox]").set_checked(checked, timeout=1000 * SECONDS)
-        self._let_it_send()
-
-    def choose(self, label: str, option: str) -> None:
-        """Pick one of a list, which is opened again where what the server sends meanwhile closes it."""
-        from playwright.sync_api import TimeoutError as NotInTime
-
-        wanted = self.page.get_by_role("option", name=option, exact=True)
-
-        def picked() -> bool:
-            try:
-                if not wanted.is_visible():
-                    self.row(label).get_by_role("combobox").click(timeout=1000 * SECONDS)
-                wanted.click(timeout=5000)
-            except NotInTime:
-                return False
-            return True
-
-        until(picked, f"{option!r} picked as {label!r}")
-        self._let_it_send()
+        self.let_it_send()
 
     def upload(self, label: str, file: Path) -> None:
         """Give a file to an upload button."""
@@ -293,48 +258,26 @@ class ViserPage:
             self.click(label)
         chosen.value.set_files(file)
 
-    def download(self, label: str, folder: Path, seconds: float = SECONDS) -> Path:
-        """Click a button that sends a file; returns where in `folder` it was put."""
-        with self.page.expect_download(timeout=1000 * seconds) as coming:
-            self.click(label)
-        file = folder / coming.value.suggested_filename
-        coming.value.save_as(file)
-        return file
-
     # What is said.
 
-    def text(self) -> str:
-        """All words that the page shows."""
-        return self.page.locator("body").inner_text()
-
-    def wait_for_text(self, words: str, seconds: float = SECONDS) -> None:
+    def wait_for_text(self, words: str) -> None:
         """Wait until the page shows some words, in a panel or a notification."""
-        until(lambda: words in self.text(), f"the words {words!r}", seconds)
-
-    def notifications(self) -> list[str]:
-        """The words of all notifications that are shown."""
-        return self.page.locator(".mantine-Notification-root").all_inner_texts()
+        until(lambda: words in self.page.locator("body").inner_text(), f"the words {words!r}")
 
     def close_notifications(self) -> None:
         """Close every notification: they hide part of the scene."""
         self.page.evaluate(
             "() => document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
         )
-        until(lambda: not self.notifications(), "all notifications closed")
+        shown = self.page.locator(".mantine-Notification-root")
+        until(lambda: not shown.count(), "all notifications closed")
 
-    def plots(self) -> list[Plot]:
-        """The charts that are shown."""
+    def plots(self) -> list[dict[str, np.ndarray]]:
+        """The charts that are shown: name of a line -> heights (n,), gaps are NaN; "": places along the x axis."""
         return [
-            Plot(
-                np.array(x, dtype=float), {name: np.array(y, dtype=float) for name, y in zip(names, lines, strict=True)}
-            )
-            for names, (x, *lines) in self.page.evaluate(PLOTS)
+            {name: np.array(line, dtype=float) for name, line in zip(["", *names], columns, strict=True)}
+            for names, columns in self.page.evaluate(PLOTS)
         ]
-
-
-def share_of(picture: np.ndarray, low: Sequence[int], high: Sequence[int]) -> float:
-    """The share of pixels whose every channel lies in [low, high]."""
-    return float(((picture >= low) & (picture <= high)).all(-1).mean())
 
 
 def quoted(text: str) -> str:

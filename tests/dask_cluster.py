@@ -14,7 +14,6 @@ from distributed import Client
 
 from command_line import subprocess_environment
 from running_processes import PATIENCE_S
-from viewer_process import free_port
 
 
 class DaskCluster:
@@ -24,7 +23,9 @@ class DaskCluster:
         """Start the scheduler; the caller ends it."""
         self._folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
-        port = free_port()
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
         self.address = f"tcp://127.0.0.1:{port}"
         self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", str(port))
         until = time.monotonic() + PATIENCE_S

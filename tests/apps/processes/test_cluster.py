@@ -1,12 +1,7 @@
 """A real Dask cluster on this machine: workers that hang, wait or are not fit, and a scheduler that is lost."""
 
-from __future__ import annotations
-
-import importlib
-import json
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -38,20 +33,6 @@ def outcomes(address: str, folder: Path, *verbs: str, tries: int = 2, patience_s
         return {task.number: outcome for task, outcome in found}
 
 
-def test_the_file_of_a_scheduler_names_it(address: str, tmp_path: Path):
-    (scheduler := tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
-    assert outcomes(str(scheduler), tmp_path, "write") == {0: "0.txt"}
-
-
-@pytest.mark.slow
-def test_a_worker_that_hangs_is_restarted(address: str, tmp_path: Path):
-    found = outcomes(address, tmp_path, "a:sleep 3600", "b:beat 15", "b:write", tries=1, patience_s=10.0)
-    hung = found.pop(0)
-    assert found == {1: "1.txt", 2: "2.txt"}
-    assert (hung.reason, hung.tries) == ("hung", 1)
-    assert_names(hung.message, "10 s", "25%", "sleep 3600")
-
-
 def test_a_folder_that_workers_do_not_see_is_refused(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     with refused(GraspRefineError, "tcp://127.0.0.1:", "hidden"):
@@ -68,13 +49,6 @@ def test_without_anybody_there_the_refusal_says_what_to_start(tmp_path: Path):
     ):
         with refused(GraspRefineError, address, why, "dask scheduler", "tcp://host:8786"):
             outcomes(address, tmp_path, "write")
-
-
-def test_without_dask_the_refusal_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delitem(sys.modules, "grasp_refine_apps.processes.cluster", raising=False)
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with refused(GraspRefineError, "distributed", "pip install 'grasp-refine[cluster]'"):
-        importlib.import_module("grasp_refine_apps.processes.cluster")
 
 
 @pytest.mark.parametrize(

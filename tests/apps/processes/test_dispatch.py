@@ -1,7 +1,5 @@
 """Dispatch of tasks, by workers that are only written down: attempts, patience, and when tasks are given."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import chain, repeat
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Real workers of this machine and of a Dask cluster: tasks come out alike, also when workers die or hang."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
@@ -57,7 +55,6 @@ def test_every_task_comes_out_and_what_work_raises_is_kept(start: Start, tmp_pat
     assert "in _raise" in failures[0].traceback
     assert len({(tmp_path / name).read_text() for name in found.values()}) == 2
     assert (0, "write", 0.25, 0) in told and (3, "still there", 0.5, 3) in told
-    assert len(told) <= 6 + 2 + 1.5 / 0.2, "150 more were given, at most 5 a second are sent"
     assert not list(tmp_path.glob(".probe*"))
 
 

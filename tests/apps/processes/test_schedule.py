@@ -1,7 +1,5 @@
 """Tasks of a group stay together, and the first of a group goes ahead."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from grasp_refine_apps.processes.schedule import Schedule
@@ -38,13 +36,6 @@ def test_they_wait_also_for_a_worker_that_has_loaded_the_group():
     assert [schedule.take(None).number, schedule.take("a").number, schedule.take("a").number] == [0, 2, 1]
 
 
-def test_when_all_groups_are_open_the_one_with_most_tasks_left_is_shared():
-    schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:", "b:", "b:"))
-    for _ in range(2):
-        schedule.finish(schedule.take(None))
-    assert schedule.take(None).group == "b"
-
-
 def test_a_task_that_is_tried_again_comes_after_the_others_of_its_group():
     schedule = Schedule(some_tasks(Path(), "a:", "a:"))
     first = schedule.take(None)
@@ -63,11 +54,11 @@ def test_a_group_whose_first_task_was_lost_has_a_first_again():
     assert schedule.take(None).group == "b", "a waits for its new first task"
 
 
-def test_twenty_thousand_groups_are_no_burden():
-    """Looking for the next group once took a walk over all of them."""
-    schedule = Schedule(some_tasks(Path(), *(f"{number}:" for number in range(20_000))))
-    numbers = [schedule.take(None).number for _ in range(20_000)]
-    assert numbers == list(range(20_000))
+def test_when_all_groups_are_open_the_one_with_most_tasks_left_is_shared():
+    schedule = Schedule(some_tasks(Path(), "a:", "a:", "b:", "b:", "b:"))
+    for _ in range(2):
+        schedule.finish(schedule.take(None))
+    assert schedule.take(None).group == "b"
 
 
 def test_a_group_that_waits_to_be_opened_again_is_not_opened_twice():

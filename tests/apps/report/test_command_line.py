@@ -1,7 +1,5 @@
 """The command line that asks for the same again, as documents carry it."""
 
-from __future__ import annotations
-
 import shlex
 
 import pytest

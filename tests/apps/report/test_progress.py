@@ -1,7 +1,5 @@
 """Progress of a refinement: a bar in a terminal, single lines elsewhere."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The console for people: its width, and text that cannot control a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,23 +1,21 @@
-"""The example, its controller and scene, a server, headless Chromium, and viewers in processes of their own."""
+"""The example, its controller and scene, a server, and pages in headless Chromium."""
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from browser import DETAIL, VIEWPORT, ViserPage, chromium, headless
+from browser import VIEWPORT, ViserPage, chromium, headless
 from grasp_refine.objects.object import load_object
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine_apps.viewer.drawing.view import View
+from grasp_refine_apps.viewer.files import hand_files, opening, uploads
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from made_hands import BALL, joint, link, links, made_hand, slide
 from open_viewer import controller, example
-from viewer_process import Viewer, start_viewer_process
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -81,14 +79,21 @@ def view(server: Any, viewer: Controller) -> View:
 
 
 @pytest.fixture
+def untried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes are not loaded in a child process first, which takes a second for each and has tests of its own."""
+    for module in (hand_files, opening, uploads):
+        monkeypatch.setattr(module, "try_meshes", lambda *given: None)
+
+
+@pytest.fixture
 def open_page(browser: Browser) -> Iterator[Callable[..., ViserPage]]:
     """Opens addresses, each in a page of its own; no page may have complained when the test ends."""
     pages: list[ViserPage] = []
 
-    def open_one(address: str, size: tuple[int, int] = VIEWPORT, detail: float = DETAIL) -> ViserPage:
+    def open_one(address: str, size: tuple[int, int] = VIEWPORT, query: str = "") -> ViserPage:
         page = ViserPage(browser, size)
         pages.append(page)
-        page.open(address, detail)
+        page.open(address, query=query)
         return page
 
     yield open_one
@@ -96,24 +101,3 @@ def open_page(browser: Browser) -> Iterator[Callable[..., ViserPage]]:
     for page in pages:
         page.close()
     assert not any(complaints), f"errors in the console: {complaints}"
-
-
-@pytest.fixture(scope="module")
-def start_viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Viewer]]:
-    """Starts `refine-grasp view` with arguments and returns once it answers; ended with the module's last test."""
-    viewers: list[Viewer] = []
-
-    def start(*arguments: str | Path) -> Viewer:
-        viewer = start_viewer_process(tmp_path_factory.mktemp("view"), *arguments)
-        viewers.append(viewer)
-        return viewer
-
-    yield start
-    for viewer in viewers:
-        viewer.process.terminate()
-    for viewer in viewers:
-        try:
-            viewer.process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            viewer.process.kill()
-            viewer.process.wait()

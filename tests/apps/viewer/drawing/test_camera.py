@@ -1,7 +1,5 @@
 """The first camera sees hand and object whole, and the contacts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Colours say on which side of the surface a point is, on any background and to anybody."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth of surfaces in bodies: closed forms of balls and boxes, and bounds for all other points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

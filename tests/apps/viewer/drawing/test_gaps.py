@@ -1,7 +1,5 @@
 """Gaps outside an object: closed forms of balls and boxes, colours only where a surface is near."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Lines, arrows and cones are where the contacts are, and as large as what they stand for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

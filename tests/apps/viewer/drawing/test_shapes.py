@@ -1,7 +1,5 @@
 """What hands and objects look like, and where the links are."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,6 @@ import trimesh
 
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
-from grasp_refine_apps.viewer.drawing import shapes as module
 from grasp_refine_apps.viewer.drawing.shapes import (
     CONTACT_COLOR,
     LINK_COLOR,
@@ -116,14 +113,6 @@ def test_an_object_is_its_surface_or_its_pieces():
         assert volume(shown.vertices, shown.faces) == pytest.approx(piece.mesh().volume, rel=1e-4)
 
 
-def test_large_meshes_are_made_simpler(monkeypatch: pytest.MonkeyPatch):
-    bottle = load_object("bottle", candidates=16)
-    monkeypatch.setattr(module, "MAX_FACES", 500)
-    (shape,) = object_shapes(bottle, "mesh")
-    assert len(shape.faces) <= 500 < len(bottle.mesh.faces)
-    assert volume(shape.vertices, shape.faces) == pytest.approx(bottle.mesh.volume, rel=0.1)
-
-
 def test_links_that_only_show_something_have_poses(hand: Hand):
     poses = LinkPoses.of(hand)(np.eye(4), np.array([np.pi / 6, np.pi / 6]))
     # 5 cm up, turned by 30 degrees about x, then 1 cm along y turned by 60 degrees.
@@ -142,11 +131,3 @@ def test_a_ball_keeps_its_shape(most: int):
     outward = np.einsum("fi,fi->f", small.face_normals, small.triangles_center) > 0
     assert outward.mean() > 0.98
     assert small.volume > 0.8 * mesh.volume
-
-
-def test_no_triangle_is_there_twice_and_none_is_a_line():
-    mesh = trimesh.creation.torus(1.0, 0.02, major_sections=300, minor_sections=20)
-    small = decimate(mesh, 1000)
-    corners = np.sort(small.faces, axis=1)
-    assert len(np.unique(corners, axis=0)) == len(corners)
-    assert (np.diff(corners, axis=1) > 0).all()

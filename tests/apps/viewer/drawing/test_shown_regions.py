@@ -1,7 +1,5 @@
 """Regions of an object are drawn where they are, and links that touch elsewhere are named and red."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The scene of a state on a real server without a browser: what pages are sent, against the library's own numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Coroutine
 from contextlib import nullcontext
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The HTML of a film: one small file that asks for nothing, and plays in a browser from disk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +10,7 @@ from browser import ViserPage, until
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.viewer.drawing.camera import FirstCamera
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses, visual_shapes
-from grasp_refine_apps.viewer.files.animation import Film, Frame, animation_html  # noqa: E402
+from grasp_refine_apps.viewer.files.animation import Film, Frame, animation_html
 from grasp_refine_apps.viewer.model.pose import Pose
 from open_viewer import example
 
@@ -50,11 +48,7 @@ def test_the_file_is_small_and_names_what_it_shows(page: str):
     assert "<b>a &lt;hand&gt; &amp; a mug</b>" in page
 
 
-def test_nothing_is_said_on_the_terminal(film: Film, capfd: pytest.CaptureFixture[str]):
-    animation_html(film)
-    assert capfd.readouterr() == ("", "")
-
-
+@pytest.mark.slow
 def test_it_plays_from_disk_again_and_again(film: Film, page: str, tmp_path: Path, open_page: Callable[..., ViserPage]):
     file = tmp_path / "film.html"
     file.write_text(page, encoding="utf-8")

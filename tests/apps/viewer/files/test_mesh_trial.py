@@ -1,7 +1,5 @@
 """Meshes from anyone: loaded in a child process first, and refused where they are too large."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

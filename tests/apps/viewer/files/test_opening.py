@@ -1,8 +1,7 @@
 """What becomes of uploads: a new object under the hand, a new hand at the object, grasps on the objects they name."""
 
-from __future__ import annotations
-
 import io
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.core.se3 import exp_se3, pose_from_transform
-from grasp_refine.grasps.grasp_set import GraspSet, Targets
+from grasp_refine.core.se3 import exp_se3
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.objects.region_spec import contact_regions
 from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
@@ -22,12 +22,13 @@ from grasp_refine_apps.viewer.files.opening import MeshOptions, Opened, open_upl
 from grasp_refine_apps.viewer.files.saving import grasp_file
 from grasp_refine_apps.viewer.files.unpacking import UploadError
 from grasp_refine_apps.viewer.files.uploads import store_upload
-from grasp_refine_apps.viewer.jobs.worker import Stopped
 from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.pose import Pose
-from open_viewer import ignored, stopped_at
+from open_viewer import ignored
 from refusals import refused
-from uploaded import gripper, gripper_zip, zipped
+from uploaded import gripper_zip, zipped
+
+pytestmark = pytest.mark.usefixtures("untried")
 
 T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
 
@@ -36,9 +37,10 @@ T = exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7]))
 def present() -> tuple[Scene, Pose]:
     """The Allegro hand at a ball, on a table, moved from its pose in the scene."""
     hand = load_hand("allegro", candidates=16)
-    scene = Scene(
-        hand, load_object("sphere:0.03", candidates=64), np.eye(4)[None], hand.rest[None], task=Task(table=-0.03)
-    )
+    ball = load_object("sphere:0.03", candidates=64)
+    regions = contact_regions(ball, avoid="above:z=0.02")
+    task = Task(table=-0.03, avoid=regions.avoid)
+    scene = Scene(hand, ball, np.eye(4)[None], hand.rest[None], task=task)
     return scene, Pose(T, hand.rest + 0.01)
 
 
@@ -66,7 +68,8 @@ def test_a_mesh_takes_the_place_of_the_object(tmp_path: Path):
     np.testing.assert_allclose(group.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
     np.testing.assert_allclose(group.scene.T_world_root[0], pose.T_object_root, atol=1e-12)
     np.testing.assert_array_equal(group.scene.q[0], pose.q)
-    assert group.scene.table is scene.table
+    # The table stays; regions are of the object that was there.
+    assert group.scene.table is scene.table and scene.regions is not None and group.scene.regions is None
     collection = Collection.of(problem)
     assert len(collection) == 1 and collection.label(0) == "My_Box 0"
     # Nothing is to be written beside what was uploaded.
@@ -114,7 +117,7 @@ def test_a_hand_gets_grasps_on_the_present_object(tmp_path: Path):
     problem = put("gripper.zip", gripper_zip(), tmp_path)
     assert problem.hand.name == "gripper" and problem.sampled == "upload:gripper.zip"
     (group,) = problem.groups
-    assert group.scene.object is present()[0].object
+    assert group.scene.object is present()[0].object and group.scene.regions is not None
     assert 1 <= len(problem) <= opening.NUM_SAMPLED_GRASPS
     # They are the same whenever the hand is uploaded.
     again = put("gripper.zip", gripper_zip(), tmp_path)
@@ -122,31 +125,13 @@ def test_a_hand_gets_grasps_on_the_present_object(tmp_path: Path):
     assert len(Collection.of(problem)) == len(problem)
 
 
-def test_a_hand_that_lacks_a_mesh_says_which(tmp_path: Path):
-    content = zipped({"gripper/gripper.urdf": gripper("meshes/tip.stl")})
-    with refused(UploadError, "gripper.zip", "'meshes/tip.stl'") as raised:
-        put("gripper.zip", content, tmp_path)
-    assert str(tmp_path) not in str(raised.value)
-
-
-def test_the_user_can_stop_the_opening_of_a_hand(tmp_path: Path):
-    with pytest.raises(Stopped):
-        open_upload(store_upload("gripper.zip", gripper_zip(), tmp_path), *present(), stopped_at(1))
-
-
 def grasps(count: int = 3, **changes: object) -> GraspSet:
     """Grasps of the Allegro hand on two boxes and on something that is nowhere."""
     hand = present()[0].hand
-    entries: dict[str, object] = {
-        "hand": "allegro",
-        "base_link": hand.base_link,
-        "joint_names": hand.joint_names,
-        "object": np.array(["box:0.04,0.05,0.06", "vase", "box:0.04,0.05,0.06"])[:count],
-        "scale": np.array([1.0, 0.5, 0.5])[:count],
-        "hand_pose": np.repeat(pose_from_transform(T[None]), count, axis=0),
-        "q": hand.rest + 0.01 * np.arange(count)[:, None],
-    }
-    return GraspSet(**{**entries, **changes})
+    q = hand.rest + 0.01 * np.arange(count)[:, None]
+    made = GraspSet.of(hand, np.repeat(T[None], count, axis=0), q, object="box:0.04,0.05,0.06")
+    named = np.array(["box:0.04,0.05,0.06", "vase", "box:0.04,0.05,0.06"])[:count]
+    return replace(made, **{"object": named, "scale": np.array([1.0, 0.5, 0.5])[:count], **changes})
 
 
 def test_grasps_are_opened_on_the_objects_that_they_name(tmp_path: Path):
@@ -194,17 +179,6 @@ def test_meshes_in_the_zip_of_grasps_are_their_objects(tmp_path: Path):
     np.testing.assert_allclose(
         Collection.of(found.problem).scene(1).object.mesh.extents, [0.02, 0.025, 0.03], rtol=1e-6
     )
-
-
-def test_targets_come_with_grasps(tmp_path: Path):
-    own = present()[0].hand
-    link = own.contacts[2].link
-    targets = Targets((link,), np.full((1, 1, 3), 0.01), np.full((1, 1, 3), 0.02))
-    saved = grasp_file(own, grasps(1, targets=targets), "ours")
-    scene = Collection.of(put(saved.name, saved.content, tmp_path)).scene(0)
-    assert scene.target_object is not None and scene.links[2] == link
-    np.testing.assert_array_equal(scene.target_object[0, 2], [0.02] * 3)
-    assert np.isnan(np.delete(scene.target_object[0], 2, axis=0)).all()
 
 
 @pytest.mark.parametrize("to", ["dexgraspbench", "bodex"])

@@ -1,7 +1,5 @@
 """Saving the shown grasp: every format that can hold it, read again, and an error for those that cannot."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable
@@ -14,16 +12,19 @@ import pytest
 
 from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.se3 import exp_se3
+from grasp_refine.core.se3 import exp_se3, pose_from_transform
 from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.reading import reading
-from grasp_refine.grasps.grasp_set import GraspSet, load_grasps
+from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import load_object
+from grasp_refine.problem.problem import Problem
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.viewer.files.saving import MAX_STEM_BYTES, Saved, grasp_file, grasp_set
+from grasp_refine_apps.viewer.files.saving import MAX_STEM_BYTES, Saved, grasp_file, grasp_set, grasp_sets
+from grasp_refine_apps.viewer.model.collection import Collection
 from grasp_refine_apps.viewer.model.pose import Pose, Target
+from made_results import plain_outcome
 from refusals import refused
 
 BASES = {"shadow": "palm", "allegro": "base_link", "leap": "palm_lower"}
@@ -102,26 +103,35 @@ def test_our_format_holds_all_of_it(unpacked: Callable[[Saved], Path]):
     assert again.targets is not None and again.targets.links == tuple(c.link for c in hand("allegro").contacts[:2])
 
 
-def test_simulation_closes_with_these_stages():
-    own, grasps = hand("allegro"), shown("allegro")
-    pose = Pose(exp_se3(np.array([0.02, -0.01, 0.11, 0.4, -1.2, 0.7])), np.clip(own.rest + 0.1, own.lower, own.upper))
-    scene = Scene(own, load_object("sphere:0.03", candidates=64), pose.T_object_root[None], pose.q[None])
-    motion = closing_motion(scene)
-    assert grasps.pregrasp is not None and grasps.squeeze is not None
-    np.testing.assert_array_equal(grasps.pregrasp.q, motion.q[:, 0])
-    np.testing.assert_array_equal(grasps.q, pose.q[None])
-    np.testing.assert_array_equal(grasps.squeeze.q, motion.q[:, 2])
-    assert np.isfinite(grasps.pregrasp.pose).all()
+def test_a_format_that_cannot_hold_it_and_an_unknown_one_are_refused():
+    for name, named in (
+        ("leap_cache", ("leap_cache", "'allegro'", " leap ")),
+        ("stl", ("'stl'", "ours, dexgraspbench")),
+    ):
+        with refused(GraspFileError, *named):
+            grasp_file(hand("allegro"), shown("allegro"), name)
 
 
-def test_a_format_for_another_hand_says_which_hands_it_knows():
-    with refused(GraspFileError, "leap_cache", "'allegro'", " leap "):
-        grasp_file(hand("allegro"), shown("allegro"), "leap_cache")
-
-
-def test_an_unknown_format_lists_the_known_ones():
-    with refused(GraspFileError, "'stl'", "ours, dexgraspbench"):
-        grasp_file(hand("allegro"), shown("allegro"), "stl")
+def test_stages_come_from_the_refinement_or_the_file_while_the_pose_is_theirs(problem: Problem):
+    """Else they are generated."""
+    (group,) = problem.groups
+    own = closing_motion(group.scene)
+    poses = [pose_from_transform(own.T_world_root[:, stage]) for stage in (0, 2)]
+    stages = [Stage(pose, own.q[:, stage] + 0.01 * (1 + stage)) for pose, stage in zip(poses, (0, 2), strict=True)]
+    grasps = replace(group.grasps, pregrasp=stages[0], squeeze=stages[1])
+    collection = Collection.of(replace(problem, groups=(replace(group, grasps=grasps),)))
+    works = {number: collection.work(number) for number in (2, 0, 1)}
+    moved = Pose(works[0].pose.T_object_root, works[0].pose.q + 0.01)
+    outcome = plain_outcome(1, links=len(group.scene.links), q=moved.q[None] + 0.02)
+    works[0] = replace(works[0], pose=moved)
+    works[1] = replace(works[1], pose=moved, outcome=outcome)
+    found = grasp_sets(collection, works)
+    np.testing.assert_allclose(found.q, [works[2].pose.q, moved.q, moved.q])
+    generated = closing_motion(replace(group.scene.select([0]), q=moved.q[None])).q[0]
+    for stage, at in ((found.pregrasp, 0), (found.squeeze, -1)):
+        np.testing.assert_allclose(stage.q[0], stages[at].q[2])
+        np.testing.assert_allclose(stage.q[1], generated[at], atol=1e-9)
+        np.testing.assert_allclose(stage.q[2], outcome.stage_q[0, at])
 
 
 def test_a_grasp_that_is_not_finite_is_not_saved():
@@ -146,13 +156,3 @@ def test_a_name_from_a_file_names_no_folder():
     assert saved.name == "_allegro_.._.._etc_cron.d_x_y_ours.npz"
     long = replace(shown("allegro"), object=np.array(["x" * 150]))
     assert len(grasp_file(hand("allegro"), long, "dexonomy").name) == MAX_STEM_BYTES + len(".zip")
-
-
-def test_several_grasps_keep_their_order(unpacked: Callable[[Saved], Path]):
-    one = shown("allegro")
-    rows = one.select([0] * 11)
-    q = np.linspace(one.q[0], one.q[0] + 0.05, 11)
-    saved = grasp_file(hand("allegro"), replace(rows, q=q), "dexgraspbench")
-    again = reading(unpacked(saved), hand=hand("allegro")).grasps
-    order = [again.joint_names.index(name) for name in one.joint_names]
-    np.testing.assert_allclose(again.q[:, order], q, atol=1e-12)

@@ -1,7 +1,5 @@
 """Objects are decomposed, and grasps measured, when nothing else is done."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The controller, without viser: commands in, states out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

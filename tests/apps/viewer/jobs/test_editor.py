@@ -1,7 +1,5 @@
 """Edits of hand, object and targets, undone and redone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Measuring grasps whose files have no measures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

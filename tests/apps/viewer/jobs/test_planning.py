@@ -1,7 +1,5 @@
 """Trajectories as frames: the object goes with the palm, and what is in the way is met where links are in it first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

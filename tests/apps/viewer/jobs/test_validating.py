@@ -1,10 +1,7 @@
 """Validation of one grasp: the same as `validate` finds, told in steps, and stopped at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,6 @@ from grasp_refine.scene.task import Task
 from grasp_refine.validation.robustness import judge
 from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.commands.inputs import Sources
 from grasp_refine_apps.viewer.jobs.validating import (
     MakeWorld,
     PosedGrasp,
@@ -38,7 +34,7 @@ from grasp_refine_apps.viewer.jobs.validating import (
 )
 from grasp_refine_apps.viewer.jobs.worker import Control, Stopped
 from grasp_refine_apps.viewer.model.pose import Pose
-from open_viewer import SHORT, ignored, stopped_at
+from open_viewer import SHORT, ignored
 from refusals import assert_names, refused
 
 EXAMPLE = resource_dir("robots") / "allegro" / "example_mug.npz"
@@ -164,26 +160,6 @@ def test_pregrasp_and_squeeze_of_the_file_are_for_the_grasp_of_the_file(
     np.testing.assert_array_equal(motion.T_world_root[0, 1], moved.T_object_root)
 
 
-@pytest.mark.slow
-def test_a_grasp_of_others_is_closed_as_its_file_says(make_world: MakeWorld, shared_assets: Path) -> None:
-    """DexGraspBench, where it comes from, finds that all grasps of this bottle hold."""
-    bottle = "core_bottle_523cddb320608c09a37f3fc191551700"
-    sources = Sources(
-        hand=str(shared_assets / "hands/shadow/shadow_right.urdf"),
-        object=str(shared_assets / "grasps/bodex_shadow/example_object" / bottle),
-        object_name=bottle,
-        index=(0,),
-    )
-    (group,) = load_problem(sources.of(shared_assets / "grasps/normalised/bodex_shadow.npz")).groups
-    bottle_grasp = PosedGrasp(group.scene, file_pose(group.scene), group.grasps)
-    trial = run_trial(make_world, bottle_grasp, DEXGRASPBENCH, ignored())
-    assert trial.held and trial.closing == {"pregrasp": "file", "squeeze": "file"}
-    motion = record_direction(make_world, bottle_grasp, trial, "-y", ignored())
-    assert motion.succeeds and len(motion) == 141 and motion.time[-1] - motion.time[0] == pytest.approx(2.8)
-    assert group.grasps.pregrasp is not None
-    np.testing.assert_allclose(pose_from_transform(motion.T_root[:1]), group.grasps.pregrasp.pose, atol=1e-6)
-
-
 def test_what_was_compiled_is_kept(make_world: MakeWorld, scene: Scene) -> None:
     world = make_world(scene, DEXGRASPBENCH)
     assert make_world(replace(scene, q=scene.q + 1.0), protocol_of("dexgraspbench")) is world
@@ -221,11 +197,6 @@ def test_a_job_can_be_stopped_at_each_step_of_a_simulation(make_world: MakeWorld
     assert [result.reason for result in after.results] == [result.reason for result in before.results]
     moved = [[result.displacement_m for result in trial.results] for trial in (before, after)]
     np.testing.assert_allclose(*moved, atol=1e-6)
-
-
-def test_stop_is_heard_while_the_hand_is_opened(scene: Scene, grasp: PosedGrasp) -> None:
-    with pytest.raises(Stopped):
-        grasp.motion(stopped_at(2).check)
 
 
 def test_a_grasp_that_cannot_start_is_reported_and_cannot_be_watched(

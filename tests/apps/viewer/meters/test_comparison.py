@@ -1,7 +1,5 @@
 """The grasp of the same number of other grasps: drawn where it is, with its own numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

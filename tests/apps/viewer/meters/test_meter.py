@@ -1,7 +1,5 @@
 """Measures that are kept hold for what is shown, not for what was shown before; one contact error everywhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is around an object is drawn where the scene has it, and what links are in is named, measured and red."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace

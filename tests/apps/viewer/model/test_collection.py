@@ -1,7 +1,5 @@
 """Collections: which grasp is which, and what their files say of each."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,11 +1,9 @@
 """Columns of measures: how they sort and how they are read."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from grasp_refine_apps.viewer.model.columns import STATUS, Column, numeric_columns
+from grasp_refine_apps.viewer.model.columns import Column
 
 NAN = float("nan")
 
@@ -35,10 +33,3 @@ def test_numbers_are_read_in_their_unit() -> None:
     assert (error.title, error.text(0), error.text(1)) == ("Label, mm", "1.23", "")
     assert column(["stalled"]).text(0) == "stalled"
     assert column(["stalled"]).title == "Label"
-
-
-def test_every_measure_has_one_key_and_one_title() -> None:
-    columns = [*numeric_columns(), STATUS]
-    assert len({column.key for column in columns}) == len({column.title for column in columns}) == len(columns)
-    assert {column.factor for column in columns if column.unit == "mm"} == {1e3}
-    assert {column.factor for column in columns if not column.unit} == {1.0}

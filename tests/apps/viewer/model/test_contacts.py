@@ -1,7 +1,5 @@
 """Contacts are where the links touch, as far off as they are, and what they do balances."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lists of grasps: sorted, filtered, and walked through."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

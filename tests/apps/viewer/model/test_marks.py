@@ -1,7 +1,5 @@
 """Marks of grasps: what is written, what is read again, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,7 +8,7 @@ import pytest
 
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine_apps.viewer.model.marks import HEADER, MAX_FILE_BYTES, Marks, marks_path
+from grasp_refine_apps.viewer.model.marks import HEADER, Marks, marks_path
 from refusals import refused
 
 TOP = ",".join(HEADER)
@@ -75,14 +73,6 @@ def test_a_damaged_file_of_marks_is_named_and_kept(tmp_path: Path, text: str, na
     with refused(GraspFileError, path, *named):
         Marks.read(path)
     assert path.read_bytes() == text.encode(errors="surrogateescape")
-
-
-def test_a_huge_file_of_marks_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "g.npz.marks.csv"
-    with path.open("wb") as stream:
-        stream.truncate(MAX_FILE_BYTES + 1)
-    with refused(GraspFileError, path, "64 MiB"):
-        Marks.read(path)
 
 
 def test_a_folder_in_the_place_of_marks_is_reported(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Regions are painted on what is seen of an object, written in words, undone, respected, and saved to be read again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

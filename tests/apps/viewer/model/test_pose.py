@@ -1,7 +1,5 @@
 """Targets of grasps as grasp files have them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from grasp_refine_apps.viewer.model.pose import Target, file_targets, file_targets_of

@@ -1,7 +1,5 @@
 """Timelines of refinements, built from iterations that are only written down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

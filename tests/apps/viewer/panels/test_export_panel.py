@@ -1,13 +1,11 @@
 """The tab "Files" with a real server and a client that uploads, clicks and downloads as a browser does."""
 
-from __future__ import annotations
-
 import io
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,16 +25,18 @@ from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
 from grasp_refine_apps.commands.settings import Settings
+from grasp_refine_apps.viewer.files.gif import END_MS, FRAME_MS, MAX_FRAMES, recorded_gif
 from grasp_refine_apps.viewer.files.uploads import MAX_UPLOAD_BYTES
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.measuring import unmeasured
 from grasp_refine_apps.viewer.model.collection import Collection
+from grasp_refine_apps.viewer.model.recording import subsample
 from grasp_refine_apps.viewer.panels import export_panel
 from grasp_refine_apps.viewer.panels.banner import banner_text
 from grasp_refine_apps.viewer.panels.export_panel import ExportPanel, open_html, png, shelf_titles
 from grasp_refine_apps.viewer.server.viser_private import MAX_CONCURRENT_UPLOADS, uploads_under_way
+from open_viewer import ignored
 from refusals import assert_names
-from uploaded import gripper_zip
 from viser_client import Client
 from websocket_page import until
 
@@ -47,19 +47,13 @@ BOX = trimesh.creation.box((0.04, 0.05, 0.06)).export(file_type="stl")
 def collection() -> Collection:
     """One grasp of the Allegro hand on a ball."""
     hand, ball = load_hand("allegro", candidates=16), load_object("sphere:0.03", candidates=64)
-    T = exp_se3(np.array([[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]]))
-    grasps = GraspSet(
-        hand=hand.name,
-        base_link=hand.base_link,
-        joint_names=hand.joint_names,
-        object=np.array(["sphere:0.03"]),
-        scale=np.ones(1),
-        hand_pose=pose_from_transform(T),
-        q=hand.rest[None],
-    )
-    rows = np.arange(1)
+    T, rows = exp_se3(np.array([[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]])), np.arange(1)
+    grasps = GraspSet.of(hand, T, hand.rest[None], object="sphere:0.03")
     group = Group("sphere:0.03", 1.0, Scene(hand, ball, T, hand.rest[None]), grasps, rows, rows, rows)
     return Collection.of(Problem(hand, (hand.urdf,), (group,), ("a <b>note</b>",), "sample:1"))
+
+
+pytestmark = pytest.mark.usefixtures("untried")
 
 
 @dataclass
@@ -102,47 +96,55 @@ def shown(collection: Collection) -> Iterator[Shown]:
     server.stop()
 
 
-def test_an_uploaded_mesh_takes_the_place_of_the_object(shown: Shown):
-    before = shown.controller.state
-    shown.one.upload(shown.panel.upload, "My Box.stl", BOX, part=300)
-    assert shown.told("My Box.stl", "1 grasp", "allegro", "My_Box")
-    now = shown.controller.state
-    np.testing.assert_allclose(now.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
-    np.testing.assert_allclose(now.pose.T_object_root, before.pose.T_object_root, atol=1e-12)
-    until(lambda: shown.controller.state.job is None and not unmeasured(shown.controller.state.collection).any())
-    assert "My_Box" in shown.panel.opened.content
+def grasps_of(shown: Shown, count: int, name: str) -> bytes:
+    """A grasp file of the same grasp several times."""
+    hand, content = shown.controller.state.collection.hand, io.BytesIO()
+    T = np.repeat(shown.controller.state.pose.T_object_root[None], count, axis=0)
+    np.savez(content, **GraspSet.of(hand, T, np.repeat(hand.rest[None], count, axis=0), object=name).arrays())
+    return content.getvalue()
 
 
-def test_what_was_open_before_comes_back_as_it_was_left(shown: Shown):
-    before = shown.controller.state.collection
-    shown.controller.editor.set_joint(0, 0.1)
-    left = shown.controller.state.work
-    shown.one.upload(shown.panel.upload, "My Box.stl", BOX)
-    assert shown.told("My Box.stl", "Show")
-    until(lambda: shown.panel.shelf.visible)
-    assert shown.controller.state.num_unsaved == 1 and not shown.controller.state.unsaved
-    titles = shown.panel.shelf.options
-    assert len(titles) == 2 and "My_Box" in titles[0] and "sphere" in titles[1]
+def settle(shown: Shown) -> None:
     until(lambda: shown.controller.state.job is None)
-    shown.one.change(shown.panel.shelf, titles[1])
-    until(lambda: shown.controller.state.collection.problem is before.problem)
-    assert shown.controller.state.work is left and shown.controller.state.unsaved == (0,)
-    shown.one.change(shown.panel.shelf, shelf_titles(shown.controller.state)[1])
-    until(lambda: "My_Box" in shown.controller.state.collection.title)
-    assert len(shown.controller.state.shelf) == 1
+
+
+def test_an_uploaded_mesh_takes_the_place_of_the_object_which_comes_back_as_it_was_left(shown: Shown):
+    made, panel = shown.controller, shown.panel
+    made.editor.set_joint(0, 0.1)
+    before = made.state
+    shown.one.upload(panel.upload, "bad.stl", b"solid nothing", key="1")
+    assert shown.told("bad.stl", bad=True)
+    assert made.state.scene.object is before.scene.object
+    assert [*panel.uploads.path.iterdir()] == [panel.uploads.path / "1"]
+    large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
+    shown.one.upload(panel.upload, "My Box.stl", large, key="2", part=300)
+    assert shown.told("My Box.stl", "Mesh unit", "millimetres", "40 x 50 x 60 mm", bad=True)
+    shown.one.change(panel.unit, "millimetres")
+    until(lambda: panel.unit.value == "millimetres")
+    shown.one.upload(panel.upload, "My Box.stl", large, key="3", part=300)
+    assert shown.told("My Box.stl", "1 grasp", "allegro", "My_Box", "Show")
+    settle(shown)
+    np.testing.assert_allclose(made.state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
+    np.testing.assert_allclose(made.state.pose.T_object_root, before.pose.T_object_root, atol=1e-12)
+    assert not unmeasured(made.state.collection).any() and "My_Box" in panel.opened.content
+    until(lambda: panel.shelf.visible)
+    assert made.state.num_unsaved == 1 and not made.state.unsaved
+    titles = panel.shelf.options
+    assert len(titles) == 2 and "My_Box" in titles[0] and "sphere" in titles[1]
+    shown.one.change(panel.shelf, titles[1])
+    until(lambda: made.state.collection.problem is before.collection.problem)
+    assert made.state.work is before.work and made.state.unsaved == (0,)
+    shown.one.change(panel.shelf, shelf_titles(made.state)[1])
+    until(lambda: "My_Box" in made.state.collection.title)
+    assert len(made.state.shelf) == 1
 
 
 def test_a_stand_in_is_reported_over_the_scene_until_its_mesh_comes(shown: Shown):
-    hand = shown.controller.state.collection.hand
-    T = shown.controller.state.pose.T_object_root[None]
-    grasps = GraspSet.of(hand, np.repeat(T, 5, axis=0), np.repeat(hand.rest[None], 5, axis=0), object="core/my box")
-    content = io.BytesIO()
-    np.savez(content, **grasps.arrays())
     assert banner_text(shown.controller.state) == ""
-    shown.one.upload(shown.panel.upload, "grasps.npz", content.getvalue(), key="1")
+    shown.one.upload(shown.panel.upload, "grasps.npz", grasps_of(shown, 5, "core/my box"), key="1")
     assert shown.told("grasps.npz", "5 grasps")
     assert_names(banner_text(shown.controller.state), "Stand-in", "'core/my box'", "'sphere:0.03'")
-    until(lambda: shown.controller.state.job is None)
+    settle(shown)
     shown.controller.grasps.show(3)
     shown.one.upload(shown.panel.upload, "My Box.stl", BOX, key="2")
     assert shown.told("My Box.stl", "'core/my box'", "5 grasps")
@@ -154,30 +156,23 @@ def test_a_stand_in_is_reported_over_the_scene_until_its_mesh_comes(shown: Shown
 
 
 def test_many_are_saved_together_as_they_stand(shown: Shown):
-    hand = shown.controller.state.collection.hand
-    T = shown.controller.state.pose.T_object_root[None]
-    grasps = GraspSet.of(hand, np.repeat(T, 3, axis=0), np.repeat(hand.rest[None], 3, axis=0), object="sphere:0.03")
-    content = io.BytesIO()
-    np.savez(content, **grasps.arrays())
-    shown.one.upload(shown.panel.upload, "grasps.npz", content.getvalue())
+    made, hand = shown.controller, shown.controller.state.collection.hand
+    shown.one.upload(shown.panel.upload, "grasps.npz", grasps_of(shown, 3, "sphere:0.03"))
     assert shown.told("grasps.npz", "3 grasps")
-    until(lambda: shown.controller.state.job is None)
-    shown.controller.grasps.show(1)
-    shown.controller.editor.set_joint(2, 0.3)
-    shown.controller.many.refine((2,))
-    until(lambda: shown.controller.state.job is None and shown.controller.state.unsaved == (1, 2))
-    works = shown.controller.state.works
+    settle(shown)
+    made.grasps.show(1)
+    made.editor.set_joint(2, 0.3)
+    made.many.refine((2,))
+    until(lambda: made.state.job is None and made.state.unsaved == (1, 2))
+    works = made.state.works
     shown.one.change(shown.panel.save_all, True)
     name, saved = shown.one.download()
     path = shown.panel.uploads.path / "again.npz"
     path.write_bytes(saved)
-    again = load_grasps(path)
+    again, outcome = load_grasps(path), works[2].outcome
     assert len(again) == 3 and name.endswith(".npz")
-    np.testing.assert_allclose(again.q[0], hand.rest)
-    np.testing.assert_allclose(again.q[1], works[1].pose.q)
-    np.testing.assert_allclose(again.q[2], works[2].pose.q)
-    np.testing.assert_allclose(again.squeeze.q[2], works[2].outcome.stage_q[0, -1])
-    outcome = works[2].outcome
+    np.testing.assert_allclose(again.q, [hand.rest, works[1].pose.q, works[2].pose.q])
+    np.testing.assert_allclose(again.squeeze.q[2], outcome.stage_q[0, -1])
     reopened = Collection.of(load_problem(ProblemSpec(grasps=path, object="sphere:0.03", hand=str(hand.toml))))
     for key, value in outcome.entries().items():
         if key in reopened.columns:
@@ -186,85 +181,49 @@ def test_many_are_saved_together_as_they_stand(shown: Shown):
     assert reopened.columns["status"].values.tolist() == ["", "", labels(Status, outcome.status)[0]]
     np.testing.assert_array_equal(reopened.recorded(2).gap, outcome.contact_gap[0])
     np.testing.assert_allclose(reopened.initial(2)[1], hand.rest)
-    until(lambda: shown.controller.state.unsaved == ())
+    with np.load(path) as entries:
+        assert set(entries["forces_grasp"].tolist()) <= {2}
+    until(lambda: made.state.unsaved == ())
 
 
-def test_a_bad_mesh_is_reported_and_the_next_one_opened(shown: Shown):
-    shown.one.upload(shown.panel.upload, "bad.stl", b"solid nothing", key="1")
-    assert shown.told("bad.stl", bad=True)
-    assert shown.controller.state.scene.object.name == "sphere:0.03"
-    assert [*shown.panel.uploads.path.iterdir()] == [shown.panel.uploads.path / "1"]
-    shown.one.upload(shown.panel.upload, "box.stl", BOX, key="2")
-    assert shown.told("box.stl")
-
-
-def test_the_unit_is_chosen_in_the_panel(shown: Shown):
-    large = trimesh.creation.box((40, 50, 60)).export(file_type="stl")
-    shown.one.upload(shown.panel.upload, "box.stl", large, key="1")
-    assert shown.told("box.stl", "Mesh unit", "millimetres", "40 x 50 x 60 mm", bad=True)
-    shown.one.change(shown.panel.unit, "millimetres")
-    until(lambda: shown.panel.unit.value == "millimetres")
-    shown.one.upload(shown.panel.upload, "box.stl", large, key="2")
-    assert shown.told("box.stl")
-    np.testing.assert_allclose(shown.controller.state.scene.object.mesh.extents, [0.04, 0.05, 0.06], rtol=1e-6)
-
-
-def test_an_uploaded_hand_comes_with_grasps(shown: Shown):
-    shown.one.upload(shown.panel.upload, "gripper.zip", gripper_zip())
-    assert shown.told("gripper.zip", "gripper on", "sphere:0.03")
-    assert shown.controller.state.collection.hand.joint_names == ("left_hinge", "right_hinge")
-
-
-def test_the_shown_grasp_goes_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
-    T = exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
-    shown.controller.editor.move_root(T)
-    shown.one.change(shown.panel.save, True)
-    name, content = shown.one.download()
-    assert name == "allegro_sphere_0.03_0_ours.npz"
-    (tmp_path / name).write_bytes(content)
-    grasps = load_grasps(tmp_path / name)
-    np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)
-    assert grasps.pregrasp is not None and grasps.squeeze is not None
-    assert not shown.other.downloads()
-
-
-def test_painted_faces_go_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
-    obj = shown.controller.state.scene.object
-    assert not shown.panel.faces.visible
+def test_downloads_go_to_the_browser_that_asks(shown: Shown, tmp_path: Path):
+    made, panel, T = shown.controller, shown.panel, exp_se3(np.array([0.01, 0.02, 0.12, 0.1, 0.2, 0.3]))
+    shown.one.change(panel.animation, True)
+    assert shown.told(bad=True)
+    made.editor.move_root(T)
     (tmp_path / "some.txt").write_text("0 7 12")
-    shown.controller.regions.set("", f"above:z=0.02; faces:{tmp_path / 'some.txt'}")
-    assert shown.panel.faces.visible
-    shown.one.change(shown.panel.faces, True)
-    name, content = shown.one.download()
-    (tmp_path / name).write_bytes(content)
-    again = contact_regions(obj, avoid=f"faces:{tmp_path / name}")
+    assert not panel.faces.visible
+    made.regions.set("", f"above:z=0.02; faces:{tmp_path / 'some.txt'}")
+    assert panel.faces.visible
+    made.refinement.start()
+    until(lambda: made.state.outcome is not None and made.state.job is None)
+    for button, expected in (
+        (panel.faces, "sphere_0.03_avoid.txt"),
+        (panel.animation, "allegro_sphere_0.03_0.html"),
+    ):
+        shown.one.change(button, True)
+        until(lambda expected=expected: expected in shown.one.downloads())
+        settle(shown)
+    made.editor.undo()
+    shown.one.change(panel.save, True)
+    until(lambda: len(shown.one.downloads()) == 3)
+    files = shown.one.downloads()
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    again = contact_regions(made.state.scene.object, avoid=f"faces:{tmp_path / 'sphere_0.03_avoid.txt'}")
     assert again is not None and np.flatnonzero(again.avoid[0].chosen).tolist() == [0, 7, 12]
-    assert shown.told(f"--avoid faces:{name}")
-    assert not shown.other.downloads()
+    assert b"<html" in files["allegro_sphere_0.03_0.html"][:1000].lower()
+    grasps = load_grasps(tmp_path / "allegro_sphere_0.03_0_ours.npz")
+    np.testing.assert_allclose(grasps.hand_pose, pose_from_transform(T[None]), atol=1e-12)
+    assert grasps.pregrasp is not None and grasps.squeeze is not None and not shown.other.downloads()
 
 
-def test_a_format_that_cannot_hold_it_says_so(shown: Shown):
+def test_a_format_that_cannot_hold_it_and_a_busy_worker_are_reported(shown: Shown):
     shown.one.change(shown.panel.format, "leap_cache")
     until(lambda: shown.panel.format.value == "leap_cache")
     shown.one.change(shown.panel.save, True)
-    assert shown.told("leap_cache", "'allegro'", bad=True) and not shown.one.downloads()
-
-
-def test_the_animation_needs_something_to_show(shown: Shown):
-    shown.one.change(shown.panel.animation, True)
-    assert shown.told(bad=True) and not shown.one.downloads()
-
-
-def test_an_animation_goes_to_the_browser_that_asks(shown: Shown):
-    shown.controller.refinement.start()
-    until(lambda: shown.controller.state.outcome is not None and shown.controller.state.job is None)
-    shown.one.change(shown.panel.animation, True)
-    name, content = shown.one.download()
-    assert name == "allegro_sphere_0.03_0.html" and b"<html" in content[:1000].lower()
-    assert not shown.other.downloads()
-
-
-def test_one_thing_at_a_time(shown: Shown):
+    assert shown.told("leap_cache", "'allegro'", bad=True)
+    settle(shown)
     ended = threading.Event()
     assert shown.controller.run_job("load", "something long", lambda control: ended.wait() and None)
     shown.one.change(shown.panel.save, True)
@@ -277,11 +236,11 @@ def test_a_browser_that_left_gets_nothing(shown: Shown):
     shown.one.change(shown.panel.save, True)
     until(lambda: shown.controller.state.job is not None)
     shown.one.close()
-    until(lambda: shown.controller.state.job is None)
+    settle(shown)
     assert shown.controller.state.notice is None and not shown.other.downloads()
 
 
-def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
+def test_a_picture_comes_as_the_browser_drew_it_on_white(shown: Shown, monkeypatch: pytest.MonkeyPatch):
     shown.one.change(shown.panel.picture, True)
     until(lambda: shown.one.of("GetRenderRequestMessage"))
     (asked,) = shown.one.of("GetRenderRequestMessage")
@@ -292,23 +251,38 @@ def test_a_picture_comes_as_the_browser_drew_it(shown: Shown):
     name, content = shown.one.download()
     assert name == "allegro_sphere_0.03_0.png"
     picture = Image.open(io.BytesIO(content))
-    # What is transparent is white.
     assert picture.size == (64, 48) and picture.getpixel((3, 3)) == (255, 255, 255)
-
-
-def test_a_browser_that_draws_nothing_holds_nothing_up(shown: Shown, monkeypatch: pytest.MonkeyPatch):
+    half = np.zeros((2, 3, 4), dtype=np.uint8)
+    half[..., 3] = 128
+    assert Image.open(io.BytesIO(png(half))).getpixel((0, 0)) == (127, 127, 127)
+    # One that draws nothing holds nothing up.
     monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 0.3)
     shown.one.change(shown.panel.picture, True)
-    assert shown.told(bad=True) and not shown.one.downloads()
-    # One that leaves meanwhile is not missed.
-    monkeypatch.setattr(export_panel, "RENDER_TIMEOUT_S", 60.0)
-    told = shown.controller.state.notice
-    shown.one.change(shown.panel.picture, True)
-    until(lambda: len(shown.one.of("GetRenderRequestMessage")) == 2)
-    shown.one.close()
-    until(lambda: len(shown.server.get_clients()) == 1)
-    time.sleep(0.5)
-    assert shown.controller.state.notice is told
+    assert shown.told(bad=True)
+
+
+def test_a_gif_has_the_frames_of_the_recording_and_the_view_stays(shown: Shown):
+    """A browser that is only written down: it draws the number of the frame that it is shown."""
+    made = shown.controller
+    made.refinement.start()
+    until(lambda: made.state.outcome is not None and made.state.job is None)
+    frames, asked = subsample(len(made.state.trace), MAX_FRAMES).tolist(), []
+    assert len(frames) == MAX_FRAMES < len(made.state.trace)
+
+    def render(height: int, width: int, **_: object) -> np.ndarray:
+        asked.append((height, width, made.state.frame))
+        return np.full((height, width, 3), 5 * len(asked), dtype=np.uint8)
+
+    made.player.scrub(1)
+    content = recorded_gif(made, SimpleNamespace(get_render=render), (500, 1440), lambda seconds: None, ignored())
+    assert asked == [(250, 720, frame) for frame in frames] and made.state.frame == 1
+    with Image.open(io.BytesIO(content)) as picture:
+        assert picture.size == (720, 250) and picture.n_frames == len(frames) and picture.info["loop"] == 0
+        durations = []
+        for number in range(len(frames)):
+            picture.seek(number)
+            durations.append(picture.info["duration"])
+    assert durations == [FRAME_MS] * (len(frames) - 1) + [END_MS]
 
 
 def test_too_large_uploads_are_refused_before_they_come(shown: Shown):
@@ -346,9 +320,3 @@ def test_what_is_open_is_shown_as_text(collection: Collection):
     text = open_html(collection)
     assert all(one in text for one in ("allegro (allegro.urdf)", "16 joints", "sample:1"))
     assert "a &lt;b&gt;note&lt;/b&gt;" in text
-
-
-def test_half_transparent_is_half_white():
-    image = np.zeros((2, 3, 4), dtype=np.uint8)
-    image[..., 3] = 128
-    assert Image.open(io.BytesIO(png(image))).getpixel((0, 0)) == (127, 127, 127)

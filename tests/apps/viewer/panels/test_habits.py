@@ -1,72 +1,80 @@
-"""Links, keys and marks as pages send them, the badge of simplified hands, and the viewer in a notebook."""
-
-from __future__ import annotations
+"""Links, keys and marks as pages send them, the tab that ends a replay, badges, and the viewer in a notebook."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.request import Request, urlopen
 
+import numpy as np
 import pytest
 
 from grasp_refine.hands.hand import load_hand
-from grasp_refine_apps.viewer.jobs.controller import Controller
-from grasp_refine_apps.viewer.panels.app import Viewer, badge  # noqa: E402
-from grasp_refine_apps.viewer.panels.habits import Habits, title  # noqa: E402
-from grasp_refine_apps.viewer.server.page import close_server, open_server  # noqa: E402
+from grasp_refine.problem.problem import Problem
+from grasp_refine_apps.viewer.drawing.view import ASPECT_RATIO
+from grasp_refine_apps.viewer.model.recording import Recording
+from grasp_refine_apps.viewer.panels.app import Viewer, badge
+from grasp_refine_apps.viewer.panels.habits import title
+from grasp_refine_apps.viewer.server.page import open_server
 from open_viewer import controller
+
+NOBODY = SimpleNamespace(client_id=7)
 
 
 @pytest.fixture
-def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
+def viewer(problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
     monkeypatch.chdir(tmp_path)  # where marks of the example are kept
-    with Viewer(open_server("127.0.0.1", 0), controller()) as opened:
+    with Viewer(open_server("127.0.0.1", 0), controller(problem)) as opened:
         yield opened
 
 
-def test_what_pages_send_is_done_and_garbage_is_not(viewer: Viewer):
-    habits: Habits = viewer.habits
-    state: Controller = viewer.controller
-    nobody = SimpleNamespace(client_id=7)
+def test_messages_of_pages_are_done_and_garbage_is_not(viewer: Viewer):
+    habits, state = viewer.habits, viewer.controller
     for text, number in (("open 2 0.1", 2), ("next 0.2", 3), ("next 0.3", 0), ("previous 0.4", 3)):
-        habits.receive(text, nobody)
+        habits.receive(text, NOBODY)
         assert state.state.number == number
     opens = ("", " ", "open", "open x", "open -1", "open 99999999999999", "fit x", "ready nan", "ready -3", "é 🙂")
     brushes = ("brush", "brush quality_after", "brush quality_after a b", "brush quality_after nan 1", "brush x 0 1")
     for text in (*opens, *brushes):
-        habits.receive(text, nobody)
+        habits.receive(text, NOBODY)
     assert state.state.number == 3 and len(state.state.listing.numbers(state.state.collection)) == 4
-    habits.receive("good 1", nobody)
-    assert state.state.collection.mark(3) == "good"
-    habits.receive("good 2", nobody)
-    assert state.state.collection.mark(3) == ""
+    for text, mark in (("good 1", "good"), ("bad 2", "bad"), ("bad 3", "")):
+        habits.receive(text, NOBODY)
+        assert state.state.collection.mark(3) == mark
     state.editor.set_joint(2, 0.3)
-    habits.receive("undo 3", nobody)
+    habits.receive("undo 3", NOBODY)
     assert state.state.undo_steps == ()
-    habits.receive("redo 4", nobody)
+    habits.receive("redo 4", NOBODY)
     assert len(state.state.undo_steps) == 1
 
 
-def test_a_hand_of_ours_has_a_badge_that_names_the_makers(viewer: Viewer):
+def test_only_tabs_of_the_grasp_end_a_replay(viewer: Viewer):
+    state, pose = viewer.controller, viewer.controller.state.pose
+    still = {"T_root": pose.T_object_root[None], "q": pose.q[None], "time": np.zeros(1), "texts": ("still",)}
+    for tab, ends in (("files", False), ("view", False), ("validate", False), ("browse", True), ("edit", True)):
+        state.player.show(Recording(title="replay", **still))
+        viewer.habits.receive(f"tab {tab}", NOBODY)
+        assert (state.state.motion is None) == ends, tab
+
+
+def test_the_first_camera_of_a_page_is_fitted_only_to_an_unusual_picture(viewer: Viewer):
+    usual, wide, low = f"{ASPECT_RATIO * 1.03}", "0.5", "0.05"
+    for text, fits in (
+        (f"ready {usual}", False), (f"fit {low}", False), ("fit 11", False), (f"ready {wide}", True),
+        (f"ready {usual}", True), (f"fit {usual}", True),
+    ):  # fmt: skip
+        camera = SimpleNamespace(position=np.ones(3), look_at=np.zeros(3))
+        viewer.habits.receive(text, SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext))
+        assert hasattr(camera, "fov") == fits, text
+
+
+def test_a_hand_of_ours_has_a_badge_that_names_the_makers_and_a_notebook_shows_the_page(viewer: Viewer):
     collection = viewer.controller.state.collection
     assert "hands/allegro" in badge(collection.hand) and title(collection).startswith("example_mug.npz")
-    other = load_hand(Path(__file__).parents[3] / "two_jaws.urdf", candidates=16)
-    assert badge(other) == ""
-
-
-def test_a_notebook_shows_the_page(viewer: Viewer):
+    assert badge(load_hand(Path(__file__).parents[3] / "two_jaws.urdf", candidates=16)) == ""
     assert f'<iframe src="{viewer.address}"' in viewer._repr_html_()
-
-
-def test_the_page_has_our_script_and_others_files_do_not():
-    from urllib.request import Request, urlopen
-
-    page = open_server("127.0.0.1", 0)
-    try:
-        for encoding in ("identity", "gzip"):
-            with urlopen(Request(page.address, headers={"Accept-Encoding": encoding})) as answer:
-                body = answer.read()
-                assert int(answer.headers["Content-Length"]) == len(body)
-                if encoding == "identity":
-                    assert b"gr-page" in body and b"<head><style>" in body
-    finally:
-        close_server(page.server)
+    for encoding in ("identity", "gzip"):
+        with urlopen(Request(viewer.address, headers={"Accept-Encoding": encoding})) as answer:
+            body = answer.read()
+            assert int(answer.headers["Content-Length"]) == len(body)
+            assert encoding == "gzip" or (b"gr-page" in body and b"<head><style>" in body)

@@ -1,7 +1,5 @@
 """Histograms of measures, and the lists that a brush over them gives."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

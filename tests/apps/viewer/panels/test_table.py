@@ -1,7 +1,5 @@
 """The table of grasps and the lines about one of them: what they say, and that names in files do nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -82,17 +80,12 @@ def test_a_page_lists_its_grasps_in_order(collection: Collection) -> None:
     assert "16 to 30 of 100" in "".join(page.cells)
 
 
-def test_the_page_of_a_grasp(collection: Collection) -> None:
+def test_the_shown_grasp_is_marked_on_its_page(collection: Collection) -> None:
     numbers = Listing().numbers(collection)
     assert [page_of(numbers, number) for number in (0, 14, 15, 99, 1000)] == [0, 0, 1, 6, 0]
-    assert pages(numbers) == 7
-    assert pages(numbers[:ROWS_PER_PAGE]) == pages(numbers[:0]) == 1
-
-
-def test_the_shown_grasp_is_marked(collection: Collection) -> None:
-    opened = [at for tag, at in table(collection, Listing(), number=3).tags if at.get("class") == "gr-open"]
-    assert [attributes["data-do"] for attributes in opened] == ["open 3"]
-    assert opened[0]["title"] == "mug 3"
+    assert (pages(numbers), pages(numbers[:ROWS_PER_PAGE]), pages(numbers[:0])) == (7, 1, 1)
+    (opened,) = [at for tag, at in table(collection, Listing(), number=3).tags if at.get("class") == "gr-open"]
+    assert (opened["data-do"], opened["title"]) == ("open 3", "mug 3")
 
 
 def test_colours_say_what_holds(collection: Collection) -> None:
@@ -108,13 +101,9 @@ def test_colours_say_what_holds(collection: Collection) -> None:
     assert (classes[4], classes[10], classes[16]) == ("gr-good", "gr-bad", None)
 
 
-def test_an_empty_list_has_no_rows(collection: Collection) -> None:
+def test_columns_without_any_value_are_left_out_and_an_empty_list_has_no_rows(collection: Collection) -> None:
     page = table(collection, Listing(object="cup"))
-    assert len(page.cells) == 1 and "100" in page.cells[0]
-    assert not page.doing("open ")
-
-
-def test_columns_without_any_value_are_left_out(collection: Collection) -> None:
+    assert len(page.cells) == 1 and "100" in page.cells[0] and not page.doing("open ")
     assert [column.key for column in shown_columns(replace(collection, columns={}))] == ["mark"]
     gap = Column("contact_distance_m_after", "Contact distance", "", np.full(100, 1e-3), "mm", 1e3)
     keys = [column.key for column in shown_columns(replace(collection, columns={"contact_distance_m_after": gap}))]
