@@ -21,6 +21,7 @@ from grasp_refine.refinement.objective import Objective
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
+from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights, term_kinds
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import goal_of
@@ -230,8 +231,12 @@ def test_refinement_turns_faces_onto_each_other(tmp_path, block: Object, angle: 
     np.testing.assert_allclose(np.abs(normal).max(axis=1), 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("config", [Config(starts=1), Config(weights=replace(Config().weights, wrench=0.0))])
+CLOSED = Config(weights=replace(Config().weights, wrench=0.0))
+
+
+@pytest.mark.parametrize("config", [Config(starts=1), CLOSED, replace(CLOSED, solver=LevenbergMarquardt(iterations=8))])
 def test_parallel_jaws_touch_a_wedge_as_flat_as_they_can(tmp_path, config: Config):
+    """Also where iterations run out before faces lie as flat as they can; their losses are without gaps of corners."""
     half = np.radians(2.0)
     corners = np.array([[x, y, z] for x in (-0.025, 0.025) for y in (-0.02, 0.02) for z in (-0.03, 0.03)])
     corners[:, 1] *= 1.0 + corners[:, 0] / 0.02 * np.tan(half)
@@ -242,7 +247,7 @@ def test_parallel_jaws_touch_a_wedge_as_flat_as_they_can(tmp_path, config: Confi
     wedge, hand = load_object(path), jaws(tmp_path)
     T, q = gripping([0.001, 0, 0, 0, 0, 0.015], [0, 0.001, 0.002, 0.02, 0.1, -0.01], [0, 0, 0, 0.02, 0, 0.05])
     found = refine(Scene(hand, wedge, T, q + 0.003), config)
-    assert found.labels.tolist() == ["converged"] * 3
+    assert found.labels.tolist() == ["converged"] * 3 and found.loss[:, 1].max() < 1e-9
     points, _, witness, _ = points_of(hand, wedge, found.T_world_root, found.q)
     assert points.patched.all() and np.abs(witness.distance[:, :2]).max() < 1e-5
     # Jaws that are parallel share the angle between the faces about evenly.

@@ -276,21 +276,6 @@ def test_the_rows_report_the_best_forces_of_the_linear_problem(
         np.testing.assert_allclose(predicted, change, atol=tolerance * np.abs(change).max())
 
 
-def test_the_row_of_one_grasp_does_not_depend_on_the_others(coupled: Hand, bodies: dict[str, Object]) -> None:
-    scene = around(coupled, bodies["box"], 5, 10)
-    problem = problem_of(scene)
-    known = problem.evaluate(every(scene), at(scene), None)
-    residual, J = rows(problem, at(scene), known)
-    for m in range(5):
-        alone = replace(scene, T_world_root=scene.T_world_root[[m]], q=scene.q[[m]])
-        problem = problem_of(alone)
-        own = problem.evaluate(np.array([0]), at(alone), None)
-        np.testing.assert_allclose(own.loss[0], known.loss[m], rtol=1e-9)
-        gradient = np.einsum("rk,r->k", J[m], residual[m])
-        r, j = rows(problem, at(alone), own)
-        np.testing.assert_allclose(np.einsum("rk,r->k", j[0], r[0]), gradient, atol=1e-9)
-
-
 # what is no grasp
 
 

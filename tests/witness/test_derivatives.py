@@ -13,33 +13,15 @@ from grasp_refine.witness.distance import Distance, scores_of, smooth, temperatu
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
-from grasp_refine.witness.slip import Slip
 from refusals import refused
 from shapes_for_tests import BODY_PAIRS, convex_body
 from twists import (
     layer_gradient,
     poses_at_gap,
-    slip_velocities,
     slopes_along_twists,
 )
 
-# (a) the slip algebra with exact slips
-
-
-def test_only_the_coupled_slip_follows_a_common_motion() -> None:
-    rng = np.random.default_rng(5)
-    M = rng.normal(size=(2, 3, 3)) * 0.3
-    A, B = M[0] @ M[0].T, M[1] @ M[1].T
-    x, y = rng.normal(size=(2, 3))
-    twist = rng.normal(size=6)
-    rigid = np.stack([twist[:3] + np.cross(twist[3:], p) for p in (x, y)])
-    coupled = np.stack(slip_velocities(Slip(A, B, x, y), x, y, twist, twist, "coupled"))
-    unilateral = np.stack(slip_velocities(Slip(A, B, x, y), x, y, twist, twist, "one-sided"))
-    np.testing.assert_allclose(coupled, rigid, atol=1e-9)
-    assert np.abs(unilateral - rigid).max() > 1e-3
-
-
-# (b) distance smoothing against its own smoothed point
+# (a) distance smoothing against its own smoothed point
 
 
 @pytest.mark.parametrize("gap", [0.004, -0.004])
@@ -79,7 +61,7 @@ def test_distance_smoothing_differentiates_its_own_smoothed_point(
         np.testing.assert_allclose(v - matvec(A.swapaxes(0, 1), u), slope, atol=1e-6)
 
 
-# (c) the exact signed-distance gradient
+# (b) the exact signed-distance gradient
 
 
 @pytest.mark.parametrize("gap", [0.01, 1e-4, -0.003])
