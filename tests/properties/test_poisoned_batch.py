@@ -228,6 +228,7 @@ def check_results(clean: Path, poisoned: Path) -> None:
         assert np.isnan(found["quality_after"][BAD]).all() and np.isnan(found["squeeze_q"][BAD]).all()
 
 
+@pytest.mark.slow
 def test_run_refines_the_others_of_a_file(files: Path, workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """One NaN once cost a file all of its grasps, and a result file all of its pregrasps and squeezes."""
     options = "--geometry-only", "--iterations", "20", "--validate"

@@ -10,6 +10,7 @@ import torch
 from boxed_example import boxed_example
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine.core.errors import GraspRefineError
+from grasp_refine.core.profiling import Stopwatch
 from grasp_refine.core.se3 import transform_points
 from grasp_refine.hands.chain import Chain, integrate
 from grasp_refine.hands.hand import load_hand
@@ -113,7 +114,11 @@ def test_links_that_are_near_come_to_touch_and_nothing_penetrates(scene: Scene, 
 
 
 def test_given_targets_are_reached_again(aimed: Scene) -> None:
-    found = refine(aimed)
+    with Stopwatch() as whole:
+        found = refine(aimed)
+    with Stopwatch() as selection:
+        goal_of(aimed, ContactSelection())
+    assert found.queries.sum() == whole.queries - selection.queries
     np.testing.assert_array_equal(found.target_link, aimed.target_link)
     np.testing.assert_array_equal(found.touching, np.isfinite(aimed.target_link[..., 0]))
     assert (found.status == Status.CONVERGED).sum() >= 3
@@ -220,7 +225,9 @@ def test_every_solver_accounts_for_its_work(scene: Scene, name: str) -> None:
     said: list[tuple[int, int, float]] = []
     config = replace(GEOMETRY, solver=SOLVERS[name], tolerance=1e-7)
     wall, cpu = time.perf_counter(), time.process_time()
-    found = refine(scene, config, lambda *now: said.append(now))
+    with Stopwatch() as watch:
+        found = refine(scene, config, lambda *now: said.append(now))
+    assert found.queries.sum() == watch.queries
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     # All of it is shared out, what was done before the first iteration too.
     assert 0.9 * cpu < found.cpu_s.sum() <= cpu and found.wall_s.sum() <= wall
@@ -275,12 +282,15 @@ def test_targets_off_the_surface_are_named_as_such(aimed: Scene) -> None:
     column = int(np.flatnonzero(np.isfinite(on_object[0, :, 0]))[0])
     away = on_object[0, column] / np.linalg.norm(on_object[0, column])
     on_object[0, column] += 0.005 * away
+    # A twentieth of a millimetre is rounding of targets, though no grasp reaches them.
+    near = int(np.flatnonzero(np.isfinite(on_object[2, :, 0]))[0])
+    on_object[2, near] *= 1.0 + 5e-5 / np.linalg.norm(on_object[2, near])
     link = int(np.flatnonzero(np.isfinite(on_link[1, :, 0]))[0])
     on_link[1, link] += [0.0, 0.0, 0.03]
     config = Config(solver=LevenbergMarquardt(iterations=60))
     found = refine(replace(aimed, target_object=on_object, target_link=on_link), config)
     np.testing.assert_array_equal(found.status[:2], [Status.UNREACHABLE, Status.UNREACHABLE])
-    assert (found.status[2:] != Status.UNREACHABLE).all()
+    assert (found.status[2:] != Status.UNREACHABLE).all() and found.loss[2, 1] > config.tolerance
     # What they ask for is approached all the same.
     assert (found.loss[:2, 1] < found.loss[:2, 0]).all() and (found.loss[:2, 1] > 1e-6).all()
 
