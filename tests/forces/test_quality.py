@@ -201,15 +201,3 @@ def test_without_contacts_there_is_no_quality(free: Hand, ball: Object) -> None:
     alone = of(free, ball, *OPPOSING)
     assert np.isinf(found.score[1]) and np.isnan(found.value[1]) and np.isnan(found.slippery[1])
     assert found.score[0] == pytest.approx(alone.score[0])
-
-
-def test_no_grasps_have_no_qualities(free: Hand, ball: Object) -> None:
-    chain, frames, witness = touching(free, *OPPOSING)
-    found = quality(
-        free,
-        ball,
-        chain,
-        Frames(*(part[:0] for part in (frames.T_world_link, frames.axes, frames.T_world_root, frames.q))),
-        witness.rows(slice(0)),
-    )
-    assert found.value.shape == (0,)

@@ -44,9 +44,9 @@ from grasp_refine.refinement.force_closure_search import (
 )
 from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationState
-from grasp_refine.refinement.pinches import pinch_score
+from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
 from grasp_refine.refinement.refine import Refinement, refine
-from grasp_refine.refinement.solvers.iterate import Minimum, Point
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, limited
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
@@ -255,7 +255,9 @@ def test_the_score_is_the_sum_of_its_parts_on_a_linkage_gripper(tmp_path: Path) 
         assert np.isfinite(part).all() and part.max() > 0.02, name
     found, pinches = judge(prepared, frames)
     np.testing.assert_allclose(found, sum(parts.values()), rtol=1e-9)
-    assert pinches.all()
+    # Two fingers are at best so good that their score is what other hands need not be tried again for.
+    jaws = search_of(Scene(hand, prepared.object, T, q), prepared)
+    assert pinches.all() and jaws.good == force_closure_search.GOOD_SCORE + BEST_SCORE
 
 
 def test_without_forces_the_score_is_infinite_and_three_contacts_are_no_pinch(
@@ -306,6 +308,11 @@ def test_an_attempt_counts_where_it_is_better_and_pinches_stay_unless_it_is_much
 def test_phases_slide_settle_and_close() -> None:
     weights, near = Weights(), ContactSelection()
     assert PHASES == (SLIDE, SETTLE, CLOSE)
+    few, solver = (
+        LevenbergMarquardt(iterations=10),
+        limited(LevenbergMarquardt(iterations=10), iterations=25, last_patience=8),
+    )
+    assert (solver.iterations, solver.last_patience, few.last_patience) == (10, 8, 12)
     for phase, soft, forces, farther in (
         (SLIDE, 0.01, 1.0, (0.01, 0.005)),
         (SETTLE, 1, 1, (0, 0)),
@@ -422,7 +429,9 @@ def test_grasps_that_are_nowhere_near_or_nowhere_at_all_spoil_no_other(
     T, q = scene.T_world_root.copy(), scene.q.copy()
     T[1, 0, 3] += 1.0
     q[2, 4] = np.nan
-    found = refine(replace(scene, T_world_root=T, q=q), CONFIG, prepared=prepared)
+    states: list[IterationState] = []
+    found = refine(replace(scene, T_world_root=T, q=q), CONFIG, on_iteration=states.append, prepared=prepared)
+    assert {*np.concatenate([state.row for state in states]).tolist()} == {0, 3}
     assert found.status[1] == Status.NO_TARGET and found.status[2] == Status.NOT_FINITE
     np.testing.assert_array_equal(found.T_world_root[1], T[1])
     np.testing.assert_array_equal(found.q[1], q[1])

@@ -7,7 +7,6 @@ import pytest
 
 from boxed_example import boxed_example
 from grasp_refine.collision.query import QueryStatus
-from grasp_refine.core.array_records import take
 from grasp_refine.core.se3 import exp_se3, transform_points
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
@@ -335,28 +334,6 @@ def test_inverse_kinematics_brings_target_points_together_without_a_query(exampl
     reached = problem.solve_position_ik(every(examples), start)
     assert (miss(start) > 0.01).all() and (miss(reached) < 1e-3).all()
     assert (reached.q >= examples.hand.lower).all() and (reached.q <= examples.hand.upper).all()
-
-
-def test_grasps_do_not_depend_on_their_batch(examples: Scene) -> None:
-    """Loss and Jacobian of a grasp alone are those among others, though rows are added where others have more."""
-    scene = aimed_at(examples, 3, 21)
-    problem = GraspProblem(
-        scene, partly(goal_of(scene, ContactSelection()), 4), Config(weights=replace(ALL, table=0.0))
-    )
-    rows, at = every(scene), stepped(point_of(scene), np.full(22, 0.01))
-    known = problem.evaluate(rows, at, None)
-    residual, J = linearized(problem, at, known, 1.0)
-    normal = np.einsum("brk,brl->bkl", J, J), np.einsum("brk,br->bk", J, residual)
-    for m in range(4):
-        single = GraspProblem(
-            scene.select([m]), partly(goal_of(scene.select([m]), ContactSelection()), 4), problem.config
-        )
-        own = take(at, np.array([m]))
-        alone = single.evaluate(np.array([0]), own, None)
-        np.testing.assert_allclose(alone.loss[0], known.loss[m], rtol=1e-12)
-        r, J_own = linearized(single, own, alone, 1.0)
-        np.testing.assert_allclose(J_own[0].T @ J_own[0], normal[0][m], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(J_own[0].T @ r[0], normal[1][m], rtol=1e-9, atol=1e-12)
 
 
 def test_depths_that_are_not_yet_there_come_as_one_sided_rows(examples: Scene) -> None:

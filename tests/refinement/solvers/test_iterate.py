@@ -225,6 +225,9 @@ def test_members_that_gain_nothing_restart_as_often_and_as_late_as_the_settings_
     assert found.iterations[0] == min(restarts * (1 + 3) + 1 + 5, budget)
     assert problem.widths[-1] == list(range(1, restarts + 1))
     assert found.status[0] == Status.STALLED
+    # So does a damping beyond the largest: 0.01 grows by 4 with each of four trials.
+    damped = replace(solver, largest=1.0, restarts=0, patience=50, last_patience=50, iterations=99)
+    assert minimise(Level(np.zeros(1), rest=0.3), start_of(1), damped, 1e-20).iterations[0] == 1 + 4
 
 
 def test_neighbourhoods_change_with_every_rejection_and_only_then() -> None:
