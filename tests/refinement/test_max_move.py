@@ -62,19 +62,6 @@ def test_what_is_too_far_comes_back_as_far_as_it_may() -> None:
     np.testing.assert_allclose(R @ R.mT, np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
 
 
-def test_what_is_within_the_bounds_stays_as_it_is() -> None:
-    T_first, q_first, T, q = poses(60, 1)
-    kept_T, kept_q = NEAR.project(T, q, T_first, q_first, np.ones(q.shape[1]))
-    near, turned, joints = away(T, q, T_first, q_first)
-    within = (near <= 0.002) & (turned <= 0.03)
-    assert within.any() and not within.all()
-    np.testing.assert_array_equal(kept_T[within], T[within])
-    np.testing.assert_array_equal(kept_q[joints <= 0.04], q[joints <= 0.04])
-    again_T, again_q = NEAR.project(kept_T, kept_q, T_first, q_first, np.ones(q.shape[1]))
-    np.testing.assert_allclose(again_T, kept_T, atol=1e-12)
-    np.testing.assert_array_equal(again_q, kept_q)
-
-
 @pytest.mark.parametrize("name", ["translation", "rotation", "joints"])
 def test_each_bound_is_one_of_its_own(name: str) -> None:
     T_first, q_first, T, q = poses(10, 3)

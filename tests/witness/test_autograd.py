@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from grasp_refine.collision.query import Pairs, QueryStatus, query
-from grasp_refine.core.errors import CollisionError, GraspRefineError
+from grasp_refine.core.errors import GraspRefineError
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.witness.analytical import Analytical
@@ -198,12 +198,3 @@ def test_values_are_as_in_the_query() -> None:
     detached = w.detached()
     assert isinstance(detached.point_a, np.ndarray)
     np.testing.assert_array_equal(detached.rows(np.array([2, 0])).distance, found.distance[[2, 0]])
-
-
-@pytest.mark.parametrize("shape", [(4, 4), (3, 4, 4), (3, 1, 4, 4), (3, 2, 3, 4), (3, 2, 4)])
-def test_wrong_shapes_are_refused_with_both(shape: tuple[int, ...]) -> None:
-    layer = WitnessLayer(two_pairs(), Distance())
-    with refused(CollisionError, "(batch, 2, 4, 4)", shape):
-        layer(torch.zeros(shape), torch.zeros(shape))
-    with refused(CollisionError, "(3, 2, 4, 4)", "(1, 2, 4, 4)"):
-        layer(torch.zeros(3, 2, 4, 4), torch.zeros(1, 2, 4, 4))
