@@ -293,6 +293,9 @@ JOINT = '<body name="a"><joint name="j" range="-1 1"/><geom size="0.01"/></body>
         (BODY.format('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', JOINT, ""),
          ("4 GiB",)),
         (BODY.format('<size nuser_body="1000000000"/>', JOINT, ""), ("4 GiB",)),
+        (BODY.format("", JOINT + '<inertial pos="0 -inf 0" mass="1" diaginertia="1 1 1"/>', ""), ("finite",)),
+        (BODY.format('<asset><model name="m" file="/etc/passwd"/></asset>', JOINT, ""), ("<model>", "passwd")),
+        (BODY.format('<include file="../hand.txt"/>', JOINT, ""), ("hand.txt",)),
         ("{}", ("XML",)),
     ],
 )  # fmt: skip

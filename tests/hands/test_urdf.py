@@ -96,6 +96,7 @@ def inertial(text: str) -> str:
         (robot('<axis xyz="0 0 x"/>'), ("'a'", '<axis xyz="0 0 x">', "3")),
         (robot('<axis xyz="0 1"/>'), ("'a'", '<axis xyz="0 1">', "3")),
         (robot('<origin xyz="0 nan 0"/>'), ("'a'", '<origin xyz="0 nan 0">', "3")),
+        (robot('<origin xyz="0 1e300 0"/>'), ("'a'", '<origin xyz="0 1e300 0">', "1000 m")),
         (robot('<origin rpy="0 0 inf"/>'), ("'a'", '<origin rpy="0 0 inf">', "3")),
         (robot('<limit lower="-inf" upper="1"/>'), ("'a'", '<limit lower="-inf">')),
         (robot('<limit lower="0" upper="${pi}"/>'), ('<limit upper="${pi}">',)),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from grasp_refine.core.errors import HandError
 from grasp_refine.core.lfs_pointer import refuse_lfs_pointer
@@ -64,12 +65,17 @@ def compile_mjcf(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """Return the model of an MJCF that was read from `path`.
 
     Raises:
-        HandError: MuJoCo cannot compile it.
+        HandError: MuJoCo cannot compile it, or a number in it is not finite.
     """
     try:
-        return compiled(spec)
+        model = compiled(spec)
     except MUJOCO_ERRORS as error:
         raise HandError(f"{path}: MuJoCo cannot compile it: {one_line(error)}; {FILE_ADVICE}") from None
+    for name in dir(model):
+        values = getattr(model, name)
+        if isinstance(values, np.ndarray) and values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise HandError(f"{path}: holds a number that is not finite, in {name} of the compiled model")
+    return model
 
 
 def _keep_hand(spec: mujoco.MjSpec, path: Path) -> tuple[str, list[str]]:

@@ -96,7 +96,7 @@ def included(path: Path) -> tuple[Path, ...]:
     Files that do not exist are left out.
 
     Raises:
-        HandError: one of them is no XML.
+        HandError: one of them is no XML, or has another suffix than an MJCF.
     """
     found = [path]
     for file in found:
@@ -108,6 +108,8 @@ def included(path: Path) -> tuple[Path, ...]:
             # Relative to the outermost file, or to the one that names it.
             for place in (path.parent, file.parent, *(path.parent / folder for folder in sorted(folders))):
                 inner = place / element.get("file", "")
+                if is_file(inner) and inner.suffix.lower() not in MJCF_SUFFIXES:
+                    raise HandError(f"{file}: <{element.tag}> names {inner.name}, which is no MJCF by its suffix")
                 if is_file(inner) and not any(inner.samefile(other) for other in found):
                     found.append(inner)
     return tuple(found)

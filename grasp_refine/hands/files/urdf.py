@@ -57,6 +57,9 @@ REQUIRED_ATTRIBUTES = {
 }
 """Attributes that an element must have."""
 
+MAX_OFFSET_M = 1e3
+"""Largest coordinate of an origin, in metres: a hand, on an arm or not, is smaller."""
+
 MAX_INERTIA = 1e9
 """Largest mass in kg, and moment of inertia in kg m^2, beyond that of any robot."""
 
@@ -174,6 +177,8 @@ def _numbers(element: _Element, name: str, counts: tuple[int, ...], where: str) 
     if len(values) not in counts or not np.isfinite(values).all():
         wanted = "a finite number" if counts == (1,) else f"{' or '.join(map(str, counts))} finite numbers"
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> must be {wanted}')
+    if element.tag == "origin" and name == "xyz" and max(map(abs, values)) > MAX_OFFSET_M:
+        raise HandError(f'{where}: <origin xyz="{text}"> is no place in a hand, above {MAX_OFFSET_M:g} m')
     if element.tag in ("mass", "inertia") and max(map(abs, values)) > MAX_INERTIA:
         raise HandError(f'{where}: <{element.tag} {name}="{text}"> is no mass or inertia, above {MAX_INERTIA:g}')
     return " ".join(map(repr, values))
