@@ -42,10 +42,13 @@ def one_step(
     lower: np.ndarray | float = -np.inf,
     upper: np.ndarray | float = np.inf,
     dtype: torch.dtype = torch.float64,
+    per_radian: np.ndarray | float = 1.0,
 ) -> tuple[Point, Descending]:
     """Points and state after a step against a gradient (batch, 6 + n), within joint limits."""
     count, n = point.q.shape
-    problem = Given(*(torch.as_tensor(np.broadcast_to(side, n).copy(), dtype=dtype) for side in (lower, upper, 1.0)))
+    problem = Given(
+        *(torch.as_tensor(np.broadcast_to(side, n).copy(), dtype=dtype) for side in (lower, upper, per_radian))
+    )
     none = np.zeros(count)
     slots = Slots(np.arange(count), point, Known(gradient), none, point, none, none, none, state)
     after, state = solver.step(problem, slots)

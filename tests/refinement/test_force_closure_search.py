@@ -362,8 +362,13 @@ def test_every_start_of_a_grasp_is_another_one(scene: Scene, prepared: HandObjec
     found = refine(one, config, on_iteration=first, prepared=prepared)
     assert found.starts.tolist() == [5] and len(firsts) == 5
     noise = sample_noise(one, one.T_world_root[[0] * 4], np.zeros(4, dtype=int), np.arange(1, 5), config.seed)
-    turned = exp_so3(START_ROTATION_RAD * noise[:, 3:6]) @ one.T_world_root[0, :3, :3]
-    np.testing.assert_allclose(np.array(firsts)[1:, :3, :3], turned, atol=1e-9)
+    R = exp_so3(START_ROTATION_RAD * noise[:, 3:6])
+    np.testing.assert_allclose(np.array(firsts)[1:, :3, :3], R @ one.T_world_root[0, :3, :3], atol=1e-9)
+    # They turn about the links that touch in the input grasp.
+    touching = goal_of(one, config.contact_selection, prepared).touching[0]
+    middle = prepared.chain(one.T_world_root, one.q).T_world_link[0, touching, :3, 3].mean(axis=0)
+    place = middle + R @ (one.T_world_root[0, :3, 3] - middle) + START_TRANSLATION_M * noise[:, :3]
+    np.testing.assert_allclose(np.array(firsts)[1:, :3, 3], place, atol=1e-9)
 
 
 def test_good_grasps_are_not_tried_again(

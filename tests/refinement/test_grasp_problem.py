@@ -16,8 +16,7 @@ from grasp_refine.objects.region import HalfSpace
 from grasp_refine.refinement import variables
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import RESTART_NOISE, GraspProblem, sample_noise
-from grasp_refine.refinement.solvers.iterate import Point, minimise
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
+from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.rows import NEAR_DISTANCE_M
 from grasp_refine.refinement.terms.term import State
 from grasp_refine.refinement.terms.weights import Weights
@@ -196,35 +195,6 @@ def test_a_pose_that_is_not_finite_has_no_loss_and_spoils_no_other(examples: Sce
 
 
 # steps
-
-
-def test_no_trial_leaves_the_joint_limits_or_the_box(examples: Scene) -> None:
-    """Hands that begin at their limits, on the way to targets that they cannot reach within them."""
-    allegro = examples.hand
-    scene = aimed_at(around_object(allegro, 6, 14), 4, 15)
-    rng = np.random.default_rng(16)
-    q = np.where(rng.random(scene.q.shape) < 0.5, allegro.lower, allegro.upper)
-    scene = replace(scene, q=q)
-    problem = GraspProblem(scene, goal_of(scene, ContactSelection()), Config())
-    trials: list[np.ndarray] = []
-    moves: list[np.ndarray] = []
-    plain = problem.integrate
-
-    def recorded(member: np.ndarray, point: Point, dx: np.ndarray) -> Point:
-        after = plain(member, point, dx)
-        trials.append(after.q)
-        moves.append(after.T[:, :3, 3] - point.T[:, :3, 3])
-        return after
-
-    problem.integrate = recorded
-    found = minimise(problem, point_of(scene), LevenbergMarquardt(iterations=60, restarts=2), 1e-10)
-    seen, steps = np.concatenate(trials), np.concatenate(moves)
-    assert (seen >= allegro.lower).all() and (seen <= allegro.upper).all()
-    assert (seen == allegro.lower).any() and (seen == allegro.upper).any()
-    assert (found.loss[:, 1] < found.loss[:, 0]).all()
-    # Restarts are no steps.
-    length = np.linalg.norm(steps, axis=1)
-    assert (length <= MAX_STEP[0] * (1 + 1e-12)).mean() > 0.9
 
 
 def test_steps_that_move_the_root_too_far_are_shortened_as_a_whole(gripper: Hand) -> None:

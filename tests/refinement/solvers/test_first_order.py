@@ -13,6 +13,7 @@ from grasp_refine.refinement.solvers.adam import Adam
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.first_order import FirstOrder
 from grasp_refine.refinement.solvers.iterate import Point, minimise
+from grasp_refine.refinement.solvers.status import Status
 from refusals import refused
 from twists import log_se3
 
@@ -40,8 +41,12 @@ def change(before: Point, after: Point) -> np.ndarray:
 
 @pytest.mark.parametrize("phase", [0, 1, 2])
 def test_descent_moves_translation_rotation_and_joints_each_by_their_own_length(phase: int) -> None:
+    """Slides by 0.1 m per radian."""
     point, gradient = points(20)
-    moved = change(point, one_step(PAPER, point, gradient, first_state(PAPER, point, phase))[0])
+    unit = np.array([1.0, 0.1, 1.0, 1.0, 0.1])
+    after, _ = one_step(PAPER, point, gradient, first_state(PAPER, point, phase), per_radian=unit)
+    moved = change(point, after)
+    moved[:, 6:] /= unit
     scale = (1.0, *PAPER.factors)[phase]
     for part, length in ((slice(0, 3), 1e-3), (slice(3, 6), 1e-2), (slice(6, None), 2e-2)):
         direction = gradient[:, part] / np.linalg.norm(gradient[:, part], axis=1, keepdims=True)
@@ -149,6 +154,25 @@ def test_steps_shrink_after_their_shares_of_the_iterations() -> None:
     start = Point(np.eye(4)[None], np.array([[5.0]]))
     minimise(Slope(*joint), start, solver, 0.0, on_iteration=lambda member, point, loss: path.append(point.q[0, 0]))
     np.testing.assert_allclose(-np.diff(path) / solver.step_joints, [1.0] * 5 + [0.1] * 3 + [0.01], rtol=1e-9)
+
+
+class Level(Slope):
+    """Losses that never fall."""
+
+    def evaluate(self, member: np.ndarray, point: Point, previous: Evaluated | None) -> Evaluated:
+        return replace(super().evaluate(member, point, previous), loss=np.ones(len(member)))
+
+
+def test_where_losses_no_longer_fall_steps_shrink_and_the_last_ones_end_it() -> None:
+    """Three steps of each length, the patience, before half of the iterations are over."""
+    solver, path = Descent(iterations=100, patience=3, factors=(0.1, 0.01)), []
+    joint = (torch.tensor([value], dtype=torch.float64) for value in (-100.0, 100.0, 1.0))
+    start = Point(np.eye(4)[None], np.array([[5.0]]))
+    found = minimise(
+        Level(*joint), start, solver, 0.0, on_iteration=lambda member, point, loss: path.append(point.q[0, 0])
+    )
+    assert found.status[0] == Status.STALLED and found.iterations[0] == 1 + 3 * 3
+    np.testing.assert_allclose(-np.diff(path) / solver.step_joints, [1.0] * 3 + [0.1] * 3 + [0.01] * 3, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
