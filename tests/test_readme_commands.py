@@ -82,17 +82,6 @@ def test_every_command_line_can_be_read(
     assert len(said) <= 1
 
 
-def test_a_command_line_with_an_unknown_option_would_be_seen(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-):
-    checked_options(monkeypatch)
-    assert main(ours("refine-grasp run --hnad leap")) == 2
-    assert "unrecognized options" in capfd.readouterr().err
-    assert ours("dask worker") is None
-    (wrapped,) = commands_of('sbatch --wrap "refine-grasp batch sets/ --hand leap"')
-    assert ours(wrapped) == ["batch", "sets/", "--hand", "leap"]
-
-
 # recipes
 
 
@@ -127,16 +116,6 @@ def test_the_recipes_of_the_readme_are_as_in_the_guides():
     shown = [ours(command) for block in blocks("sh", text) for command in commands_of(block)]
     told = [command for guide in RECIPES for command in recipe(guide)]
     assert len(shown) >= 5 and [command for command in shown if command not in told] == []
-
-
-def test_the_dataset_of_ones_own_is_a_grasp_file(newcomer: Path):
-    mine, given = (
-        load_grasps(path)
-        for path in (newcomer / "my_grasps.npz", resource_dir("robots") / "allegro" / "example_rounded_box.npz")
-    )
-    assert (mine.hand, set(mine.object), set(mine.scale)) == ("my_hand", {"my_object"}, {1.0})
-    np.testing.assert_allclose(transform_from_pose(mine.hand_pose), transform_from_pose(given.hand_pose), atol=1e-12)
-    assert set(mine.joint_names) == set(given.joint_names)
 
 
 @pytest.mark.slow

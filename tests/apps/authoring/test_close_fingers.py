@@ -28,15 +28,12 @@ from grasp_refine_apps.authoring.close_fingers import (
     EXAMPLES,
     HANDS,
     OPEN_RAD,
-    Approach,
     HandObjectDistances,
     close,
-    disturb,
     example_grasps,
     main,
     sample_touching,
 )
-from refusals import refused
 
 HAND = load_hand("allegro")
 
@@ -125,21 +122,6 @@ def test_half_of_them_lose_the_object_before_refinement(hand: str, name: str):
     assert not held[[0, 2]].any()
 
 
-def test_the_palm_comes_from_where_the_approach_says():
-    point = (0.01, 0.02, 0.03)
-    for approach, outward, index_finger in (
-        (Approach(point, azimuth=0), [1, 0, 0], [0, 0, 1]),
-        (Approach(point, azimuth=90), [0, 1, 0], [0, 0, 1]),
-        (Approach(point, azimuth=90, roll=180), [0, 1, 0], [0, 0, -1]),
-        (Approach(point, azimuth=0, elevation=90), [0, 0, 1], [-1, 0, 0]),
-    ):
-        T = approach.pose()
-        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
-        np.testing.assert_allclose(T[:3, 0], -np.array(outward), atol=1e-12)
-        np.testing.assert_allclose(T[:3, 1], index_finger, atol=1e-12)
-
-
 @pytest.fixture(scope="module")
 def around() -> HandObjectDistances:
     return HandObjectDistances(HAND, embedded("rounded_box"))
@@ -157,10 +139,3 @@ def test_closing_on_nothing_ends_at_the_limits(around: HandObjectDistances):
     moving = [joint for joints in CLOSING_JOINTS.values() for joint in joints]
     assert all(closed[name] == upper[name] for name in moving)
     assert all(closed[name] == OPEN_RAD[name] for name in HAND.joint_names if name not in moving)
-
-
-def test_a_hopeless_approach_is_an_error(around: HandObjectDistances):
-    T = np.eye(4)
-    T[0, 3] = 10.0
-    with refused(RuntimeError, "approach"):
-        disturb(HAND, around, T, opened(HAND)[0], np.random.default_rng(0))

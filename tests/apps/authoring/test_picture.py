@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from PIL import Image
 
-from grasp_refine.assets.embedded import resource_dir
 from grasp_refine_apps.authoring import picture
 
 
@@ -16,13 +12,6 @@ def reds_and_greens(half: np.ndarray) -> tuple[int, int]:
     """How many pixels of a picture are in the two colours of marks."""
     r, g, b = half.astype(int).transpose(2, 0, 1)
     return int(((r > 150) & (g < 80) & (b < 80)).sum()), int(((g > 110) & (r < 90) & (b < 110)).sum())
-
-
-def test_the_file_is_small_and_of_its_size():
-    path = Path(resource_dir("robots")) / "allegro" / "example.png"
-    with Image.open(path) as image:
-        assert image.size == (2 * picture.WIDTH, picture.HEIGHT)
-    assert path.stat().st_size < 250_000
 
 
 def test_the_script_draws_bad_contacts_left_and_good_ones_right(monkeypatch: pytest.MonkeyPatch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import sys
-import tracemalloc
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -165,15 +164,6 @@ def test_no_text_of_a_csv_is_run_by_a_spreadsheet(tmp_path: Path):
         assert pyarrow.parquet.read_table(tmp_path / "index.parquet")["object"].to_pylist() == [name]
 
 
-def test_texts_are_kept_once_in_parquet(tmp_path: Path):
-    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    write(tmp_path / "index.parquet", [made_up_rows(1000)])
-    schema = parquet.read_schema(tmp_path / "index.parquet")
-    for name, kind in column_kinds().items():
-        assert pyarrow.types.is_dictionary(schema.field(name).type) == (kind == "text")
-    assert list(column_kinds())[-2:] == ["cpu_s", "wall_s"], "what differs between runs comes last"
-
-
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_the_same_rows_give_the_same_bytes_however_they_are_cut(
     ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -204,15 +194,6 @@ def test_an_index_of_nothing_has_heads_only(ending: str, tmp_path: Path):
         assert pyarrow.parquet.read_table(path).column_names == list(column_kinds())
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_full_disk_is_reported_in_one_line(ending: str, tmp_path: Path):
-    path = tmp_path / f"index.{ending}"
-    path.symlink_to("/dev/full")
-    with refused(GraspRefineError, f"index.{ending}", "No space left on device"):
-        write(path, [made_up_rows(20_000)])
-
-
 def test_where_the_index_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pyarrow")
     assert index_path(tmp_path, "auto") == index_path(tmp_path, "parquet") == tmp_path / "index.parquet"
@@ -224,21 +205,3 @@ def test_where_the_index_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         index_path(tmp_path, "parquet")
     with refused(GraspRefineError, ".csv", ".parquet"), index_writer(tmp_path / "index.xlsx"):
         pass
-
-
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_memory_does_not_grow_with_the_rows(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module, "ROW_GROUP_SIZE", 256)
-    part = made_up_rows(64)
-
-    def peak(shards: int) -> int:
-        tracemalloc.start()
-        with index_writer(tmp_path / f"index.{ending}") as add:
-            for _ in range(shards):
-                add(part)
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
-
-    peak(8)
-    assert peak(80) < 1.2 * peak(8) + 50_000

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine_apps.batch.jobs import KEYS, Job, read_jobs
+from grasp_refine_apps.batch.jobs import Job, read_jobs
 from grasp_refine_apps.commands.inputs import Inputs
 from refusals import refused
 
@@ -70,12 +70,6 @@ def test_folders_behind_links_are_looked_into_once(folder: Path, tmp_path_factor
     (other / "back").symlink_to(folder)
     (folder / "link").symlink_to(other)
     assert [job.name for job in jobs(folder)] == ["b9", "b10", "deep/b9", "deep/er/c", "link/far"]
-
-
-def test_a_folder_can_be_one_job(folder: Path):
-    (job,) = read_jobs([str(folder)], Inputs(), together=True)
-    assert job.inputs.grasps == folder
-    assert job.named
 
 
 def test_names_win_over_folders_beside_the_list(folder: Path):
@@ -203,17 +197,6 @@ def test_what_is_wrong_in_a_toml_list_is_reported_with_its_place(folder: Path, t
 )
 def test_what_is_wrong_in_a_csv_list_is_reported_with_its_place(folder: Path, text: str, named: tuple[str, ...]):
     assert_problem(listed(folder, text, "jobs.csv"), *named)
-
-
-def test_lists_that_are_not_there_and_empty_folders_are_reported(tmp_path: Path):
-    assert_problem(tmp_path / "none.toml", "none.toml", "TOML", "No such file")
-    assert_problem(tmp_path / "none.csv", "none.csv", "CSV", "No such file")
-    assert_problem(tmp_path, tmp_path, ".npz")
-
-
-def test_a_job_can_say_every_input_but_which_grasps():
-    assert {"grasps", "hand", "object", "objects", "scale", "targets"} <= set(KEYS)
-    assert "index" not in KEYS
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "~nobody-is-called-so/x", "a\\u0000b"])

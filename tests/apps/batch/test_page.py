@@ -16,8 +16,8 @@ from batch_rows import document, failure, made_up_rows
 from drawn_charts import bars, paths, tooltips
 from grasp_refine.measures.measures import COMPARED, MEASURES
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine_apps.batch.chart import CHARTED, WIDTH_IN, chart, statistics_row
-from grasp_refine_apps.batch.page import MAX_KINDS, MAX_SHARDS_PER_KIND, page, view_command
+from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
+from grasp_refine_apps.batch.page import MAX_KINDS, page, view_command
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.words import NONE
@@ -89,12 +89,6 @@ def test_the_page_is_whole_and_fetches_nothing():
     assert checked.tags["svg"] == len(CHARTED) and checked.tags["img"] == 2
 
 
-def test_the_same_input_gives_the_same_bytes():
-    assert page(document(), some(), [Picture(case(), PNG, PNG)]) == page(
-        document(), some(), [Picture(case(), PNG, PNG)]
-    )
-
-
 def test_counts_are_as_in_the_statistics():
     found = some(
         made_up_rows(
@@ -132,27 +126,10 @@ def test_a_case_says_where_it_is_and_how_to_see_it():
     assert "view" in COMMANDS
 
 
-def test_failures_are_reported_by_reason():
-    failed = [
-        failure(None, "x.npz: not an .npz grasp file", "refused"),
-        *(failure(k, "ended with SIGKILL", "crashed") for k in range(MAX_SHARDS_PER_KIND + 5)),
-        failure(99),
-    ]
-    said = words_of(page(document(failed=failed), some(), ()))
-    assert_names(said, "26 shards", "1 job", "5 more", "part 3", "2 times", "out/3.npz", "Traceback of <99>")
-    crashed, torn = said.index("crashed : ended with SIGKILL (25 shards)"), said.index("error : torn.obj: has holes")
-    assert crashed < torn and "refused : x.npz: not an .npz grasp file (1 job)" in said
-
-
 def test_the_page_stays_small_whatever_failed():
     failed = [failure(k, f"mesh {k}.obj has holes") for k in range(5000)]
     html = page(document(failed=failed), some(), ())
     assert len(html) < 150_000 and f"{5000 - MAX_KINDS} more" in words_of(html)
-
-
-def test_a_batch_of_nothing_has_a_page():
-    html = page(document(failed=[failure(0)]), Statistics.empty(), ())
-    assert "0 grasps" in html and "<svg" not in html and not Checker(html).problems
 
 
 def test_names_and_messages_cannot_become_html():
@@ -184,14 +161,6 @@ def test_bars_are_as_high_as_shares_and_hovering_says_them():
     assert 0.85 < (mark[0, 0] - left) / (right - left) < 0.96, "at a quality of 0.9"
 
 
-def test_what_is_nothing_stands_apart_and_what_is_huge_is_not_lost():
-    found = some(made_up_rows(4, penetration_m_before=[1e-3, 1e-3, 5.0, 5.0], penetration_m_after=0.0))
-    svg = chart(MEASURES["penetration_m"], found.distributions)
-    assert ">~0</text>" in svg and heights(svg, "c0") == [1.0] and heights(svg, "line") == [0.5, 0.5]
-    assert tooltips(svg)[0] == "below 0.0001 mm: 0.0 % before, 100.0 % after"
-    assert re.search(r" or more mm: 50\.0 %", tooltips(svg)[-1])
-
-
 def test_the_worst_is_at_the_end_where_a_measure_is_worse():
     values = np.arange(1, 101) / 100
     found = some(made_up_rows(100, quality_after=values, penetration_m_after=values / 100, quality_before=np.nan))
@@ -199,25 +168,3 @@ def test_the_worst_is_at_the_end_where_a_measure_is_worse():
     assert set(before) == {NONE} and after.astype(float) == pytest.approx([0.505, 0.5, 0.05, 0.01], abs=0.011)
     depth = statistics_row(MEASURES["penetration_m"], found.distributions)[4:]
     assert [float(text) for text in depth] == pytest.approx([5.05, 5.0, 9.5, 10.0], rel=0.06), "millimetres"
-
-
-def test_what_nobody_measured_is_not_drawn():
-    found = some(made_up_rows(4, moved_palm_m=np.nan, contact_error_m_before=np.nan))
-    assert chart(MEASURES["moved_palm_m"], found.distributions) == ""
-    assert heights(chart(MEASURES["contact_error_m"], found.distributions), "line") == []
-
-
-@pytest.mark.parametrize("name", ["quality", "wrench_residual", "penetration_m", "moved_palm_rad"])
-def test_any_values_can_be_drawn(name: str):
-    """One measure of each unit: from 0 to 1, without unit, in metres and in radians."""
-    measure = MEASURES[name]
-    *_, after = columns = [*measure.entries.values()]
-    for values in ([0.0], [1e-12, 1e6], [3e-3], np.geomspace(1e-9, 1e2, 50), [1.0, np.nan]):
-        found = some(made_up_rows(len(values), **(dict.fromkeys(columns, np.nan) | {after: np.array(values)})))
-        svg = chart(measure, found.distributions)
-        assert "nan" not in svg and "inf" not in svg and not Checker(svg).problems
-        known = int(np.isfinite(values).sum())
-        assert sum(float(re.findall(r"(\S+) %", tip)[-1]) for tip in tooltips(svg)) == pytest.approx(100, abs=known)
-        assert heights(svg, "c0") and not heights(svg, "line")
-        places = np.concatenate(paths(svg, "fill: "))
-        assert places.min() >= 0 and places[:, 0].max() <= 72 * WIDTH_IN

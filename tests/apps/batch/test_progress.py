@@ -75,26 +75,6 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
         assert len(said(console)) == 3
 
 
-def test_nothing_is_left_when_all_is_done_or_failed(clock: Clock):
-    console = plain()
-    with Progress(console, shards(2), 2, clock=clock) as progress:
-        progress.done(*done(0, 10, 5))
-        clock.now += 60.0
-        progress.failed(shard(1, Path(), 10), Failed("error", "torn.obj: has holes", "", 1))
-    assert said(console)[-2:] == [
-        "job, part 1 failed (error): torn.obj: has holes",
-        "10/20 grasps refined, 10.0 grasps/min, 50.0 % good, 1 shard failed",
-    ]
-
-
-def test_held_grasps_are_counted_where_they_are_simulated(clock: Clock):
-    console = plain()
-    with Progress(console, shards(1), 1, simulated=True, clock=clock) as progress:
-        clock.now += PRINT_INTERVAL_S
-        progress.done(*done(0, 10, 9, held=(2, 4)))
-    assert said(console)[-1].endswith(", 40.0 % held")
-
-
 def test_names_and_messages_are_no_markup(clock: Clock):
     console = plain()
     with Progress(console, shards(1), 1, clock=clock) as progress:
@@ -141,22 +121,6 @@ def test_no_line_is_wider_than_the_terminal_and_many_workers_are_counted(clock: 
     shown = picture(progress, 60)
     assert len(shown) == 2 + 8 + 1 and max(map(len, shown)) <= 60
     assert shown[-1].strip() == "and 12 more" and shown[2].endswith("…")
-
-
-def test_without_shards_only_what_takes_a_while_is_picture():
-    progress = Progress(plain(), (), 1)
-    progress.wait("planning 1/3: sets")
-    assert picture(progress) == ["⠋ planning 1/3: sets"]
-
-
-def test_a_terminal_is_cleaned_up(clock: Clock):
-    file = io.StringIO()
-    console = Console(file=file, width=80, highlight=False, force_terminal=True)
-    with pytest.raises(KeyboardInterrupt), Progress(console, shards(1), 1, clock=clock) as progress:
-        progress.heartbeat(0, "refining", 0.5)
-        raise KeyboardInterrupt
-    # The cursor is hidden while the bar moves, and is back.
-    assert file.getvalue().count("\x1b[?25l") == file.getvalue().count("\x1b[?25h") == 1
 
 
 def test_a_terminal_is_not_flooded_with_failures(clock: Clock):

@@ -141,15 +141,6 @@ def test_what_is_too_deep_or_no_array_is_no_result_of_a_batch(tmp_path: Path):
     assert noted_failure(one) is None
 
 
-def test_a_record_too_deep_is_reported_by_the_index(tmp_path: Path):
-    one = shard(tmp_path)
-    one.path.parent.mkdir()
-    texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array("[" * 10**5)}
-    np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
-    with refused(GraspRefineError, one.path, "provenance", "JSON"):
-        read_rows(one, tmp_path)
-
-
 @pytest.mark.parametrize(
     "provenance",
     [
@@ -168,13 +159,4 @@ def test_a_record_that_no_batch_has_written_is_damaged(tmp_path: Path, provenanc
     texts = dict.fromkeys(TEXTS, np.array(["x"])) | {"provenance": np.array(json.dumps(provenance))}
     np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
     with refused(GraspRefineError, one.path, "provenance"):
-        read_rows(one, tmp_path)
-
-
-def test_a_status_that_is_no_list_is_refused(tmp_path: Path):
-    one = shard(tmp_path)
-    one.path.parent.mkdir()
-    texts = dict.fromkeys(TEXTS, np.array("x")) | {"provenance": np.array("{}")}
-    np.savez(one.path, **(dict.fromkeys(NEEDED, np.zeros(1)) | texts))
-    with refused(GraspRefineError, one.path, "status"):
         read_rows(one, tmp_path)

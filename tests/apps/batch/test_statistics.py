@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from batch_rows import made_up_rows
-from command_line import subprocess_environment
 from grasp_refine.measures.measures import METRE
 from grasp_refine_apps.batch import statistics as module
 from grasp_refine_apps.batch.histogram import Histogram
@@ -117,11 +112,6 @@ def test_no_grasps_have_no_statistics():
     assert found.all.count == 0 and found.by_pair()[0] == [] and found.worst() == () and found.totals()["n"] == 0
 
 
-def test_a_file_with_several_objects_is_split():
-    found = statistics(made_up_rows(4, object=np.array(["mug", "cup", "mug", "mug"])))
-    assert {pair: tally.count for pair, tally in found.by_pair()[0]} == {("allegro", "mug"): 3, ("allegro", "cup"): 1}
-
-
 def test_of_too_many_objects_the_worst_are_kept(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "MAX_PAIRS", 10)
     found = Statistics.empty()
@@ -134,14 +124,6 @@ def test_of_too_many_objects_the_worst_are_kept(monkeypatch: pytest.MonkeyPatch)
     assert [name for (_, name), _ in pairs[:2]] == ["o03", "o17"] and len(pairs) == 4
     assert sum(tally.count for _, tally in pairs) + rest.count == found.all.count == 240
     assert sum(tally.failures for _, tally in pairs) + rest.failures == found.all.failures
-
-
-def test_the_same_rows_give_the_same_statistics_to_the_last_bit():
-    parts = [made_up_rows(7, number, seed=3) for number in range(9)]
-    a, b = statistics(*parts), statistics(*parts)
-    for name, its in a.distributions.items():
-        assert its.mean == b.distributions[name].mean and its.quantile(0.95) == b.distributions[name].quantile(0.95)
-    assert a.worst() == b.worst() and a.by_pair() is not b.by_pair()
 
 
 # Worst cases
@@ -209,39 +191,3 @@ def test_the_worst_of_many_files_are_found_wherever_they_are():
         if seen[i // 30] <= MAX_CASES_PER_PAIR and len(taken) < NUM_CASES:
             taken.append((i // 30, i % 30))
     assert [(case.shard, case.row) for case in statistics(*parts).worst()] == taken
-
-
-# Memory
-
-
-PEAKS = """
-import sys, tracemalloc
-import numpy as np
-from batch_rows import made_up_rows
-from grasp_refine_apps.batch import statistics
-from grasp_refine_apps.batch.rows import Rows
-
-statistics.MAX_PAIRS = 50
-plain = made_up_rows(16).columns
-
-def peak(shards):
-    tracemalloc.start()
-    found = statistics.Statistics.empty()
-    for number in range(shards):
-        found.add(Rows(plain | {"shard": np.full(16, float(number)), "object": np.full(16, f"object {number}")}))
-    grown = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return grown
-
-print(peak(20), peak(100), peak(300))
-"""
-"""Peaks of the memory by number of shards, in a process where no annotation is checked: the checker remembers."""
-
-
-def test_memory_does_not_grow_with_the_rows():
-    environment = subprocess_environment()
-    path = os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parents[2])])
-    command = [sys.executable, "-c", PEAKS]
-    found = subprocess.run(command, env=environment | {"PYTHONPATH": path}, check=True, capture_output=True, text=True)
-    _, few, many = map(int, found.stdout.split())
-    assert many < 1.2 * few

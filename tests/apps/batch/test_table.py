@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import io
 
-import numpy as np
 import pytest
 from rich.console import Console
 
-from batch_rows import document, failure, made_up_rows
-from grasp_refine.results.document import settings
-from grasp_refine.scene.protocols.graspqp import GRASPQP
+from batch_rows import document, made_up_rows
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.table import batch_table
 
@@ -48,21 +45,6 @@ def test_a_line_for_each_object_and_one_for_all():
     assert lines[-1] == "12.0 grasps/s, at most 512 MiB a process"
 
 
-def test_a_rule_other_than_all_directions_is_reported():
-    lines = printed(document(config={"protocol": settings(GRASPQP)}), some(1))
-    assert any(line.startswith("held in simulation (graspqp, in at least 3 of 6 directions): ") for line in lines)
-
-
-def test_without_simulation_it_is_reported_what_converged():
-    found = Statistics.empty()
-    found.add(
-        made_up_rows(4, held_before=np.nan, held_after=np.nan, status=["converged", "stalled", "no target", "budget"])
-    )
-    lines = printed(document(), found)
-    assert "verged" in lines[1] and not any("simulation" in line for line in lines)
-    assert "1 was not refined: 1 no target" in lines
-
-
 @pytest.fixture(scope="module")
 def large() -> Statistics:
     """Of many grasps, with long names."""
@@ -79,21 +61,3 @@ def test_no_number_is_cut_and_no_line_too_long(width: int, large: Statistics):
     names = "".join(line.split("  ")[0] for line in lines)
     assert "a-long-name-of-an-object-0123456789" in names
     assert any("12\u202f345" in line and line.endswith("100.00") for line in lines)
-
-
-def test_of_many_objects_most_are_together():
-    lines = printed(document(), some(30))
-    assert sum("object-" in line for line in lines) == 20
-    (others,) = (line for line in lines if line.startswith("10 others"))
-    assert others.split()[2] == "100"
-
-
-def test_failures_are_named_up_to_twenty():
-    failed = [failure(None, "x.npz: not an .npz grasp file", "refused"), *(failure(k, "[red]no") for k in range(24))]
-    lines = printed(document(failed=failed), some(1))
-    assert "24 shards and 1 job failed:" in lines
-    assert "  part None: refused: x.npz: not an .npz grasp file" in lines and "  part 0: error: [red]no" in lines
-    assert sum(line.startswith("  part") for line in lines) == 20
-    assert "  and 5 more, in the JSON summary and the report" in lines
-    crashed = printed(document(failed=[failure(3, "SIGKILL", "crashed")]), some(1))
-    assert "1 shard failed:" in crashed and "  part 3: crashed, 2 times: SIGKILL" in crashed

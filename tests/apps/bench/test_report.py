@@ -37,10 +37,6 @@ def test_numbers_are_shown_in_their_unit(column: Column, texts: list[str]):
     assert [column.text(row) for row in ROWS] == texts
 
 
-def test_numbers_that_are_not_finite_are_missing():
-    assert Column("x", "x").text({"x": float("inf")}) == Column("x", "x").text({"x": float("nan")}) == "–"
-
-
 @pytest.mark.parametrize(("better", "best"), [("higher", "75.0"), ("lower", "50.0"), (None, None)])
 def test_the_best_of_a_column_stands_out(better: Any, best: str | None):
     assert Column("share", "hits", "%", ".1f", better).best(ROWS) == best
@@ -97,22 +93,3 @@ def test_a_page_holds_everything_and_escapes_names():
     assert "&lt;b&gt;" in text and "it &lt;broke&gt;" in text and "bench &lt;x&gt;" in text
     assert "terminal" not in text
     assert "hits at all, %" in text and "CPU, ms" in text and "gap" not in text.partition("<body>")[2]
-
-
-def test_a_chart_repeats_itself_in_the_colours_of_the_page():
-    pytest.importorskip("matplotlib")
-    svg = chart().svg()
-    assert svg == chart().svg() and "var(--c0)" in svg and "var(--c1)" in svg and "#0067a5" not in svg
-    assert 'aria-label="Hits over time"' in svg and not re.search(r' (width|height)="[^"]*pt"', svg.split(">")[0])
-    for words in ("line 0", "line 1", "a level", "panel", "100 s", "20 %"):
-        assert words in svg, words
-
-
-def test_a_number_below_the_least_is_drawn_there_with_a_hollow_marker():
-    pytest.importorskip("matplotlib")
-    none = chart(y=(Axis("y", "hits", "%", log=False),)).svg()
-    assert chart().svg().count("var(--page)") > none.count("var(--page)")
-
-
-def test_a_chart_without_points_is_empty():
-    assert Chart("", [], Axis("x", ""), (Axis("y", ""),), lambda row: "").svg() == ""

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 
-import refusals
 from asset_server import serving
 from command_line import refused
 from grasp_refine.assets.cache import asset_folder
-from grasp_refine.assets.manifest import Asset, read_manifest
+from grasp_refine.assets.manifest import read_manifest
 from grasp_refine.assets.names import all_assets, choose_asset, find_asset
-from grasp_refine.core.errors import AssetError
 from grasp_refine.geometry.cache import default_cache
 from grasp_refine_apps.cli import main
 from refusals import assert_names
@@ -64,28 +62,6 @@ def test_names_mean_what_they_seem_to(name: str, means: str):
         assert find_asset(name, other) is None
 
 
-@pytest.mark.parametrize("asset", all_assets(), ids=lambda asset: asset.full_name)
-def test_every_full_name_and_plain_name_means_its_asset(asset: Asset):
-    assert choose_asset(asset.full_name) is asset
-    assert find_asset(asset.name, asset.kind) is asset
-
-
-@pytest.mark.parametrize("name", ["", "/", "hands/", "_", "ana", "nothing", "hands/banana", "../leap", "leap.urdf"])
-def test_other_names_mean_nothing(name: str):
-    for kind in ("hands", "objects", "grasps"):
-        if not (name == "hands/banana" and kind == "objects"):
-            assert find_asset(name, kind) is None
-    with refusals.refused(AssetError, name, "refine-grasp assets list", "75"):
-        choose_asset(name)
-
-
-def test_a_name_that_may_be_several_lists_them():
-    with refusals.refused(AssetError, "'mug'", "objects/libero_red_coffee_mug, objects/libero_white_yellow_mug"):
-        find_asset("mug", "objects")
-    with refusals.refused(AssetError, "ycb_011_bananna", "ycb_011_banana"):
-        choose_asset("ycb_011_bananna")
-
-
 # list
 
 
@@ -118,10 +94,6 @@ def test_list_takes_a_kind_or_a_part_of_a_name(which: str, count: int, capsys: p
     assert len(json.loads(Path("list.json").read_text())["assets"]) == count
     out = capsys.readouterr().out
     assert f"{count} assets" in out and "GRASP_REFINE_ASSETS" in out
-
-
-def test_list_refuses_what_fits_nothing(capfd: pytest.CaptureFixture[str]):
-    assert_names(refused(capfd, "assets", "list", "zzz"), "zzz", "hands, objects, grasps")
 
 
 # fetch
@@ -158,34 +130,12 @@ def test_fetch_needs_the_licence_accepted_before_anything_is_fetched(
     assert "CC BY-NC 4.0 (non-commercial)" in capfd.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ((), ("NAME",)),
-        (("leep",), ("leep", "leap", "75")),
-        (("leap", "nothing"), ("nothing", "75")),
-    ],
-)
-def test_fetch_refuses_names_before_anything_is_fetched(
-    mirror: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], named: tuple[str, ...]
-):
-    assert_names(refused(capfd, "assets", "fetch", *arguments), "refine-grasp assets list", *named)
-
-
 def test_fetch_says_in_one_line_that_nobody_answers(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
     with serving(Path()) as server:
         address = server.address
     monkeypatch.setenv("GRASP_REFINE_ASSETS", address)  # nobody listens there any more
     assert main(["assets", "fetch", "leap_cube"]) == 2
     assert_names(capfd.readouterr().err, "127.0.0.1", "Connection refused", "3 times", "GRASP_REFINE_ASSETS=")
-
-
-def test_fetch_from_a_web_server(shared_assets: Path, monkeypatch: pytest.MonkeyPatch):
-    with serving(shared_assets) as server:
-        monkeypatch.setenv("GRASP_REFINE_ASSETS", server.address)
-        assert main(["assets", "fetch", "leap_cube", "banana"]) == 0
-        assert sum(server.asked.values()) == 3
-    assert main(["assets", "verify", "leap_cube", "banana"]) == 0
 
 
 # verify
@@ -220,18 +170,3 @@ def test_verify_finds_what_is_damaged(mirror: Path, capsys: pytest.CaptureFixtur
     assert main(["assets", "fetch", "barrett", "leap_cube"]) == 0
     assert (barrett / "barrett.urdf").read_bytes() == content
     assert main(["assets", "verify"]) == 0
-
-
-def test_verify_of_what_is_not_here_fails(capsys: pytest.CaptureFixture[str]):
-    assert main(["assets", "verify", "leap"]) == 1
-    assert "refine-grasp assets fetch hands/leap\n" in capsys.readouterr().out
-
-
-def test_verify_refuses_names(capfd: pytest.CaptureFixture[str]):
-    assert_names(refused(capfd, "assets", "verify", "leep"), "leep", "leap")
-
-
-def test_a_mirror_that_does_not_exist_is_said(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):
-    monkeypatch.setenv("GRASP_REFINE_ASSETS", "/nowhere")
-    for words in (("list",), ("fetch", "leap")):
-        assert_names(refused(capfd, "assets", *words), "GRASP_REFINE_ASSETS=/nowhere", "http://", "https://")

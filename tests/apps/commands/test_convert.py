@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import typing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,9 @@ from command_line import refused
 from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.leap_cache import LeapCache
-from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
 from grasp_refine.hands.hand import load_hand
 from grasp_refine_apps.cli import main
-from grasp_refine_apps.commands.format_names import FormatName
 from refusals import assert_names
 
 
@@ -151,14 +148,6 @@ def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.C
     assert not Path("x.npz").exists()
 
 
-def test_a_single_grasp_may_be_a_single_file(file: Path):
-    save_npz(Path("one.npz"), load_grasps(file).select([1]).arrays())
-    assert main(["convert", "one.npz", "one.npy", "--to", "dexgraspbench"]) == 0
-    assert load_content(Path("one.npy"))["obj_scale"] == 0.5
-    assert main(["convert", "one.npz", "one.npy", "--to", "bodex", "--overwrite"]) == 0
-    assert load_content(Path("one.npy"))["robot_pose"].shape == (1, 1, 3, 23)
-
-
 def test_the_hand_decides_where_joints_have_no_names(file: Path, capfd: pytest.CaptureFixture[str]):
     assert main(["convert", "grasps.npz", "bench", "--to", "dexgraspbench"]) == 0
     for path in Path("bench").rglob("*.npy"):
@@ -214,13 +203,6 @@ def test_two_micrometres_are_found_out_and_places_that_are_none(
     assert not Path("other_s10.npy").exists()
 
 
-def test_objects_that_are_read_otherwise_are_said(file: Path, capsys: pytest.CaptureFixture[str]):
-    save_npz(Path("odd.npz"), load_grasps(file).select([0]).arrays() | {"object": np.array(["set/mug"])})
-    assert main(["convert", "odd.npz", "bench", "--to", "dexgraspbench"]) == 0
-    (note,) = [line for line in capsys.readouterr().err.splitlines() if "set/mug" in line]
-    assert_names(note, "'set/mug'", "'mug'", "scale 1")
-
-
 def test_bad_input(file: Path, capfd: pytest.CaptureFixture[str]):
     def check(arguments: tuple[str | Path, ...], *named: str | Path) -> None:
         assert_names(refused(capfd, "convert", *arguments), *named)
@@ -257,15 +239,6 @@ def test_what_is_there_is_kept(file: Path, capfd: pytest.CaptureFixture[str]):
     assert_names(refused(capfd, "convert", file, "folder", "--to", "bodex", "--overwrite"), "folder: ")
 
 
-def test_no_two_objects_share_a_file(file: Path):
-    grasps = load_grasps(file).select([0, 0, 0, 0])
-    names = {"object": np.array(["a/b", "a_b", "a b", "a b"]), "scale": np.array([0.061, 0.061, 0.061, 0.064])}
-    save_npz(Path("alike.npz"), grasps.arrays() | names)
-    for to in ("dexgraspbench", "dexonomy", "bodex"):
-        assert main(["convert", "alike.npz", to, "--to", to]) == 0
-        assert len(list(Path(to).rglob("*.npy"))) == 4
-
-
 class Call:
     """Makes a folder when it is unpickled."""
 
@@ -280,10 +253,6 @@ def test_a_file_that_would_run_code_is_refused_and_does_not(workplace: Path, cap
     assert not Path("made").exists()
 
 
-def test_the_option_takes_every_format():
-    assert set(typing.get_args(FormatName)) == {known.name for known in FORMATS}
-
-
 @pytest.mark.parametrize("to", ["isaac_grasp", "multidex", "graspqp", "lightning_grasp", "multigripper"])
 def test_formats_of_other_generators_there_and_back(to: str, file: Path):
     before, there = load_grasps(file), "there.pt" if to == "multidex" else "there"
@@ -295,20 +264,3 @@ def test_formats_of_other_generators_there_and_back(to: str, file: Path):
     precision = 1e-15 if to in ("isaac_grasp", "multigripper") else 2e-7
     np.testing.assert_allclose(after.q[order][:, columns], before.q, atol=precision)
     np.testing.assert_allclose(after.hand_pose[order], before.hand_pose, atol=precision)
-
-
-def test_a_hand_that_is_not_at_hand(workplace: Path, capfd: pytest.CaptureFixture[str]):
-    gripper = {"gripper": "sawyer", "object_id": "mug", "pose": [[0.1, 0, 0, 1, 0, 0, 0]], "dofs": [[0.01, -0.01]]}
-    Path("sawyer-mug.json").write_text(json.dumps(gripper))
-    for source, to, output in (
-        ("sawyer-mug.json", "isaac_grasp", "a.yaml"),
-        ("a.yaml", "ours", "b.npz"),
-        ("b.npz", "multigripper", "c.json"),
-    ):
-        assert main(["convert", source, output, "--to", to]) == 0
-        out, error = capfd.readouterr()
-        assert "poses and joints" in out and "hand 'sawyer' is unknown here" in error
-    assert json.loads(Path("c.json").read_text()) == gripper
-    # Whatever needs the hand asks for it.
-    message = refused(capfd, "convert", "b.npz", "x", "--to", "bodex")
-    assert_names(message, "'sawyer'", "finger_joint1")

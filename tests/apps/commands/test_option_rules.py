@@ -17,22 +17,12 @@ from grasp_refine_apps.commands.options import parse
 from grasp_refine_apps.commands.run import Run
 from grasp_refine_apps.commands.settings import Settings
 
-MOST_SHOWN = 70
-"""Largest number of options that the help of a command shows."""
-
 
 def shown(capsys: pytest.CaptureFixture[str], *words: str) -> set[str]:
     """The options that the help of a command line shows."""
     with pytest.raises(SystemExit):
         main([*words, "--help"])
     return set(re.findall(r"^. (--[a-z][\w.-]*)", capsys.readouterr().out, re.MULTILINE))
-
-
-@pytest.mark.parametrize("command", ["run", "batch", "validate", "view"])
-def test_help_shows_no_more_than_people_read(command: str, capsys: pytest.CaptureFixture[str]):
-    options = shown(capsys, command)
-    assert len(options) <= MOST_SHOWN and {"--hand", "--object", "--table"} <= options
-    assert not [option for option in options if "." in option], "they act on one solver only"
 
 
 def test_options_of_a_method_appear_where_it_is_chosen(capsys: pytest.CaptureFixture[str]):

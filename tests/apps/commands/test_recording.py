@@ -82,18 +82,8 @@ def test_sizes_of_an_object_have_files_of_their_own(world: World, group: Group, 
     ]
 
 
-def test_files_with_the_same_grasps_have_folders_of_their_own() -> None:
-    recording = Recording(Path("replays"))
-    assert Recording().folders([Path("a.npz")]) == ()
-    assert recording.folders([Path("a.npz")]) == (Path("replays"),)
-    files = [Path("before/a b.npz"), Path("after/a b.npz"), Path("a_b_2.npz"), Path("c.npz")]
-    assert [folder.name for folder in recording.folders(files)] == ["a_b", "a_b_2", "a_b_2_2", "c"]
-    assert all(folder.parent == Path("replays") for folder in recording.folders(files))
-
-
 @pytest.mark.parametrize(
-    ("function", "kind", "count"),
-    [("commands.recording.export_xml", "XML", 2), ("report.film.film", "film", 4)],
+    ("function", "kind", "count"), [("commands.recording.export_xml", "XML", 2), ("report.film.film", "film", 4)]
 )
 def test_what_cannot_be_exported_or_drawn_is_said_and_the_rest_is_recorded(
     world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: str, kind: str, count: int
@@ -107,23 +97,6 @@ def test_what_cannot_be_exported_or_drawn_is_said_and_the_rest_is_recorded(
         assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz", kind, "geom g:")
     assert [load_replay(path).reason for path in tmp_path.glob("*.npz")] == ["held", "held"]
     assert len(names(tmp_path)) == count
-
-
-def test_a_replay_that_cannot_be_written_is_said(world: World, group: Group, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    lines = recorded(Recording(tmp_path, direction="+x"), group, world, tmp_path / "file")
-    assert len(lines) == 2
-    assert_names(lines[0], "ball 2: +x held", f"{tmp_path}/file/gripper_ball_2_+x.npz")
-
-
-def test_a_trial_that_cannot_start_is_said(world: World, group: Group, tmp_path: Path) -> None:
-    q = MOTION.q.copy()
-    q[0, 0] = 0.02
-    motion = replace(MOTION, q=q)
-    trials = simulate(world, motion)
-    line, _ = Recording(tmp_path).record(group, world, motion, trials, "gripper", tmp_path)
-    assert_names(line, "ball 2")
-    assert names(tmp_path) and not [name for name in names(tmp_path) if "_2_" in name]
 
 
 def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
@@ -145,14 +118,6 @@ def test_replays_that_exist_are_kept(problems: list[Problem], tmp_path: Path, su
             recording.check(DEXGRASPBENCH, FILES, problems, overwrite=False)
         replace(recording, film=False).check(DEXGRASPBENCH, FILES, problems, overwrite=True)
     Recording(tmp_path, direction="+y").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
-
-
-def test_only_directions_that_there_are_can_be_recorded(problems: list[Problem]) -> None:
-    Recording(Path("replays"), direction="lift").check(TABLETOP, FILES, problems, overwrite=False)
-    with refused(GraspRefineError, "--direction +x", "lift"):
-        Recording(Path("replays"), direction="+x").check(TABLETOP, FILES, problems, overwrite=False)
-    with refused(GraspRefineError, "--direction lift", "+x, -x, +y, -y, +z, -z"):
-        Recording(Path("replays"), direction="lift").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
 
 
 def test_a_lift_is_recorded_from_the_pregrasp_to_the_top(group: Group, tmp_path: Path) -> None:

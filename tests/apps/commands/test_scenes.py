@@ -7,21 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from grasp_refine.scene.scene_file import list_scenes
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
 
 EXAMPLE = Path(__file__).parents[3] / "robots" / "allegro" / "example_mug.npz"
 QUICK = ("--hand", "allegro", "--grasps", "sample:2", "--starts", "1")
-
-
-def test_scenes_are_listed_with_their_objects(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["scenes", "--json", str(tmp_path / "list.json")]) == 0
-    printed = capfd.readouterr().out
-    entries = json.loads((tmp_path / "list.json").read_text())["scenes"]
-    assert [entry["name"] for entry in entries] == list(list_scenes()) and len(entries) == 10
-    assert all(entry["name"] in printed and entry["object"] for entry in entries)
 
 
 def test_a_scene_of_ones_own_is_checked(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

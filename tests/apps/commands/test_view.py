@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -24,7 +23,6 @@ from grasp_refine.geometry.pieces import Cut, cut_meshes
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.objects import object as object_module
-from grasp_refine.refinement.force_closure_search import PHASES
 from grasp_refine.validation.replay.replay import load_replay
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands import view
@@ -68,11 +66,6 @@ def test_results_are_opened_with_their_input_grasps_and_verdicts(results: Path) 
     assert state.collection.columns["held"].values.tolist() == ["failed", "held"]
 
 
-def test_a_report_alone_opens_the_file_that_it_is_about(results: Path) -> None:
-    state = opened(results / "report.json").state
-    assert len(state.collection) == 2 and len(state.collection.trials) == 2
-
-
 def test_a_replay_is_opened_with_its_motion(results: Path) -> None:
     path = next((results / "replays").rglob("*.npz"))
     state = opened(path).state
@@ -84,40 +77,11 @@ def test_a_replay_is_opened_with_its_motion(results: Path) -> None:
     assert np.isfinite(state.pose.q).all() and np.abs(state.pose.q - shown).max() > 1e-3
 
 
-@pytest.mark.parametrize(
-    ("files", "named"),
-    [
-        (("missing.npz",), ("missing.npz",)),
-        (("one.npz", "two.npz"), ("one.npz", "two.npz")),
-        (("note.json",), ("note.json", "JSON")),
-        (("other.json",), ("other.json", "--json")),
-        (("empty",), ("empty", ".npz")),
-    ],
-)
-def test_what_cannot_be_opened_is_said_in_one_line(
-    workplace: Path, capsys: pytest.CaptureFixture[str], files: tuple[str, ...], named: tuple[str, ...]
-) -> None:
-    (workplace / "note.json").write_text("not json")
-    (workplace / "other.json").write_text('{"command": "hands"}')
-    (workplace / "empty").mkdir()
-    assert main(["view", *files, "--port", "0", "--no-open"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("refine-grasp: error: ") and error.count("\n") == 1
-    assert_names(error, *named)
-
-
 def test_options_that_cannot_be_are_refused_before_anything_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--margin", "-1", "--port", "0", "--no-open"]) == 2
     assert_names(capsys.readouterr().err, "--margin", "-1")
     with refused(GraspRefineError, "one.npz", "two.npz"):
         opened(Path("one.npz"), inputs=Inputs(grasps=Path("two.npz")))
-
-
-def test_a_taken_port_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        assert main(["view", "--port", port, "--no-open"]) == 2
-    assert_names(capsys.readouterr().err, f"127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
@@ -232,20 +196,9 @@ def test_only_the_object_that_is_shown_is_cut(several: Path, monkeypatch: pytest
         viewer.close()
 
 
-def test_units_of_all_objects_are_checked_before_any_is_cut(several: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(object_module, "cut_meshes", None)
-    trimesh.load(several / "meshes" / "three.stl").apply_scale(1000.0).export(several / "meshes" / "three.stl")
-    with refused(GraspRefineError, "three", "`unit="):
-        View(files=(several / "grasps.npz",), inputs=Inputs(objects=several / "meshes"))._controller()
-
-
 @pytest.mark.parametrize(
     ("unsaved", "signals", "told"),
-    [
-        (2, (signal.SIGINT, signal.SIGINT), "2 grasps"),
-        (0, (signal.SIGINT,), ""),
-        (2, (signal.SIGTERM,), ""),
-    ],
+    [(2, (signal.SIGINT, signal.SIGINT), "2 grasps"), (0, (signal.SIGINT,), ""), (2, (signal.SIGTERM,), "")],
 )
 def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
     unsaved: int,
@@ -264,14 +217,3 @@ def test_ctrl_c_asks_once_for_grasps_that_are_not_saved(
     view._wait(SimpleNamespace(state=SimpleNamespace(num_unsaved=unsaved)))
     assert next(coming, None) is None
     assert (told in capsys.readouterr().err) if told else capsys.readouterr().err == ""
-
-
-def test_settings_of_the_command_line_are_as_in_the_page() -> None:
-    controller = View(settings=Settings(geometry_only=True))._controller()
-    try:
-        controller.refinement.start()
-        settled(controller)
-        assert controller.state.settings.geometry_only and controller.state.outcome is not None
-        assert not any(phase.name in label for phase in PHASES for label in controller.state.trace.label)
-    finally:
-        controller.close()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.core.errors import AssetError, GraspRefineError
+from grasp_refine.core.errors import AssetError
 from grasp_refine.geometry.body import Body, build_body
 from grasp_refine.geometry.pieces import capsule, sphere
 from grasp_refine.geometry.shapes import EMBEDDED
@@ -45,12 +45,6 @@ def sizes(pairs: list[BodyPair]) -> list[tuple[str, float, float]]:
     return [(pair.name, pair.a.diagonal, pair.b.diagonal) for pair in pairs]
 
 
-def distance_to_surface(body: Body, points: np.ndarray) -> np.ndarray:
-    """How far points (N, 3) are from the nearest surface of a piece (polytopes only)."""
-    signed = [(points @ n.T - offset).max(axis=1) for n, offset in (piece.planes for piece in body.pieces)]
-    return np.abs(np.stack(signed)).min(axis=0)
-
-
 @pytest.mark.parametrize("body", [convex_body(1, 20), cluster_body(2, 3), ROUNDED], ids=lambda body: body.name)
 @pytest.mark.parametrize("diagonal", [0.01, 0.3])
 def test_a_normalised_body_has_its_diagonal_about_its_origin(body: Body, diagonal: float):
@@ -65,24 +59,6 @@ def test_a_normalised_body_has_its_diagonal_about_its_origin(body: Body, diagona
     np.testing.assert_array_equal(made.candidates.normals, body.candidates.normals)
     np.testing.assert_allclose([p.radius for p in made.pieces], [p.radius * factor for p in body.pieces])
     assert made.name == body.name
-
-
-def test_candidates_of_a_normalised_body_stay_on_its_surface():
-    made = normalised(cluster_body(2, 3), 0.08)
-    assert distance_to_surface(made, made.candidates.points).max() < 1e-12
-
-
-def test_normalising_again_changes_nothing():
-    once = normalised(convex_body(3, 20), 0.1)
-    twice = normalised(once, 0.1)
-    np.testing.assert_allclose(once.pieces[0].vertices, twice.pieces[0].vertices, atol=1e-15)
-
-
-def test_the_same_seed_draws_the_same_pairs():
-    sources = mesh_sources(None)
-    assert sizes(drawn(sources)) == sizes(drawn(sources))
-    assert sizes(drawn(sources)) != sizes(drawn(sources, seed=1))
-    assert sizes(drawn(sources, count=2)) == sizes(drawn(sources))[:2]
 
 
 def test_pairs_are_of_different_objects_at_sizes_of_the_range():
@@ -100,18 +76,6 @@ def test_pairs_are_of_different_objects_at_sizes_of_the_range():
     assert abs(diagonals.mean() - 0.5 * (low + high)) < 3 * (high - low) / np.sqrt(12 * diagonals.size)
 
 
-def test_convex_bodies_are_one_piece_and_concave_ones_several(folder: Path):
-    usable: list[str | Path] = [folder / "two.obj", folder / "apart.STL"]
-    (convex,), (concave,) = drawn(usable, count=1), drawn(usable, "concave", count=1)
-    assert (convex.kind, concave.kind) == ("convex", "concave")
-    assert len(convex.a.pieces) == len(convex.b.pieces) == 1
-    assert len(concave.a.pieces) == len(concave.b.pieces) == 2
-    # The hull closes the gap between both parts.
-    gap = next(body for body in (convex.a, convex.b) if body.name == "two")
-    normals, offsets = gap.pieces[0].planes
-    assert (offsets > 0).all() and len(gap.candidates.points) == 64
-
-
 def test_what_cannot_be_used_is_reported_and_left_out(folder: Path):
     said: list[str] = []
     pairs = draw_pairs(mesh_sources(folder), "convex", 6, 0, say=said.append, candidates=64)
@@ -123,24 +87,6 @@ def test_what_cannot_be_used_is_reported_and_left_out(folder: Path):
     pairs = draw_pairs(mesh_sources(folder), "concave", 3, 0, say=said.append, candidates=64)
     assert {body.name for pair in pairs for body in (pair.a, pair.b)} == {"two", "apart"}
     assert [line for line in said if re.search(r"\bbox\b", line)] == []
-
-
-@pytest.mark.parametrize(
-    ("kind", "names", "named"),
-    [
-        ("convex", ["box.obj", "broken.ply"], ("1 of 2",)),
-        ("convex", ["box.obj"], ("1 of 1",)),
-        ("concave", ["box.obj", "two.obj"], ("1 of 2", "--kinds")),
-    ],
-)
-def test_too_few_usable_meshes_are_counted(kind: str, names: list[str], named: tuple[str, ...], folder: Path):
-    with refused(GraspRefineError, kind, *named):
-        drawn([folder / name for name in names], kind)
-
-
-def test_a_folder_gives_its_meshes_by_name(folder: Path):
-    assert mesh_sources(None) == list(EMBEDDED)
-    assert [Path(source).name for source in mesh_sources(folder)] == ["apart.STL", "box.obj", "broken.ply", "two.obj"]
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,8 @@ import pytest
 from alignment_errors import errors_at
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box, hull
-from grasp_refine.refinement.solvers.iterate import Point
-from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
-from grasp_refine_apps.bench.align.levenberg_marquardt import (
-    TOLERANCE_M2,
-    AlignProblem,
-    run_levenberg_marquardt,
-)
+from grasp_refine_apps.bench.align.levenberg_marquardt import TOLERANCE_M2, run_levenberg_marquardt
 from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
@@ -54,20 +48,6 @@ def test_it_solves_tasks_and_reports_how_many_queries_each_took(pair: BodyPair, 
     assert asked == 1.0 if pair is PAIR else asked > 1.0
 
 
-def test_the_same_seed_gives_the_same_poses_and_another_one_other_starts():
-    tasks = accepted(OTHER, 9)
-    solver = Variant.least_squares(budget=60)
-    runs = [run_levenberg_marquardt([OTHER], [tasks], solver).T_world_b for _ in range(2)]
-    np.testing.assert_array_equal(runs[0], runs[1])
-    problems = [AlignProblem([OTHER], [tasks], 0.0, seed) for seed in (0, 1)]
-    now = Point(tasks.T_world_b, np.zeros((len(tasks), 0)))
-    members = np.arange(len(tasks))
-    for number in (2, 3, 4):
-        starts = np.full(len(tasks), number)
-        first, other = (problem.restart(members, starts, now, now).T for problem in problems)
-        assert (np.abs(first - other).max(axis=(1, 2)) > 1e-5).all()
-
-
 @pytest.mark.parametrize("pair", [PAIR, CONCAVE], ids=["convex", "concave"])
 def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
     tasks = accepted(pair, 9)
@@ -81,21 +61,11 @@ def test_what_comes_of_a_task_does_not_depend_on_the_others(pair: BodyPair):
         np.testing.assert_allclose(alone.T_world_b[0, 0], together.T_world_b[i, 1], rtol=0, atol=1e-3)
 
 
-def test_a_pair_of_fewer_tasks_repeats_them_without_running_them():
-    few = [accepted(PAIR, 6), accepted(OTHER, 6).take(np.arange(2))]
-    result: AlignmentResult = run_levenberg_marquardt([PAIR, OTHER], few, Variant.least_squares(budget=30))
-    assert result.error.shape == (len(few[0]), 2)
-    assert (result.iterations[2:, 1] == 0).all() and (result.iterations[:2, 1] > 0).all()
-    np.testing.assert_array_equal(result.error[2:4, 1], result.error[:2, 1])
-
-
 def test_the_patch_solves_targets_on_faces():
     tasks = accepted(BOXES, 40, ("face-face",))
     plain, patch = (
         run_levenberg_marquardt(
-            [BOXES],
-            [tasks],
-            Variant.least_squares(budget=200, witness=witness, epsilon=1e-5, with_closed_form=True),
+            [BOXES], [tasks], Variant.least_squares(budget=200, witness=witness, epsilon=1e-5, with_closed_form=True)
         )
         for witness in ("plain", "patch")
     )
@@ -119,9 +89,3 @@ def test_targets_at_nearly_flat_vertices_are_reached(degrees: float):
     assert (run_levenberg_marquardt([pair], [tasks], solver).error < 1e-12).all()
     alone = run_levenberg_marquardt([pair], [tasks], replace(solver, solver="levenberg-marquardt"))
     assert (alone.error > 1e-12).any()
-
-
-def test_progress_grows_to_one_at_most():
-    shares: list[float] = []
-    run_levenberg_marquardt([PAIR], [accepted(PAIR, 9)], Variant.least_squares(budget=60), progress=shares.append)
-    assert shares == sorted(shares) and 0.0 < shares[0] and shares[-1] <= 1.0

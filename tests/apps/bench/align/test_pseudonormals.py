@@ -71,8 +71,3 @@ def test_of_several_pieces_the_nearest_surface_counts():
     here, there = box([0.02] * 3), sphere(0.01, [0.05, 0.0, 0.0])
     points = np.array([[0.01, 0.0, 0.0], [0.04, 0.0, 0.0]])
     np.testing.assert_allclose(pseudonormals([here, there], points), [[1, 0, 0], [-1, 0, 0]], atol=1e-12)
-
-
-def test_beside_the_surface_the_nearest_face_counts():
-    points = np.array([[0.001, 0.002, 0.011], [0.001, 0.002, 0.009], [0.0105, 0.002, 0.012]])
-    np.testing.assert_allclose(pseudonormals([box([0.02] * 3)], points), [[0, 0, 1]] * 3, atol=1e-12)

@@ -94,13 +94,6 @@ def test_a_weighted_summary_is_that_of_the_tasks_it_stands_for(seed: int):
     assert summary(errors, 2.5 * weights)["d9"] == found["d9"]
 
 
-def test_deciles_and_levels_by_hand():
-    found = summary(np.array([9e-9, 1e-8, 5e-7, 1e-6, 2.0, 3.0, 4.0, 5.0, 6.0, np.inf]))
-    assert found == {"targets": 10, "acc_1e6": 0.3, "acc_1e8": 0.1, "d5": 2.0, "d9": 6.0}
-    assert summary(np.array([7.0])) == {"targets": 1, "acc_1e6": 0.0, "acc_1e8": 0.0, "d5": 7.0, "d9": 7.0}
-    assert summary(np.zeros(0)) == {"targets": 0, "acc_1e6": None, "acc_1e8": None, "d5": None, "d9": None}
-
-
 # Rows
 
 
@@ -128,36 +121,6 @@ def test_rows_have_the_keys_of_the_contract():
     json.loads(dumps(found))
 
 
-def test_what_a_method_ignores_is_null():
-    for method, neighborhood, coupling in (
-        ("direction", "adaptive", "one-sided"),
-        ("analytical", None, "one-sided"),
-        ("contact-kinematics", "adaptive", None),
-        ("rigid", None, None),
-        ("finite-difference", None, None),
-        ("zeroth-order", None, None),
-    ):
-        row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant(method))], 1, "float32")[0]
-        assert (row["neighborhood"], row["coupling"], row["dtype"]) == (neighborhood, coupling, "float32")
-
-
-def test_what_the_closed_form_is():
-    row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant.closed_form())], 1, "float32")[0]
-    settings = {"method": None, "solver": "closed-form", "neighborhood": None, "coupling": None, "transport": False,
-                "step_size": None, "budget": 1, "budget_s": None, "margin": 1e-3, "dtype": "float64"}  # fmt: skip
-    assert row.items() >= settings.items()
-    variant = Variant.closed_form()
-    assert variant.at(500) == variant and Variant().at(500) == Variant(budget=500)
-
-
-def test_what_levenberg_marquardt_is():
-    row = rows([done([plain(1)], np.ones((1, 1)), variant=Variant.least_squares(budget=500))], 1, "float32")[0]
-    settings = {"method": "contact-kinematics", "solver": "levenberg-marquardt", "neighborhood": None,
-                "coupling": None, "transport": False, "step_size": None, "optimise": "T2", "budget": 500,
-                "budget_s": None, "margin": 1e-3, "witness": "plain", "patch": None, "dtype": "float64"}  # fmt: skip
-    assert row.items() >= settings.items()
-
-
 def test_the_patch_judges_the_same_tasks_beside_the_plain_witness():
     face = CLASSES.index("face-face")
     tasks = tasks_of([0, 0, face, face], [True, False, True, True], [True] * 4, [1.0] * 4)
@@ -172,16 +135,6 @@ def test_the_patch_judges_the_same_tasks_beside_the_plain_witness():
     judged = Variant(epsilon=2e-5)
     row = rows([done([tasks], np.ones((4, 1)), variant=judged, patch_error=patch_error)], 4, "float64")[0]
     assert row["witness"] == "plain" and row["patch"] == pooled["patch"]
-
-
-def test_iterations_are_as_in_each_task_and_padding_has_none():
-    one = done([plain(3), plain(1)], np.ones((3, 2)), cpu_s=1.0, forward_s=0.4, asked=40)
-    one.aligned.iterations[:] = [[10, 20], [2, 0], [8, 0]]
-    row = rows([one], 8, "float64")[0]
-    assert row["iterations_mean"] == row["queries_mean"] == row["narrow_queries_mean"] == 10.0
-    assert row["forward_us"] == pytest.approx(0.4e6 / 40)
-    # One second for four tasks; a pair was to have eight.
-    assert row["cpu_s_per_pair"] == pytest.approx(2.0)
 
 
 def test_accepted_reachable_and_unfiltered_tasks_by_hand():
@@ -211,12 +164,6 @@ def test_face_face_targets_are_counted_apart():
     assert by(alone, pair="all", target_class="all")["targets"] == 3
 
 
-def test_tasks_that_pad_a_shorter_pair_do_not_count():
-    error = np.array([[1e-9, 1e-9], [1e-9, 1.0], [1e-9, 1.0]])
-    found = rows([done([plain(3), plain(1)], error)], 3, "float64")
-    assert (found[0]["targets"], found[0]["acc_1e8"]) == (4, 1.0)
-
-
 def test_times_are_as_in_all_jobs_together():
     group = [
         done([plain(2), plain(2)], np.ones((2, 2)), iterations=100, cpu_s=1.0, asked=800),
@@ -238,23 +185,3 @@ def test_times_are_as_in_all_jobs_together():
 def test_queries_include_the_method_s(method: str, factor: int):
     found = rows([done([plain(2)], np.ones((2, 1)), variant=Variant(method), iterations=70)], 2, "float64")[0]
     assert found["queries_mean"] == factor * found["iterations_mean"] == factor * 70
-
-
-def test_variants_and_kinds_have_rows_of_their_own():
-    one, other = Variant(), Variant(budget=20)
-    found = rows(
-        [
-            done([plain(2)], np.full((2, 1), 1e-9), variant=one),
-            done([plain(2)], np.full((2, 1), 1e-9), variant=other),
-            done([plain(2)], np.ones((2, 1)), variant=one, kind="concave"),
-            done([plain(3)], np.full((3, 1), 1e-9), variant=one),
-        ],
-        2,
-        "float64",
-    )
-    pooled = [row for row in found if (row["pair"], row["target_class"]) == ("all", "all")]
-    assert [(row["kind"], row["budget"], row["targets"], row["pairs"]) for row in pooled] == [
-        ("convex", 2000, 5, 2),
-        ("convex", 20, 2, 1),
-        ("concave", 2000, 2, 1),
-    ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.runner import Alignment, JobResult, alignments
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
-from grasp_refine_apps.bench.jobs import Job, run_jobs
 from shapes_for_tests import cluster_body, convex_body, ring_body
 
 PAIRS = [
@@ -43,10 +41,6 @@ def made(
     return alignments(variants, pairs, tasks, seed=0, dtype="float64", device="cpu", threads=1)
 
 
-def quiet(share: float, what: str) -> None:
-    pass
-
-
 def alone(job: Alignment) -> JobResult:
     """The result of a job that nobody watches."""
     return job.run(lambda share: None)
@@ -70,40 +64,6 @@ def test_each_variant_sees_each_pair_once(tasks: list[Tasks], monkeypatch: pytes
     assert together == [{"concave 1", "concave 2"}, {"concave 0"}] * 2
 
 
-def test_work_grows_with_what_there_is_to_do(tasks: list[Tasks]):
-    (short,), (long,) = (made(tasks[1:2], PAIRS[1:2], (Variant(budget=budget),)) for budget in (10, 20))
-    assert long.work == 2 * short.work > 0
-    (timed,) = made(tasks[1:2], PAIRS[1:2], (Variant(budget=None, budget_s=1.0),))
-    assert timed.work > 0
-    (quick,) = made(tasks[1:2], PAIRS[1:2], (Variant.least_squares(budget=20),))
-    assert 0 < quick.work < long.work
-
-
-def test_pairs_of_fewer_tasks_are_padded_and_cut_again(tasks: list[Tasks]):
-    few = [tasks[1], tasks[2].take(np.arange(4))]
-    (job,) = made(few, PAIRS[1:3], VARIANTS[:1])
-    done = alone(job)
-    assert done.aligned.error.shape == (len(tasks[1]), 2)
-    best, last = done.errors(1)
-    assert len(best) == len(last) == 4
-    (second,) = made(few[1:], PAIRS[2:3], VARIANTS[:1])
-    np.testing.assert_allclose(best, alone(second).errors(0)[0], rtol=1e-6)
-
-
-def test_the_number_type_is_that_of_the_job(tasks: list[Tasks]):
-    (job,) = alignments(VARIANTS[:1], PAIRS[1:2], tasks[1:2], seed=0, dtype="float32", device="cpu", threads=1)
-    single, double = alone(job), alone(made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])[0])
-    difference = np.abs(single.aligned.T_world_b - double.aligned.T_world_b).max()
-    assert 0.0 < difference < 0.1
-
-
-def test_another_process_finds_the_same(tasks: list[Tasks]):
-    (job,) = made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])
-    (found,), problems, _ = run_jobs([Job("there", job.run), Job("broken", replace(job, dtype="float5").run)], 2, quiet)
-    np.testing.assert_array_equal(found.aligned.T_world_b, alone(job).aligned.T_world_b)
-    assert len(problems) == 1 and "float5" in problems[0]
-
-
 @pytest.mark.parametrize("method", ["distance", "analytical", "rigid", "finite-difference", "zeroth-order"])
 def test_reported_queries_were_made(method: str, tasks: list[Tasks]):
     variant = Variant(method, budget=7)
@@ -124,8 +84,3 @@ def test_final_poses_are_judged_by_queries_of_their_own(make: Callable[..., Vari
         for errors, patch in ((done.errors(p)[0], None), (done.patch_errors(p), Patch(1e-4))):
             expected = errors_at(job.pairs[p], its, T_a, T_b, variant.margin, patch)
             np.testing.assert_allclose(errors, expected, rtol=1e-6, atol=1e-18)
-
-
-def test_without_a_patch_nothing_is_judged_by_it(tasks: list[Tasks]):
-    (job,) = made(tasks[1:2], PAIRS[1:2], VARIANTS[:1])
-    assert alone(job).patch_errors(0) is None

@@ -15,7 +15,6 @@ from grasp_refine_apps.bench.align import tasks as module
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.tasks import (
     ACCEPTED_MISS_M,
-    ACCEPTED_PER_REJECTED,
     CLASSES,
     REACHABLE_MISS_M,
     Tasks,
@@ -51,10 +50,6 @@ def drawn(pair: BodyPair, classes: tuple[str, ...] = PLAIN, count: int = 24, see
     return draw_tasks(pair, classes, count, seed)
 
 
-def same(one: Tasks, other: Tasks) -> bool:
-    return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Tasks))
-
-
 def unit(rng: np.random.Generator, count: int) -> np.ndarray:
     vectors = rng.normal(size=(count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -84,17 +79,6 @@ def test_aligned_poses_put_the_targets_on_each_other_with_opposite_normals():
     np.testing.assert_array_equal(T_b[:, 3], np.broadcast_to([0.0, 0, 0, 1], (N, 4)))
 
 
-def test_roll_turns_about_the_normal():
-    rng = np.random.default_rng(1)
-    T_a = exp_se3(rng.normal(size=(1, 6)))
-    on_a, on_b = ((rng.normal(size=(1, 3)), unit(rng, 1)) for _ in range(2))
-    plain, turned = (aligned_poses(T_a, on_a, on_b, np.array([roll])) for roll in (0.3, 1.0))
-    point, normal = transform_points(T_a, on_a[0])[0], matvec(T_a[:, :3, :3], on_a[1])[0]
-    # The rotation by 0.7 rad about the line through the target along the outward normal of a, on the left.
-    turn = exp_se3(0.7 * np.concatenate([np.cross(point, normal), normal]))
-    np.testing.assert_allclose(turned[0], turn @ plain[0], atol=1e-12)
-
-
 # Targets
 
 
@@ -110,13 +94,6 @@ def test_exposed_vertices_of_a_hull_are_all_of_them_with_outward_normals():
     total = np.cross(b - a, c - a).sum(axis=0)
     np.testing.assert_allclose(normals[k], total / np.linalg.norm(total), atol=1e-12)
     assert (np.einsum("ni,ni->n", points, normals) > 0).all()
-
-
-def test_shared_vertices_are_not_exposed():
-    # Neighbours of the ring share a face of four vertices; each wedge has two more, in the middle of its outer arc.
-    points, _ = exposed_vertices(CONCAVE.a)
-    assert len(points) == 2 * len(CONCAVE.a.pieces)
-    assert (depths(CONCAVE.a, points) < 1e-9).sum(axis=1).max() == 1
 
 
 def test_points_on_faces_are_drawn_evenly():
@@ -186,62 +163,6 @@ def test_the_witness_points_at_the_aligned_pose_decide(pair: BodyPair, monkeypat
     np.testing.assert_array_equal(tasks.accepted, np.array(miss) < ACCEPTED_MISS_M)
     np.testing.assert_array_equal(tasks.reachable, np.array(miss) < REACHABLE_MISS_M)
     assert tasks.accepted.any() and not tasks.accepted.all()
-
-
-def test_rejected_tasks_stand_for_all_that_were_rejected_on_the_way(monkeypatch: pytest.MonkeyPatch):
-    recorded = Recorded(monkeypatch)
-    tasks = draw_tasks(CONCAVE, PLAIN, 60, 7)
-    on_the_way = recorded.all()
-    for index, name in enumerate(PLAIN):
-        kept = tasks.take(np.flatnonzero(tasks.target_class == index))
-        every = on_the_way.take(np.flatnonzero(on_the_way.target_class == index))
-        assert kept.accepted.sum() == 20, name
-        assert (kept.weight[kept.accepted] == 1).all()
-        needed = np.flatnonzero(np.cumsum(every.accepted) == 20)[0] + 1
-        rejected = int((~every.accepted[:needed]).sum())
-        sample = int((~kept.accepted).sum())
-        assert sample == min(rejected, 20 // ACCEPTED_PER_REJECTED)
-        assert kept.weight[~kept.accepted].sum() == pytest.approx(rejected)
-        # Drawn again, one class alone is the same: it depends on nothing but the pair, the class and the seed.
-        assert same(kept, draw_tasks(CONCAVE, (name,), 20, 7))
-    assert (~tasks.accepted).any() and (tasks.weight[~tasks.accepted] > 1).any()
-
-
-def test_classes_share_the_tasks_evenly(task_set: tuple[BodyPair, Tasks]):
-    _, tasks = task_set
-    assert np.bincount(tasks.target_class[tasks.accepted], minlength=4).tolist() == [20] * 4
-    assert (tasks.accepted | ~tasks.reachable).all()
-    uneven = drawn(CONVEX, PLAIN, 10)
-    assert sorted(np.bincount(uneven.target_class[uneven.accepted], minlength=4).tolist()) == [0, 3, 3, 4]
-    few = drawn(CONVEX, PLAIN, 2)
-    assert few.accepted.sum() == 2
-
-
-def test_the_same_seed_draws_the_same_tasks():
-    assert same(drawn(CONVEX), drawn(CONVEX))
-    assert not same(drawn(CONVEX), drawn(CONVEX, seed=1))
-
-
-def test_every_thins_each_class_evenly(task_set: tuple[BodyPair, Tasks]):
-    _, tasks = task_set
-    thin = tasks.every(8)
-    for index in range(4):
-        for accepted in (True, False):
-            full, kept = ((t.target_class == index) & (t.accepted == accepted) for t in (tasks, thin))
-            assert kept.sum() == -(-full.sum() // 8)
-            np.testing.assert_array_equal(tasks.target_a[full][::8], thin.target_a[kept])
-            np.testing.assert_array_equal(tasks.T_world_b[full][::8], thin.T_world_b[kept])
-            # Those that are kept stand for all.
-            assert thin.weight[kept].sum() == pytest.approx(tasks.weight[full].sum())
-    assert same(tasks.every(1), tasks.take(np.arange(len(tasks))))
-
-
-def test_nearly_all_vertices_of_convex_bodies_can_meet():
-    # At the vertices of hulls, planes across the area-weighted normals nearly always have the body on one side.
-    tasks = drawn(CONVEX, ("vertex-vertex",), 200)
-    assert tasks.accepted.sum() == 200
-    assert tasks.reachable[tasks.accepted].mean() > 0.95
-    assert tasks.weight[~tasks.accepted].sum() < 20
 
 
 def test_initial_poses_are_random_and_apart_as_documented():

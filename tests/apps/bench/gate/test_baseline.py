@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import get_args
 
@@ -15,9 +14,7 @@ from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.gate import measures
 from grasp_refine_apps.bench.gate.baseline import (
     BASELINE,
-    COUNT_FACTOR,
     RATIOS,
-    TIME_FACTOR,
     Group,
     Known,
     Ratio,
@@ -26,7 +23,6 @@ from grasp_refine_apps.bench.gate.baseline import (
     load_baseline,
     updated,
 )
-from grasp_refine_apps.commands.bench_gate import gate_table
 from refusals import refused
 
 BY_NAME = {ratio.name: ratio for ratio in RATIOS}
@@ -105,19 +101,6 @@ def test_what_is_measured_is_what_is_judged(engine: str, monkeypatch: pytest.Mon
         assert np.isfinite(list(found.values())).all()
 
 
-def test_ratios_have_names_of_their_own_and_some_room():
-    assert len(BY_NAME) == len(RATIOS) and {ratio.group for ratio in RATIOS} == set(get_args(Group))
-    assert TIME_FACTOR > COUNT_FACTOR > 1.0 and all(ratio.factor > 1.0 or ratio.slack > 0.0 for ratio in RATIOS)
-
-
-def test_what_is_as_it_was_passes_and_is_measured_once():
-    measuring = Measuring(values())
-    verdicts = judged(known(), measuring)
-    assert [one.ratio for one in verdicts] == list(RATIOS)
-    assert [one.ok for one in verdicts] == [None if ratio.native else True for ratio in RATIOS]
-    assert measuring.asked == list(get_args(Group)) and not any(one.again for one in verdicts)
-
-
 @pytest.mark.parametrize("ratio", RATIOS, ids=lambda ratio: ratio.name)
 def test_each_ratio_that_gets_worse_fails(ratio: Ratio):
     before = values(native=True)
@@ -137,35 +120,6 @@ def test_a_disturbed_measurement_is_made_up_for_by_the_next(bad: float):
     assert (one.ratio.name, one.now, one.ok) == ("grasp", values()["grasp"], True)
     twice = judged(known(), Measuring(values() | {"grasp": 100.0}, values() | {"grasp": bad}))
     assert [(one.now, one.ok) for one in twice if one.again] == [(100.0, False)]
-
-
-def test_what_gets_better_passes():
-    better = {name: 2.0 * value if BY_NAME[name].higher else 0.1 * value for name, value in values().items()}
-    assert all(one.ok for one in judged(known(), Measuring(better)) if not one.ratio.native)
-
-
-def test_the_table_says_what_fails(capsys: pytest.CaptureFixture[str]):
-    from rich.console import Console
-
-    verdicts = judged(known(), Measuring(values() | {"steps": 100.0}))
-    Console(width=110).print(gate_table(verdicts).printed())
-    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
-    assert re.search(r"steps +100 +0\.\d+ +≤ 0\.\d+ +FAIL .*\btwice\b", lines["steps"])
-    assert re.search(r"solved +0\.\d+ +0\.\d+ +≥ 0\.\d+ +ok ", lines["solved"])
-    assert re.search(r"engines +– +– +\w", lines["engines"])
-    assert not re.search(r"\b(ok|FAIL)\b", lines["engines"])
-
-
-def test_the_table_says_that_what_it_is_compared_with_may_have_got_faster():
-    worse = Measuring(values() | {"steps": 100.0, "backward": 100.0})
-    table = gate_table(judged(known(), worse)).printed()
-    # Both are measured again, and only the ratio of two times of ours may owe its rise to the other one.
-    said = {
-        name: what.removeprefix(BY_NAME[name].what)
-        for name, what in zip(table.columns[0].cells, table.columns[-1].cells, strict=True)
-    }
-    assert said["backward"].startswith(said["steps"]) and len(said["backward"]) > len(said["steps"]) > 0
-    assert {name for name, more in said.items() if more} == {"steps", "backward"}
 
 
 def test_a_baseline_comes_back_as_it_was_written(tmp_path: Path):
@@ -207,13 +161,6 @@ def test_what_is_no_baseline_is_refused(text: str, named: tuple[str, ...], tmp_p
     path.write_text(text)
     with refused(GraspRefineError, path, *named, UPDATE):
         load_baseline(path, "python")
-
-
-def test_a_file_that_is_no_baseline_is_not_replaced(tmp_path: Path):
-    path = tmp_path / "notes.json"
-    path.write_text('{"mine": 1}')
-    with refused(GraspRefineError, "notes.json", "KeyError", "'schema'"):
-        updated(path, "python", values(), {})
 
 
 @pytest.mark.parametrize("engine", ["python", "native"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,20 +9,15 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from grasp_refine.core.json_files import dumps
 from grasp_refine.measures.geometry import Movement
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.scene.scene import Scene
-from grasp_refine_apps.bench.chart import Chart
 from grasp_refine_apps.bench.grasp.measures import Measures
 from grasp_refine_apps.bench.grasp.rows import contact_errors, rows
 from grasp_refine_apps.bench.grasp.runner import GroupResult, SetResult, SetTask
-from grasp_refine_apps.bench.grasp.study import GraspStudy
 from grasp_refine_apps.bench.grasp.tasks import Tasks
 from grasp_refine_apps.bench.grasp.variants import Kind, Variant
-from grasp_refine_apps.bench.report import Note, Table
 
 NAN = np.nan
 # Of a scene, rows count joints and pieces only.
@@ -114,13 +108,6 @@ def test_depths_are_as_in_all_grasps(nothing: SetResult):
     assert row["status_converged"] == 5 and row["status_stalled"] == 0 and "status_running" not in row
 
 
-def test_what_cannot_be_measured_counts_as_the_worst():
-    lost = part("nothing", "cup", measures([0.02, 0.0]), measures([NAN, 0.0]), [1.0, 1.0])
-    (row,) = rows([done("nothing", [lost])])
-    assert row["penetration_after_worst_m"] == np.inf and row["penetration_after_share_50um"] == 0.5
-    assert row["deep_stuck"] == 1
-
-
 def test_times_are_means_and_their_median_is_reported_where_there_are_several_calls(nothing: SetResult):
     pooled, cup, _ = rows([nothing])
     assert pooled["cpu_ms_per_grasp"] == pytest.approx(3.0)
@@ -155,46 +142,6 @@ def found(nothing: SetResult) -> list[dict[str, Any]]:
     return rows([nothing, *made])
 
 
-def charts(rows: list[dict[str, Any]]) -> list[Chart]:
-    return [part for part in GraspStudy(()).report(rows, ()).parts if isinstance(part, Chart)]
-
-
-def test_rows_are_flat_but_for_shares_and_the_names_of_grasps(found: list[dict[str, Any]]):
-    plain = json.loads(dumps(found))
-    assert len({tuple(row) for row in plain}) == 1
-    for row in plain:
-        deep = {key for key, value in row.items() if isinstance(value, (dict, list))}
-        assert {"cpu_share"} <= deep <= {"cpu_share", "deep_stuck_grasps"}
-
-
-def test_tables_fit_a_narrow_terminal(found: list[dict[str, Any]]):
-    for row in found:
-        row |= {"cpu_ms_per_grasp": 1234.5, "wall_ms_per_grasp": 1234.5, "batch": 256, "iterations_mean": 2000.0}
-        if row["task"] == "nothing":
-            row |= {"deep_stuck": 123, "deep_starts": 1234, "penetration_before_mean_m": 0.0123}
-    console = Console(width=200)
-    with console.capture() as capture:
-        for part in GraspStudy(()).report(found, ()).printed():
-            console.print(part)
-    out = capture.get()
-    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80
-    assert "5 grasps" in out and "123/1234" in out and "budget" in out
-
-
-def test_the_report_draws_a_line_for_each_solver_and_names_deep_starts(found: list[dict[str, Any]]):
-    (chart,) = charts(found)
-    assert list(dict.fromkeys(map(chart.line, chart.rows))) == ["LM", "adam"]
-    assert chart.y[1].least == 0.25 and {row["missed"] for row in chart.rows} == {0.0, 1.0}
-    stuck = [part for part in GraspStudy(()).report(found, ()).parts if isinstance(part, Note)][-1]
-    assert "cup 10, 20.0 mm → 20.00 mm" in stuck.text
-
-
-def test_batch_sizes_are_lines_of_their_own_where_there_are_several():
-    made = [targets(Variant(batch=batch), 1e-9, 1e-3) for batch in (1, 64)] + [targets(Variant("adam"), 1e-9, 1.0)]
-    chart = charts([row for one in made for row in rows([one])])[0]
-    assert list(map(chart.line, chart.rows)) == ["LM, batch 1", "LM, batch 64", "adam"]
-
-
 def test_sizes_rates_and_shares_are_as_in_all_grasps(nothing: SetResult):
     for one, seconds in zip(nothing.parts, (1.0, 3.0), strict=True):
         one.watch.spent["kinematics"].cpu_s, one.watch.spent["forces"].cpu_s = seconds, 1.0
@@ -205,26 +152,3 @@ def test_sizes_rates_and_shares_are_as_in_all_grasps(nothing: SetResult):
     assert list(all_objects["cpu_share"]) == ["kinematics", "broadphase", "narrowphase", "derivative", "solver"]
     assert all_objects["cpu_share"]["kinematics"] == pytest.approx(4.0 / 6.0) and cup["cpu_share"]["solver"] == 0.5
     assert rows([nothing])[0]["grasps_per_s"] is None
-
-
-@pytest.mark.parametrize(
-    ("name", "variants"),
-    [
-        ("contacts", [Variant(contacts=count) for count in (1, 2)]),
-        ("pieces", [Variant(pieces=count) for count in (1, 64)]),
-        ("processes", [Variant(processes=count) for count in (1, 2)]),
-        ("batch", [Variant(batch=size) for size in (1, 256)]),
-    ],
-)
-def test_what_differs_has_a_picture_and_a_column(name: str, variants: list[Variant]):
-    made = [replace(targets(variant, 1e-9, 1e-3 * (k + 1)), span=(0.0, 1.0)) for k, variant in enumerate(variants)]
-    found = [row for one in made for row in rows([one])]
-    chart = charts(found)[-1]
-    assert name in chart.title and chart.line(chart.rows[0]) == "set (3 joints)"
-    assert (chart.y[1].key == "grasps_per_s") == (name == "processes")
-    # A hand with more joints has a picture of its own.
-    other = [{**row, "set": "other", "joints": 9} for row in found]
-    assert ("Cost by joints" in [one.title for one in charts([*found, *other])]) == (name == "contacts")
-    parts = GraspStudy(()).report(found, ()).parts
-    table = next(part for part in parts if isinstance(part, Table) and part.only == "terminal")
-    assert name in [column.head for column in table.columns]

@@ -53,17 +53,3 @@ def test_answers_agree_and_only_what_was_apart_is_warm(found: list[dict[str, Any
         apart = row["poses"] if row["state"] == "near" else 0
         assert row["queries_warm"] == (apart if row["warm"] else 0)
     assert {(row["by"], row["warm"]) for row in found} >= {("python", False), ("python", True), ("coal-reused", False)}
-
-
-def test_counts_are_again_the_same():
-    names = ("by", "warm", "poses", "queries_asked", "pruned", "queries_warm", "distance_error_m")
-    first, again = ([[row[name] for name in names] for row in measured(CASES[1])] for _ in range(2))
-    assert first == again
-
-
-def test_the_bare_loop_asks_what_the_compiled_engine_asks():
-    if "native" not in engines():
-        pytest.skip("the compiled engine is not there")
-    found = measured(CASES[1])
-    native, bare = (next(row for row in found if row["by"] == name) for name in ("native", "bare-loop"))
-    assert bare["queries_asked"] == native["queries_asked"] and 0 < bare["forward_us"]

@@ -5,27 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from grasp_refine.collision.query import QueryStatus, query
+from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import exp_se3
 from grasp_refine.witness.analytical import Analytical
 from grasp_refine.witness.contact_kinematics import ContactKinematics
-from grasp_refine.witness.derivative import Derivative
 from grasp_refine.witness.finite_difference import FiniteDifference
 from grasp_refine.witness.rigid import Rigid
 from grasp_refine.witness.scene import WitnessScene
 from grasp_refine.witness.slip import wrench
-from grasp_refine_apps.bench.stability import cases, derivative
+from grasp_refine_apps.bench.stability import cases
 from grasp_refine_apps.bench.stability.bodies import make_pairs
 from grasp_refine_apps.bench.stability.cases import Task
 from grasp_refine_apps.bench.stability.derivative import Faults, derivative_cells, judged, method_of
-from grasp_refine_apps.bench.stability.motion import Motion, Scene, forms_of, move, rigid_motion, sphere_motion
-from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
+from grasp_refine_apps.bench.stability.motion import Scene, forms_of, move, rigid_motion, sphere_motion
+from grasp_refine_apps.bench.stability.poses import pose_samplers
 from grasp_refine_apps.bench.stability.presets import derivatives_of
 from grasp_refine_apps.bench.stability.rows import wrong
 
@@ -101,44 +99,6 @@ def test_what_is_wrong_is_counted(name: str, kind: cases.Kind) -> None:
         assert found == {**dict.fromkeys(NAMES, 0), "unscaled": 4}
 
 
-def test_a_curvature_per_metre_is_seen() -> None:
-    """Right for hands, and wrong for a body of 1 mm."""
-
-    @dataclass(frozen=True)
-    class PerMetre(ContactKinematics):
-        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
-            inner = replace(ContactKinematics(), smallest_curvature=500.0 * float(scene.length[0]))
-            return inner.pull_back(scene, *forces)
-
-    way = cases.Derivative("contact-kinematics")
-    found = counts(judged(scene("box", "face-face"), way, PerMetre()))
-    assert found == {**dict.fromkeys(NAMES, 0), "unscaled": 4}
-
-
-def test_a_step_in_metres_is_seen() -> None:
-    @dataclass(frozen=True)
-    class InMetres:
-        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
-            return FiniteDifference(step=1e-4 / float(scene.length[0])).pull_back(scene, *forces)
-
-    found = counts(judged(scene("ball", "near"), cases.Derivative("finite-difference", None), InMetres()))
-    assert found["unscaled"] == 4
-
-
-def test_spheres_that_slide_the_wrong_way_are_seen() -> None:
-    """Though points move with the bodies when these move together, and distances are right."""
-
-    @dataclass(frozen=True)
-    class Backwards:
-        def pull_back(self, scene: WitnessScene, *forces: np.ndarray | None) -> Pull:
-            w_a, w_b = ContactKinematics().pull_back(scene, *forces)
-            together = w_a + w_b
-            return 2.0 * together - w_a, -1.0 * together + w_a
-
-    found = counts(judged(scene("ball"), cases.Derivative("contact-kinematics"), Backwards()))
-    assert found["wrong_sign"] == 4 and found["unscaled"] == 0
-
-
 @pytest.mark.parametrize("pair", [0, 1])
 @pytest.mark.parametrize("state", ["near", "gap-1e-6"])
 def test_points_of_spheres_that_do_not_slip_at_all_are_seen(state: cases.State, pair: int) -> None:
@@ -168,21 +128,6 @@ def test_exact_methods_have_to_slip_by_as_much_as_spheres(method: cases.Method, 
     assert counts(judged(scene("ball", state), exact)) == dict.fromkeys(NAMES, 0)
     assert counts(judged(scene("ball", state), exact, TooFar())) == {**dict.fromkeys(NAMES, 0), "wrong_sign": 4}
     assert counts(judged(scene("ball", state), other, TooFar())) == dict.fromkeys(NAMES, 0)
-
-
-@pytest.mark.parametrize(
-    ("status", "name"),
-    [(QueryStatus.FAILED, "failed"), (QueryStatus.FAR, "failed"), (QueryStatus.NOT_FINITE, "not_finite")],
-)
-def test_queries_without_points_are_counted_whatever_the_status(
-    status: QueryStatus, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*asked: Any) -> Motion:
-        found = move(*asked)
-        return replace(found, witness=replace(found.witness, status=np.full(4, status)))
-
-    monkeypatch.setattr(derivative, "move", broken)
-    assert counts(judged(scene("box"), cases.Derivative())) == {**dict.fromkeys(NAMES, 0), name: 4}
 
 
 def test_normals_that_point_the_other_way_are_seen() -> None:
@@ -231,27 +176,3 @@ def test_the_derivatives_of_spheres_are_as_in_their_points() -> None:
     np.testing.assert_allclose(found.covectors[:, :, :6], sphere_motion(one)[:, :, :6], atol=1e-9)
     found = move(one.pairs, FiniteDifference(1e-4), posed.T_a, posed.T_b, one.targets, np.eye(9), torch.float64)
     np.testing.assert_allclose(found.covectors, sphere_motion(one), atol=1e-6)
-
-
-@pytest.mark.parametrize(("diagonal", "factor"), [(1e-3, 64.0), (0.1, 8.0), (10.0, 1 / 64)])
-def test_the_other_size_is_that_of_a_hand_and_rounds_nothing(diagonal: float, factor: float) -> None:
-    one = scene("box", "near", diagonal)
-    assert one.factor == factor
-    np.testing.assert_array_equal(one.other.a[0].pieces[0].vertices, factor * one.pairs.a[0].pieces[0].vertices)
-    np.testing.assert_array_equal(one.other.a[0].candidates.points, factor * one.pairs.a[0].candidates.points)
-    assert 0.03 < one.diagonal * factor < 1.0
-
-
-def test_every_method_has_a_name() -> None:
-    made: dict[str, Derivative] = {way.method: method_of(way) for way in WAYS}
-    assert len({type(method) for method in made.values()}) == len(cases.METHODS)
-    assert (
-        method_of(cases.Derivative("distance", "fixed")).neighborhood
-        != method_of(cases.Derivative("distance")).neighborhood
-    )
-
-
-def test_targets_are_there_for_half_of_the_poses() -> None:
-    given = np.isfinite(np.stack(scene("box").targets)).all(axis=2)
-    assert given.tolist() == [[False, True, False, True]] * 2
-    assert isinstance(scene("box").posed, PosedBodies)

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_refine.collision import engine
 from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
-from grasp_refine.core.errors import GraspRefineError
 from grasp_refine_apps.bench.mujoco_distance import MujocoBodies
 from grasp_refine_apps.bench.stability import forward
 from grasp_refine_apps.bench.stability.bodies import BodyPairs, make_pairs
 from grasp_refine_apps.bench.stability.cases import (
-    DIAGONALS,
-    KINDS,
     STATE_DISTANCES,
     STATE_DISTANCES_M,
     STATES,
@@ -24,7 +20,6 @@ from grasp_refine_apps.bench.stability.cases import (
     Kind,
     State,
     Task,
-    diagonals_of,
 )
 from grasp_refine_apps.bench.stability.forward import forward_cells
 from grasp_refine_apps.bench.stability.judging import AnswerFaults, judge, tolerance
@@ -32,27 +27,6 @@ from grasp_refine_apps.bench.stability.poses import PosedBodies, pose_samplers
 from grasp_refine_apps.bench.stability.rows import wrong
 
 PYTHON = Forward(engine="python")
-
-
-@pytest.mark.parametrize("diagonal", [1e-6, 0.1, 10.0])
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_larger_body_of_a_pair_has_the_diagonal(kind: Kind, diagonal: float):
-    made = make_pairs(kind, diagonal, 0)
-    assert made.pairs
-    for a, b in made.pairs:
-        assert max(a.diagonal, b.diagonal) == pytest.approx(diagonal, rel=1e-12)
-
-
-def test_kinds_are_what_they_are_called():
-    made = {kind: make_pairs(kind, 0.1, 0).pairs for kind in KINDS}
-    assert [len(body.pieces[0].vertices) for body in made["hull1000"][0]] == [1000, 300]
-    assert [len(body.pieces) for body in made["concave40"][0]] == [40, 40]
-    thickness = np.ptp(made["plate"][0][0].pieces[0].vertices, axis=0) / 0.1
-    assert thickness.min() == pytest.approx(1e-4) and thickness.max() > 0.7
-    copies = made["near-duplicates"][0][0].pieces[0].vertices / 0.1
-    gaps = np.linalg.norm(copies[:, None] - copies, axis=2)[np.triu_indices(len(copies), 1)]
-    assert gaps.min() < 1e-7 and 8 < len(copies)
-    assert diagonals_of("box")[0] == 1e-6 and diagonals_of("ball") == DIAGONALS
 
 
 def test_a_body_without_thickness_is_refused_and_counted():
@@ -100,17 +74,6 @@ def test_features_lie_against_each_other(kind: Kind):
             assert not found.truth.unique[touching].any()
     assert pose_samplers(make_pairs("ball", 1.0, 0), Task("ball", 1.0, ()))[0].pose("edge-edge", 4) is None
     assert not list(forward_cells(Task("ball", 0.1, ("face-face",), (PYTHON,))))
-
-
-def test_poses_are_the_same_again_and_others_with_another_seed():
-    made = make_pairs("box", 0.1, 0)
-    again, other = (pose_samplers(made, Task("box", 0.1, (), seed=seed))[0].pose("near", 8) for seed in (0, 1))
-    first = pose_samplers(made, Task("box", 0.1, ("far", "near")))[0].pose("near", 8)
-    np.testing.assert_array_equal(first.T_b, again.T_b)
-    assert not np.array_equal(first.T_b, other.T_b)
-    T_a, T_b = first.moved(1e3)
-    np.testing.assert_allclose(np.linalg.norm(T_a[:, :3, 3] - first.T_a[:, :3, 3], axis=1), 1e3, rtol=1e-12)
-    np.testing.assert_allclose(T_b[:, :3, 3] - T_a[:, :3, 3], first.T_b[:, :3, 3] - first.T_a[:, :3, 3], atol=1e-12)
 
 
 def test_the_tolerance_is_the_one_that_was_agreed():
@@ -192,35 +155,6 @@ def test_points_may_slide_by_what_the_error_of_the_distance_allows_and_no_more()
     assert counts(slack) == {} and slack.points_error[one(found)] < 1.0
 
 
-def test_gaps_that_are_reported_as_contact_are_counted_and_are_no_fault():
-    made, found = posed("box", 0.1, "gap-1e-9", 16)
-    pairs = Pairs(*((body,) for body in made.pairs[0]), engine="python")
-    right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs
-    before = judged(right)
-    # In contact, the length of a normal changes no point.
-    assert counts(judged(right, normal=lambda n: 1.001 * n)) == {"wrong_points": 1}
-    touching = {"distance": lambda _: 0.0, "status": lambda _: QueryStatus.PENETRATING}
-    after = judged(right, **touching)
-    assert counts(after) == {} and after.collapsed.sum() == before.collapsed.sum() + 1
-    # What rounding of the poses cannot tell is none.
-    (T_a, T_b), w = found.moved(1e6), right[0]
-    shut = replace(w, distance=np.zeros(16), point_b=w.point_a, status=np.full(16, QueryStatus.PENETRATING))
-    move = (T_a - found.T_a)[:, :3, 3]
-    shut = replace(shut, point_a=w.point_a + move, point_b=w.point_a + move)
-    assert not judge(shut, found.truth, pairs.piece_pairs, T_a, T_b, 0.1).collapsed.any()
-
-
-def test_points_that_are_not_the_only_ones_have_to_be_on_the_bodies():
-    made, found = posed("box", 0.1, "face-face", 16, pair=1)
-    pairs = Pairs(*((body,) for body in made.pairs[1]), engine="python")
-    right = query(pairs, found.T_a[:, None], found.T_b[:, None]).pairs(0), found, pairs
-    assert not found.truth.unique.any() and counts(judged(right)) == {}
-    # Along the faces, but beyond their ends.
-    along = np.cross(right[0].normal[-1], [0.3, 0.5, 0.8])
-    beyond = {name: lambda x: x + along for name in ("point_a", "point_b")}
-    assert counts(judged(right, **beyond)) == {"wrong_points": 1}
-
-
 def test_a_wrong_answer_of_the_query_is_counted_in_its_cell(monkeypatch: pytest.MonkeyPatch):
     def broken(*asked: Any) -> Witness:
         found = query(*asked)
@@ -236,39 +170,6 @@ def test_a_wrong_answer_of_the_query_is_counted_in_its_cell(monkeypatch: pytest.
     assert [cell.wrong_distance for cell in bad] == [1, 0] * 2
     assert bad[0].error_max == pytest.approx(1e-3 / tolerance(0.1, np.array([0.0]))[0], rel=0.3)
     assert bad[0].where == "box 0a and box 0b: pose 0 of 4" and right[0].where is right[0].refusal is None
-
-
-def test_ways_to_ask():
-    ways = (PYTHON, Forward("float32", engine="python"), Forward(batch=1, engine="python"))
-    cells = list(forward_cells(Task("ball", 1e-3, ("gap-1e-6",), ways, (), (0.0, 1e6), queries=20, mujoco=4)))
-    assert [(cell.dtype, cell.batch, cell.translation) for cell in cells] == [
-        (way.dtype, way.batch, far) for way in ways for far in (0.0, 1e6)
-    ]
-    assert [wrong(cell.row()) for cell in cells] == [0] * 6 and sum(cell.mujoco_queries for cell in cells) == 5
-    # Poses in single precision are rounded; how many are asked at once changes nothing.
-    assert cells[1].distance_error_max_m > 100 * cells[0].distance_error_max_m
-    assert cells[2].distance_error_max_m > 100 * cells[0].distance_error_max_m
-    assert cells[4].distance_error_max_m == cells[0].distance_error_max_m
-
-
-def test_an_engine_that_refuses_is_a_message_not_an_end(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(engine, "why_not_native", lambda: "does not load")
-    way = replace(PYTHON, engine="native")
-    cells = list(forward_cells(Task("box", 0.1, ("near",), (way,), queries=6, mujoco=0)))
-    assert [(cell.queries, cell.refused, wrong(cell.row())) for cell in cells] == [(6, 6, 0)]
-    assert cells[0].refusal is not None and "\n" not in cells[0].refusal
-    assert all(name in cells[0].refusal for name in ("engine is 'native'", "does not load", "python"))
-
-
-def test_a_query_that_refuses_is_a_fault(monkeypatch: pytest.MonkeyPatch):
-    def refuses(*asked: Any) -> Witness:
-        raise GraspRefineError("nothing can be answered")
-
-    monkeypatch.setattr(forward, "query", refuses)
-    (cell,) = forward_cells(Task("slivers", 0.1, ("near",), (PYTHON,), queries=8))
-    # The pair that could not be built was never asked.
-    assert (cell.queries, cell.refused, cell.failed, wrong(cell.row())) == (8, 2, 6, 6)
-    assert cell.where == "nothing can be answered" and "flat" in cell.refusal
 
 
 @pytest.mark.parametrize("kind", ["ball", "box", "plate", "near-duplicates"])

@@ -51,10 +51,3 @@ def test_the_worst_is_what_is_wrong_most_often_then_what_is_nearest_to_it():
     assert worst(rows, 9, 9) == [many, few] and worst(rows, 1, 9) == [many]
     rows = [row for row in rows if not wrong(row)]
     assert worst(rows, 0, 9) == [near, slips, far] and worst(rows, 9, 1) == [near] and worst([none], 9, 9) == []
-
-
-def test_the_nearest_to_wrong_is_reported_for_each_precision():
-    double = [forward(state=state, error_max=error).row() for state, error in (("near", 1e-3), ("far", 1e-4))]
-    single = [forward(state="deep", dtype="float32", error_max=error).row() for error in (0.9, 0.8)]
-    points = forward(state="total", error_max=1e-9, points_error_max=1e-2).row()
-    assert worst([*single, *double, points], 9, 2) == [points, double[0], single[0]]

@@ -16,7 +16,7 @@ from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine_apps.bench.success import cases
-from grasp_refine_apps.bench.success.assets import ObjectCase, find_hands, matching_object, read_objects
+from grasp_refine_apps.bench.success.assets import ObjectCase
 from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, Case, load_case, perturbed
 from refusals import refused
 
@@ -37,27 +37,6 @@ def test_each_hand_has_sampled_grasps_on_each_object_and_generators_have_their_o
     assert len({case.name for case in cases}) == len(cases)
     # The scale of the assets takes meshes to metres; grasps of the generator name it.
     assert all(case.spec.scale == OBJECTS[case.object.name] for case in cases if case.object)
-
-
-def test_with_every_nth_object_all_objects_have_grasps_of_some_hand(assets: Path):
-    hands = ("allegro", "embedded/leap", "embedded/shadow")
-    cases = Axes(assets=assets, hands=hands, generators=(SAMPLED,), every=2).cases()
-    assert len(cases) == 3
-    assert {case.object.name for case in cases if case.object} == set(OBJECTS)
-    assert {case.hand for case in cases} == set(hands)
-
-
-def test_some_grasps_of_a_generator_are_taken_evenly_at_its_scale(assets: Path):
-    axes = Axes(assets=assets, hands=("allegro",), generators=("made",), generated=2)
-    (case,) = axes.cases()
-    assert case.spec.index == (0, 3)
-    file = assets / "grasps/normalised/made.npz"
-    with np.load(file) as entries:
-        np.savez(file, **{**entries, "scale": np.full(4, 0.5)})
-    table = assets / "objects.csv"
-    table.write_text(table.read_text().replace("my_rounded_box,1.0", "my_rounded_box,0.7"))
-    (case,) = axes.cases()
-    assert case.spec.scale == 1.0, "grasps that scale the mesh are not scaled again"
 
 
 def test_a_perturbation_moves_the_middle_of_the_pads_by_5_mm_and_turns_by_10_degrees():
@@ -105,33 +84,6 @@ def test_an_object_that_is_too_wide_is_scaled_until_a_grasp_is_found(monkeypatch
 def test_classes_of_objects(convexity: float, diagonal: float, shape: str, size: str):
     thing = ObjectCase("thing", "thing.obj", 1.0, diagonal, convexity)
     assert (thing.shape, thing.size) == (shape, size)
-
-
-def test_diagonals_are_as_in_the_scaled_mesh(assets: Path):
-    ball = next(thing for thing in read_objects(assets) if thing.name == "ball")
-    assert ball.diagonal == pytest.approx(2.0 * OBJECTS["ball"])
-
-
-def test_generators_may_leave_out_the_beginning_of_a_name_and_its_hyphens():
-    things = [ObjectCase(name, f"{name}.obj", 1.0) for name in ("ycb_065c_cups", "ycb_065g_cups", "cups")]
-    assert matching_object("065-c_cups", things).name == "ycb_065c_cups"
-    assert matching_object("cups", things).name == "cups"
-    cube = matching_object("cube_75mm", things)
-    assert cube.source == "box:0.075,0.075,0.075"
-    assert cube.size == "below 14 cm"
-    with refused(GraspRefineError, "c_cups", "ycb_065c_cups"):
-        matching_object("c_cups", [*things, replace(things[0], name="my_065c_cups")])
-    with refused(GraspRefineError, "mug", "objects.csv"):
-        matching_object("mug", things)
-
-
-def test_hands_of_ours_add_what_they_know_to_the_urdf(assets: Path):
-    hands = {hand.name: hand for hand in find_hands(assets)}
-    assert (hands["allegro"].hand, hands["allegro"].urdf) == ("allegro", assets / "hands/allegro/allegro.urdf")
-    assert (hands["plates"].hand, hands["plates"].urdf) == (str(assets / "hands/plates/plates.urdf"), None)
-    assert hands["allegro_mjcf/right"].mjcf == assets / "hands/allegro_mjcf/right.xml"
-    assert hands["embedded/leap"].hand == "leap"
-    assert "embedded/barrett" not in hands, "its URDF is not ours"
 
 
 @pytest.mark.parametrize(

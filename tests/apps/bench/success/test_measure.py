@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from grasp_refine.problem.spec import ProblemSpec
-from grasp_refine.refinement.config import Config
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.bench.success import measure
 from grasp_refine_apps.bench.success.cases import Case
-from grasp_refine_apps.bench.success.measure import Measured, Measurement, Method, methods_of
+from grasp_refine_apps.bench.success.measure import Measured, Measurement, methods_of
 from grasp_refine_apps.bench.success.trials import HELD, Trial
 from plate_gripper import URDF
 
@@ -47,18 +46,6 @@ def results(case: Case) -> list[Measured]:
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
     assert [one.method.label for one in found] == ["as given", "own stages", "geometry only", "1 start"]
     return found
-
-
-def test_no_number_of_starts_counts_twice():
-    found = methods_of(("as-given", "geometry-only", "forces"), (6, 1, 6))
-    assert [method.label for method in found] == ["as given", "geometry only", "6 starts", "1 start"]
-
-
-def test_only_what_is_refined_has_settings():
-    assert Method("as-given").config(0, 8) is None
-    geometry, forces = Method("geometry-only", 1).config(3, 8), Method("forces", 4).config(3, 8)
-    assert geometry is not None and not geometry.holds
-    assert forces == Config(starts=4, seed=3, width=8) and forces.holds
 
 
 def test_stages_of_the_file_are_simulated_as_given(results: list[Measured]):

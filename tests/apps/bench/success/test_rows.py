@@ -6,13 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from grasp_refine.core.json_files import dumps
 from grasp_refine.measures.measures import COMPARED
 from grasp_refine.scene.protocols.registry import PROTOCOLS
 from grasp_refine_apps.bench.success.measure import Measured, Method
-from grasp_refine_apps.bench.success.rows import ALL, ENGINES, FAILURE, FAILURES_PER_REASON, auc, rows
+from grasp_refine_apps.bench.success.rows import ALL, ENGINES, FAILURE, auc, rows
 from grasp_refine_apps.bench.success.study import SuccessStudy
 from grasp_refine_apps.bench.success.trials import HELD, Trial
 
@@ -51,10 +50,7 @@ def part(
 def parts() -> list[list[Measured]]:
     """Four grasps on a cup and one on a can, by four methods; of the cup three hold at first."""
     found = []
-    for name, came, after, twice in (
-        ("cup", [H, H, H, M], [H, T, H, H], [H, H, H, H]),
-        ("can", [M], [M], [H]),
-    ):
+    for name, came, after, twice in (("cup", [H, H, H, M], [H, T, H, H], [H, H, H, H]), ("can", [M], [M], [H])):
         bad = [M] * len(came)
         found.append(
             [
@@ -107,19 +103,6 @@ def test_what_cannot_be_measured_counts_as_the_worst():
     assert json.loads(dumps(row))["penetration_mean_m"] is None
 
 
-def test_failures_are_listed_by_reason_of_different_hands_and_objects():
-    refined = Method("forces", 6)
-    done = [
-        [part(GIVEN, name, bad, bad, hand=hand), part(refined, name, [H] * len(bad), bad, 0.1, hand)]
-        for name, hand, bad in (("cup", "claw", [M] * 6), ("ball", "leap", [M]), ("can", "claw", [T]))
-    ]
-    found = [row for row in rows(done, TRIALS) if row["by"] == FAILURE]
-    assert [row["label"] for row in found] == ["moved, strict (7 grasps)"] * 4 + ["rotated, strict (1 grasps)"]
-    moved = found[:FAILURES_PER_REASON]
-    assert ("leap", "ball") in [(row["hand"], row["object"]) for row in moved], "not six of the first case"
-    assert (found[-1]["case"], found[-1]["row"], found[-1]["refined"]) == ("can", 0, "6 starts")
-
-
 def test_engines_agree_on_grasps_tried_in_both():
     """One grasp of three holds in MuJoCo alone as given."""
     in_drake = Trial(PROTOCOLS["dexgraspbench"], "drake")
@@ -143,41 +126,8 @@ ABOUT = {
 }  # fmt: skip
 
 
-def test_cells_have_the_values_of_all_methods_and_the_lost_of_the_last(parts: list[list[Measured]]):
-    text = SuccessStudy().report(rows([case[::2] for case in parts], TRIALS), ["sampled/leap: no mesh"]).markdown(ABOUT)
-    assert "| cup | 4 | 75.0 → 75.0 (1) | 0.0 → 0.0 | " in text and "| can | 1 | 0.0 → 0.0 | " in text
-    assert "| sampled/leap | no mesh |" in text and "`this command`: 1.0 minutes" in text
-
-
-def test_auc_counts_pairs_in_the_right_order():
-    score = np.array([0.9, 0.5, 0.5, 0.1])
-    assert auc(score, np.array([True, True, False, False])) == (2 + 1.5) / 4
-    assert auc(score, np.array([False, False, True, True])) == 0.5 / 4
-    assert auc(score, np.array([True, False, False, False])) == 1.0
-    assert auc(score, np.ones(4, dtype=bool)) is None and auc(score, np.zeros(4, dtype=bool)) is None
-
-
 def test_auc_is_that_of_all_pairs():
     random = np.random.default_rng(0)
     score, success = random.integers(0, 9, 60) / 9.0, random.random(60) < 0.4
     pairs = np.subtract.outer(score[success], score[~success])
     assert auc(score, success) == pytest.approx(((pairs > 0) + 0.5 * (pairs == 0)).mean())
-
-
-def test_tables_fit_into_a_terminal(parts: list[list[Measured]]):
-    name = "core_523cddb320608c09a37f3fc191551700"
-    longest = [[part(one.method, name, [H] * 2, [H] * 2, 1.0) for one in parts[0]]]
-    console = Console(width=200)
-    with console.capture() as capture:
-        for shown in SuccessStudy().report(rows(longest, TRIALS), ()).printed():
-            console.print(shown)
-    text = capture.get()
-    assert max(map(len, map(str.rstrip, text.splitlines()))) <= 80
-    assert text.count("100.0") == 8 and "6 starts" in text
-
-
-def test_a_chart_has_a_level_for_what_is_not_refined(parts: list[list[Measured]]):
-    pytest.importorskip("matplotlib")
-    _, chart, *_ = SuccessStudy().report(rows(parts, TRIALS), ()).parts
-    svg = chart.svg()
-    assert all(name in svg for name in ("dexgraspbench", "strict", "cup", "can", "strict, as given"))
