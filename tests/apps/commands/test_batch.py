@@ -10,15 +10,22 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from command_line import PROGRAM, interruptible, refused, subprocess_environment
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine_apps.batch import worst
 from grasp_refine_apps.batch.session import MAX_UNWRITTEN
+from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.batch.work import ShardWork
 from grasp_refine_apps.cli import main
+from grasp_refine_apps.commands import batch as command
+from grasp_refine_apps.processes.task import Failed
 from refusals import assert_names
 from running_processes import PATIENCE_S, nothing_left, soon
 
@@ -59,6 +66,46 @@ def assert_same(one: Path, other: Path) -> None:
 def index(out: Path) -> list[dict[str, str]]:
     with (out / "index.csv").open(newline="") as file:
         return list(csv.DictReader(file))
+
+
+class InThisProcess:
+    """Workers without a process of their own, whose start would take most of the time of a test."""
+
+    has_queues = False
+
+    def __init__(self, work: ShardWork, workers: int, patience_s: float | None) -> None:
+        self._work, self._ended = work, []
+
+    def workers(self, wanted: int) -> list[str]:
+        return ["here"]
+
+    def submit(self, worker: str, task: Shard) -> None:
+        try:
+            self._ended.append((worker, self._work(task, lambda *_: None)))
+        except Exception as error:
+            self._ended.append((worker, Failed.of(error)))
+
+    def listen(self) -> list[tuple[str, Any]]:
+        ended, self._ended = self._ended, []
+        return ended
+
+    def restart(self, worker: str) -> str:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "LocalPool", InThisProcess)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worst, "NUM_CASES", 1)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +162,7 @@ def test_grasps_are_refined_and_described_as_run_does(sources: Path, tmp_path: P
             assert one[name] == other[name], name
 
 
+@pytest.mark.usefixtures("here")
 def test_what_is_complete_is_skipped_and_the_report_of_the_same_results_stays(
     copy: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -129,6 +177,7 @@ def test_what_is_complete_is_skipped_and_the_report_of_the_same_results_stays(
     assert report.stat().st_mtime_ns > before[report]
 
 
+@pytest.mark.usefixtures("here")
 def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
     copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -143,6 +192,7 @@ def test_what_is_missing_or_damaged_is_made_anew_and_comes_out_the_same(
     assert_same(copy, whole)
 
 
+@pytest.mark.usefixtures("here")
 def test_other_settings_and_other_inputs_are_made_anew(
     copy: Path, sources: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -170,6 +220,7 @@ def test_parts_of_a_batch_make_up_the_whole(
     assert_same(out, whole)
 
 
+@pytest.mark.usefixtures("here")
 def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
     tmp_path: Path, sources: Path, whole: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -203,6 +254,7 @@ def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
     assert not list(out.rglob("*.failed.json"))
 
 
+@pytest.mark.usefixtures("here")
 def test_results_are_no_grasps_of_the_next_run(
     copy: Path, sources: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
@@ -220,6 +272,7 @@ def test_results_are_no_grasps_of_the_next_run(
     assert "4 files" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.usefixtures("here")
 def test_simulation_and_where_the_time_goes_are_part_of_the_results(
     tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -316,6 +369,7 @@ def test_interrupted_it_says_how_to_go_on_and_leaves_nothing_running(tmp_path: P
     assert not list((tmp_path / "out").rglob(".*"))
 
 
+@pytest.mark.usefixtures("here")
 def test_a_disk_that_stays_full_stops_the_batch_and_says_how_much_room_is_needed(
     copy: Path, whole: Path, sources: Path, capsys: pytest.CaptureFixture[str]
 ):
