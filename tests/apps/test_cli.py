@@ -245,23 +245,6 @@ def test_targets_of_a_file_are_aimed_at(grasp_file: Callable[..., Path], capfd: 
     assert [status == "no target" for status in statuses] == [False, True, False, False]
 
 
-def test_the_methods_are_the_requested_ones():
-    solver = "--solver descent --targets nearest"
-    options = f"{solver} --derivative distance --neighborhood fixed --distance.coupling one-sided --fixed.fraction 0.2"
-    others = "--transport --seed 3 --weights.penetration 2 --descent.shares 0.6 --descent.factors 0.1"
-    assert main([*QUICK, "--index", "0", *options.split(), *others.split(), "--json", "report.json"]) == 0
-    refine = json.loads(Path("report.json").read_text())["config"]["refine"]
-    assert refine["derivative"]["type"] == "Distance"
-    assert refine["derivative"]["coupling"] == "one-sided"
-    assert refine["derivative"]["seed"] == refine["seed"] == 3
-    assert refine["derivative"]["neighborhood"] == {
-        "type": "Fixed", "fraction": 0.2, "samples": 16, "minimum": 8
-    }  # fmt: skip
-    assert refine["weights"]["penetration"] == 2.0
-    assert refine["solver"]["transport"] is True
-    assert refine["solver"]["shares"] == [0.6]
-
-
 def test_a_refined_grasp_is_no_farther_than_it_may_be():
     limits = ("--max-move", "0.002,0.01,0.02", "--starts", "2", "--seconds", "30")
     assert main([*QUICK, *limits, "--json", "report.json"]) == 0

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from command_line import refused
-from grasp_refine.grasps.formats import agreement
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.leap_cache import LeapCache
 from grasp_refine.grasps.grasp_set import load_grasps, save_npz
@@ -159,22 +158,6 @@ def test_the_hand_decides_where_joints_have_no_names(file: Path, capfd: pytest.C
     assert_names(message, "16 joint", "allegro (joint_0.0, joint_1.0", "leap (1, 0, 2, 3", "--hand")
     assert main(["convert", "bench", "back.npz", "--to", "ours", "--hand", "allegro"]) == 0
     np.testing.assert_allclose(load_grasps("back.npz").q[[1, 0]], load_grasps(file).q, atol=1e-15)
-
-
-def test_an_output_that_reads_otherwise_is_not_kept(
-    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
-    # A limit that rounding alone does not reach.
-    monkeypatch.setattr(agreement, "MAX_DIFFERENCE_M", -1.0)
-    Path("old.npz").write_text("old")
-    for output, to in (("bench", "dexgraspbench"), ("old.npz", "ours")):
-        before = sorted(Path().rglob("*"))
-        assert main(["convert", "grasps.npz", output, "--to", to, "--json", "x.json", "--overwrite"]) == 1
-        out, error = capsys.readouterr()
-        assert out == ""
-        assert_names(error, output, "-1 m")
-        assert sorted(Path().rglob("*")) == before
-    assert Path("old.npz").read_text() == "old"
 
 
 @pytest.mark.parametrize("shift", [2e-6, float("nan")])

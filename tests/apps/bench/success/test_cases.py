@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,42 +89,14 @@ def test_classes_of_objects(convexity: float, diagonal: float, shape: str, size:
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
-        ("no objects.csv", ("objects.csv",)),
-        ("no hands", ("hands",)),
-        ("no column", ("objects.csv", "convexity")),
-        ("no number", ("line 2", "suggested_scale", "large")),
-        ("no mesh", ("line 3", "my_rounded_box")),
-        ("two URDFs", ("allegro", "other.urdf")),
-        ("no hand in a folder", ("hands/nothing", ".urdf")),
-        ("MJCF without URDF", ("claw_mjcf", "claw")),
-        ("no such object of a generator", ("'spoon'",)),
+        (lambda assets: (assets / "objects.csv").unlink(), ("objects.csv",)),
+        (lambda assets: (assets / "objects/my_rounded_box.obj").unlink(), ("line 3", "my_rounded_box")),
+        (lambda assets: (assets / "hands/allegro/other.urdf").touch(), ("allegro", "other.urdf")),
+        (lambda assets: (assets / "hands/nothing").mkdir(), ("hands/nothing", ".urdf")),
     ],
 )
-def test_errors_name_what_is_missing(fault: str, named: tuple[str, ...], assets: Path):
-    table = assets / "objects.csv"
-    rows = list(csv.reader(table.read_text().splitlines()))
-    if fault == "no objects.csv":
-        table.unlink()
-    elif fault == "no hands":
-        (assets / "hands").rename(assets / "arms")
-    elif fault == "no column":
-        table.write_text("\n".join(",".join(row[:-1]) for row in rows))
-    elif fault == "no number":
-        rows[1][1] = "large"
-        table.write_text("\n".join(map(",".join, rows)))
-    elif fault == "no mesh":
-        (assets / "objects/my_rounded_box.obj").unlink()
-    elif fault == "two URDFs":
-        (assets / "hands/allegro/other.urdf").touch()
-    elif fault == "no hand in a folder":
-        (assets / "hands/nothing").mkdir()
-    elif fault == "MJCF without URDF":
-        (assets / "hands/claw_mjcf").mkdir()
-        (assets / "hands/claw_mjcf/claw.xml").touch()
-    else:
-        file = assets / "grasps/normalised/made.npz"
-        with np.load(file) as entries:
-            np.savez(file, **{**entries, "object": np.full(4, "spoon")})
+def test_errors_name_what_is_missing(fault: Callable[[Path], None], named: tuple[str, ...], assets: Path):
+    fault(assets)
     with refused(GraspRefineError, *named):
         Axes(assets=assets).cases()
 
