@@ -21,7 +21,7 @@ from grasp_refine.scene.scene_file import load_scene
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
-from readme import PAGES, PYTHON, TEXT, blocks, extension_blocks, facade_blocks, run_python
+from readme import PYTHON, TEXT, blocks, extension_blocks, facade_blocks, run_python
 
 BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "success", "--gate"))
 
@@ -77,12 +77,6 @@ def test_no_block_is_left_out(language: str, marks: tuple[str, ...]):
     run = (*facade_blocks(), *extension_blocks())
     others = [block for block in blocks(language) if block not in run]
     assert [[mark in block for mark in marks].count(True) for block in others] == [1] * len(marks)
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_blocks_are_of_these_languages_only(page: str):
-    fences = re.findall(r"^ *```(.*)$", PAGES[page], re.MULTILINE)
-    assert set(fences[::2]) <= {"python", "toml", "text", "sh", "bash"} and set(fences[1::2]) <= {""}
 
 
 def test_the_arm_toml_is_read(tmp_path: Path):

@@ -32,12 +32,6 @@ pytestmark = pytest.mark.usefixtures("workplace")
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 QUICK = ("run", "--object", "rounded_box", "--iterations", "30")
 """A run on the one embedded object that needs no decomposition."""
-GRASP_KEYS = {
-    "index", "row", "object", "status", "advice", "starts", "iterations", "queries", "wall_s", "cpu_s", "quality",
-    "contact_error_m", "contact_error_mean_m", "penetration_m", "self_penetration_m", "scene_penetration_m",
-    "region_miss_m", "arm_dexterity_m", "wrench_residual", "limits_violated", "loss_m2", "moved_palm_m",
-    "moved_palm_rad", "moved_joints_rad", "moved_slides_m", "forces", "simulation",
-}  # fmt: skip
 
 
 @pytest.fixture
@@ -113,26 +107,18 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert max(map(len, captured.out.splitlines())) <= 80
 
     document = json.loads(Path("results/deep/report.json").read_text())
-    assert list(document) == [
-        "schema", "command", "versions", "machine", "engine", "config", "seed", "totals", "profile", "grasps"
-    ]  # fmt: skip
     assert document["engine"] == chosen("auto")
     assert (document["schema"], document["command"], document["seed"]) == (1, "run", 0)
     assert document["versions"]["grasp-refine"] == grasp_refine.__version__
-    assert document["config"]["refine"]["solver"]["type"] == "LevenbergMarquardt"
-    assert document["config"]["refine"]["solver"]["iterations"] == 30
-    assert set(document["totals"]) == {
-        "n", "converged", "good_before", "good_after", "success_before", "success_after", "wall_s", "cpu_s"
-    }  # fmt: skip
+    solver = document["config"]["refine"]["solver"]
+    assert (solver["type"], solver["iterations"]) == ("LevenbergMarquardt", 30)
     assert document["totals"]["n"] == len(document["grasps"]) == 4
     for grasp in document["grasps"]:
-        assert set(grasp) == GRASP_KEYS
         assert [name for name, value in grasp.items() if value is None] == ["moved_slides_m"], "no joint slides"
         assert 0 < grasp["quality"]["before"] < grasp["quality"]["after"] <= 1
         assert grasp["simulation"] == {"before": None, "after": None}
         assert 0 <= grasp["wrench_residual"]["after"] < 1
         assert grasp["contact_error_m"]["after"] < grasp["contact_error_m"]["before"]
-        assert set(grasp["self_penetration_m"]) == {"before", "after"}
         assert 0 <= grasp["self_penetration_m"]["after"] < 1e-5
 
     before, after = load_grasps(EXAMPLE), load_grasps("results/deep/allegro_rounded_box.npz")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -81,21 +80,6 @@ def test_the_same_seed_gives_the_same_document_but_for_times():
     other = document(*TINY, "--methods", "distance", "zeroth-order", "--seed", "1")
     assert other["seed"] == 1
     assert timeless(other["rows"]) != runs[0]["rows"]
-
-
-def test_meshes_of_a_folder_are_used_and_bad_ones_reported(meshes: Path, capfd: pytest.CaptureFixture[str]):
-    found = document("bench", "align", "--meshes", meshes, "--pairs", "4", "--targets", "3", "--budgets", "3")
-    assert [(row["kind"], row["pairs"]) for row in pooled(found)] == [("convex", 4), ("concave", 4)]
-    names = {
-        name for row in found["rows"] if row["pair"] != "all" for name in re.findall(r"(\w+) [\d.]+ mm", row["pair"])
-    }
-    assert names <= {"near", "far", "box"}
-    concave = {row["pair"] for row in found["rows"] if row["kind"] == "concave"} - {"all"}
-    assert {re.sub(r" [\d.]+ mm", "", pair) for pair in concave} <= {"near / far", "far / near"}
-    said = capfd.readouterr().err
-    assert re.search(r"\bnear\b", said) and not re.search(r"\bbox\b", said), "what is cut into pieces"
-    # However long it is, a path is not broken: people copy it.
-    assert said.count(str(meshes / "broken.ply")) == 2, "once for each kind"
 
 
 # Bad input

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -60,21 +59,6 @@ def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixtur
     assert 0.005 < targets["moved_palm_median_m"] < 0.05
     assert nothing["acc_1e6"] is None and nothing["deep_starts"] == 0 and nothing["gap_median_m"] < 5e-5
     assert {path.name for path in Path().iterdir()} == {"bench.json"}
-
-
-def test_smoke_compares_all_solvers_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
-    for module in ("matplotlib", "jinja2"):
-        pytest.importorskip(module, reason="the report needs it")
-    found = document(*BOX, "--preset", "smoke", "--count", "1", "--batches", "2", "--html", "bench.html")
-    assert [(row["task"], row["solver"], row["budget"]) for row in found["rows"]] == [
-        (task, solver, budget)
-        for task in ("targets", "nothing")
-        for solver, budget in (("levenberg-marquardt", 200), ("descent", 40), ("adam", 40))
-    ]
-    assert "bench.json, bench.html" in capfd.readouterr().out
-    text = Path("bench.html").read_text(encoding="utf-8")
-    assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
-    assert {path.name for path in Path().iterdir()} == {"bench.json", "bench.html"}
 
 
 def test_neither_processes_nor_batches_change_what_comes_out():

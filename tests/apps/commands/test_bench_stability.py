@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from grasp_refine.collision.query import Pairs, QueryStatus, Witness, query
 from grasp_refine_apps.bench.stability.cases import KINDS, METHODS, STATES
 from grasp_refine_apps.bench.stability.presets import FAST
 from grasp_refine_apps.bench.stability.rows import of_measure, total
-from grasp_refine_apps.bench.stability.study import again
 from grasp_refine_apps.cli import main
 from refusals import assert_names
 
@@ -78,22 +76,6 @@ def test_wrong_answers_are_counted_and_end_with_code_1(
     assert row["error_max"] > 100
     assert "--states near --measures forward --dtypes float64" in " ".join(out.replace("\\\n", " ").split())
     assert "1 wrong sign" in Path("found.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("measure", ["forward", "derivative"])
-def test_a_cell_is_asked_again_by_its_command(measure: str):
-    asked = ["--kinds", "needle", "--diagonals", "0.0012345678", "--states", "deep", "edge-edge", "--engines", "python"]
-    asked += ["--measures", measure, "--methods", "distance", "analytical", "--seed", "3", "--json", "all.json"]
-    main(["bench", "stability", "--preset", "smoke", *asked])
-    rows = json.loads(Path("all.json").read_text())["rows"]
-    assert len(rows) >= 2
-    for row in rows:
-        _, *command = shlex.split(again(row, 3))
-        main([*command, "--json", "one.json", "--overwrite"])
-        (one,) = json.loads(Path("one.json").read_text())["rows"]
-        # MuJoCo is asked once, with what is asked first.
-        same = [name for name in row if not name.startswith("mujoco")]
-        assert [one[name] for name in same] == [row[name] for name in same]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -49,30 +48,6 @@ def numbers(row: dict[str, Any]) -> dict[str, float]:
         for key, value in row.items()
         if isinstance(value, int | float) and not key.startswith(("cpu", "wall"))
     }
-
-
-def test_smoke_measures_what_holds_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
-    for module in ("matplotlib", "jinja2"):
-        pytest.importorskip(module, reason="the report needs it")
-    options = ["bench", "success", "--preset", "smoke", "--protocols", "dexgraspbench", "--object", "rounded_box"]
-    assert main([*options, "--json", "hold.json", "--html", "hold.html", "--markdown", "hold.md"]) == 0
-    out, _ = capfd.readouterr()
-    assert max(map(len, map(str.rstrip, out.splitlines()))) <= 80 and "hold.json, hold.html, hold.md" in out
-    found = json.loads(Path("hold.json").read_text())
-    assert (found["schema"], found["command"], found["preset"]) == (1, "bench success", "smoke")
-    asked = "refine-grasp bench success --object rounded_box --preset smoke --protocols dexgraspbench"
-    assert found["invocation"] == asked and asked in Path("hold.md").read_text()
-    rows = of(found["rows"], "all")
-    assert [(row["method"], row["starts"]) for row in rows] == [
-        ("as-given", None), ("geometry-only", 1), ("forces", 1), ("forces", 2)
-    ]  # fmt: skip
-    for row in rows:
-        assert row["grasps"] == 2 and 0 <= row["success_dexgraspbench"] <= 1 and "success_strict" not in row
-        assert sum(row["reasons_dexgraspbench"].values()) == round(2 * (1 - row["success_dexgraspbench"]))
-    assert all(row["cpu_mean_s"] > 0 and row["contact_error_median_m"] < 1e-3 for row in rows[1:])
-    text = Path("hold.html").read_text(encoding="utf-8")
-    assert "<svg" in text and not re.search(r"""(?:src|href)=["']https?:""", text)
-    assert {path.name for path in Path().iterdir()} == {"hold.json", "hold.html", "hold.md"}
 
 
 def test_grasps_with_stages_are_tried_with_both_and_again_the_same():

@@ -82,23 +82,6 @@ def test_sizes_of_an_object_have_files_of_their_own(world: World, group: Group, 
     ]
 
 
-@pytest.mark.parametrize(
-    ("function", "kind", "count"), [("commands.recording.export_xml", "XML", 2), ("report.film.film", "film", 4)]
-)
-def test_what_cannot_be_exported_or_drawn_is_said_and_the_rest_is_recorded(
-    world: World, group: Group, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: str, kind: str, count: int
-) -> None:
-    def refuse(*_: object) -> None:
-        raise GraspRefineError("geom g: not supported")
-
-    monkeypatch.setattr(f"grasp_refine_apps.{function}", refuse)
-    lines = recorded(Recording(tmp_path, direction="+x", film=kind == "film"), group, world, tmp_path)
-    for number, line in zip((2, 3), lines, strict=True):
-        assert_names(line, f"ball {number}: +x held", f"{tmp_path}/gripper_ball_{number}_+x.npz", kind, "geom g:")
-    assert [load_replay(path).reason for path in tmp_path.glob("*.npz")] == ["held", "held"]
-    assert len(names(tmp_path)) == count
-
-
 def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
     Recording(tmp_path / "new" / "folder").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
     assert not names(tmp_path)

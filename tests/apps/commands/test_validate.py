@@ -96,12 +96,6 @@ def test_a_validation_has_the_keys_of_the_contract(workplace: Path, capfd: pytes
         assert after["success"] == all(entry["reason"] == "held" for entry in after["directions"])
         (worst,) = [entry for entry in after["directions"] if entry["direction"] == after["direction"]]
         assert all(after[key] == worst[key] for key in worst)
-        assert set(grasp) >= {
-            "index", "object", "status", "advice", "iterations", "queries", "wall_s", "cpu_s", "quality",
-            "contact_error_m", "penetration_m", "self_penetration_m", "scene_penetration_m",
-            "wrench_residual", "limits_violated", "moved_palm_m",
-            "simulation",
-        }  # fmt: skip
         assert grasp["status"] is None and grasp["moved_palm_m"] is None
         assert grasp["quality"]["before"] is None and 0 < grasp["quality"]["after"] <= 1
         assert set(after["flags"]) == {"barely", "by_squeeze"}
@@ -153,8 +147,6 @@ def test_a_protocol_of_a_file_is_reported_with_its_rule_mass_and_labels(
         assert [float(row["label"]) for row in csv.DictReader(stream)] == [one["label"] for one in found]
     (alone,) = validate(EXAMPLE, "--index", "3", "--protocol", "lenient.toml")["grasps"]
     assert alone["simulation"]["after"] == found[1]
-    heavy = validate(EXAMPLE, "--index", "3", "--protocol", "lenient.toml", "--mass", "0.3")
-    assert heavy["grasps"][0]["simulation"]["after"]["mass_kg"] == pytest.approx(0.3)
 
 
 def test_further_trials_are_reported(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -187,11 +179,6 @@ def test_both_engines_report_how_far_they_agree(workplace: Path, capfd: pytest.C
     with open("rows.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["drake_success"] for row in rows] == [str(drake) for _, drake in pairs]
-    alone = validate(EXAMPLE, "--index", "1", "3", "--engine", "drake", "--seconds", "0.2")
-    assert alone["totals"]["engine_agreement"] is None
-    for grasp, entry in zip(alone["grasps"], entries, strict=True):
-        mine = grasp["simulation"]["after"]
-        assert mine["drake"] is None and mine["closing"] == entry["drake"]["closing"]
 
 
 def test_before_and_after_are_compared(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -223,20 +210,6 @@ def test_a_run_can_prove_what_it_did(workplace: Path, capfd: pytest.CaptureFixtu
     for key in ("success", "reason", "direction", "contacts"):
         assert found[key] == after[key]
     assert found["displacement_m"] == pytest.approx(after["displacement_m"], rel=1e-3)
-
-
-def test_replays_are_recorded(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    import mujoco
-
-    from grasp_refine.validation.replay.replay import load_replay
-
-    document = validate(EXAMPLE, "--index", "1", "--replays", "replays", "--direction", "+z")
-    replay = load_replay("replays/allegro_rounded_box_1_+z.npz")
-    (entry,) = [e for e in document["grasps"][0]["simulation"]["after"]["directions"] if e["direction"] == "+z"]
-    assert replay.reason == entry["reason"]
-    assert replay.displacement()[0][-1] == pytest.approx(entry["displacement_m"], abs=1e-12)
-    model = mujoco.MjModel.from_xml_path("replays/allegro_rounded_box_1_+z.xml")
-    assert model.nkey > 3
 
 
 def test_bad_input_is_refused(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:

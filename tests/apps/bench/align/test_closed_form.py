@@ -7,12 +7,8 @@ import pytest
 
 from alignment_errors import errors_at
 from grasp_refine.collision.query import Pairs
-from grasp_refine.core.se3 import exp_se3, log_so3
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import box
 from grasp_refine_apps.bench.align.bodies import BodyPair, normalised
 from grasp_refine_apps.bench.align.closed_form import ClosedForm, run_closed_form
-from grasp_refine_apps.bench.align.patch import Patch
 from grasp_refine_apps.bench.align.tasks import CLASSES, Tasks, draw_tasks
 from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import cluster_body, convex_body, ring_body
@@ -20,7 +16,6 @@ from shapes_for_tests import cluster_body, convex_body, ring_body
 PAIR = BodyPair("hulls", "convex", normalised(convex_body(1, 24), 0.06), normalised(convex_body(2, 24), 0.09))
 OTHER = BodyPair("others", "convex", normalised(convex_body(3, 40), 0.03), normalised(convex_body(4, 16), 0.12))
 CONCAVE = BodyPair("ring and cluster", "concave", normalised(ring_body(), 0.12), normalised(cluster_body(3, 4), 0.1))
-BOXES = BodyPair("boxes", "convex", build_body("a", [box([0.04, 0.05, 0.06])]), build_body("b", [box([0.05] * 3)]))
 
 
 def accepted(pair: BodyPair, count: int) -> Tasks:
@@ -39,18 +34,6 @@ def test_opposite_normals_at_the_targets_solve_tasks_of_convex_bodies(pair: Body
     T_b = form(pair, tasks).poses(np.arange(len(tasks)), tasks.T_world_b, np.full(len(tasks), roll))
     np.testing.assert_allclose(np.linalg.det(T_b[:, :3, :3]), 1.0, rtol=1e-12)
     assert errors_at(pair, tasks, tasks.T_world_a, T_b, 1e-3).max() < 1e-16
-
-
-def test_normals_are_opposed_by_the_smallest_rotation_also_by_half_a_turn():
-    """Of two boxes: from where both normals agree it is half a turn, from the solution none."""
-    target_a, target_b = np.array([[0.005, -0.01, 0.03]] * 3), np.array([[0.01, 0.004, -0.025]] * 3)
-    angle = np.array([0.0, np.pi, 0.7])
-    T_b = exp_se3(angle[:, None] * np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]))
-    T_a, yes = np.tile(np.eye(4), (3, 1, 1)), np.ones(3, dtype=bool)
-    tasks = Tasks(np.full(3, CLASSES.index("face-face")), target_a, target_b, T_a, T_b, yes, yes, np.ones(3))
-    turned = form(BOXES, tasks).poses(np.arange(3), T_b, np.zeros(3))
-    np.testing.assert_allclose(np.linalg.norm(log_so3(turned[:, :3, :3] @ T_b[:, :3, :3].mT), axis=1), angle, atol=1e-7)
-    assert errors_at(BOXES, tasks, tasks.T_world_a, turned, 1e-3, Patch(1e-5)).max() < 1e-16
 
 
 def test_alone_it_solves_convex_tasks_and_not_all_concave_ones():

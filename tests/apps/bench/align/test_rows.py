@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import pytest
 
-from grasp_refine.core.json_files import dumps
 from grasp_refine_apps.bench.align.aligned import AlignmentResult
 from grasp_refine_apps.bench.align.bodies import BodyPair
 from grasp_refine_apps.bench.align.rows import ERROR_LEVELS_M2, rows, summary
@@ -19,16 +17,6 @@ from grasp_refine_apps.bench.align.variants import Variant
 from shapes_for_tests import convex_body
 
 SUMMARY = {"targets", "acc_1e6", "acc_1e8", "d5", "d9"}
-CONTRACT = {
-    "kind", "method", "neighborhood", "solver", "transport", "margin", "budget", "budget_s", "pairs", *SUMMARY,
-    "reachable", "unfiltered", "last", "pair", "target_class", "witness", "coupling", "step_size", "optimise", "dtype",
-    "epsilon", "patch", "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean",
-    "iterations_mean", "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
-}  # fmt: skip
-TIMES = {
-    "forward_us", "backward_us", "sampling_us", "queries_mean", "narrow_queries_mean", "iterations_mean",
-    "cpu_s_per_pair", "wall_s_per_pair", "cpu_share",
-}  # fmt: skip
 PAPER = Variant()
 A, B = convex_body(1, 12), convex_body(2, 12)
 
@@ -95,30 +83,6 @@ def test_a_weighted_summary_is_that_of_the_tasks_it_stands_for(seed: int):
 
 
 # Rows
-
-
-def test_rows_have_the_keys_of_the_contract():
-    found = rows([done([plain(3), plain(2, 1)], np.full((3, 2), 1e-7))], 3, "float64")
-    assert [(row["pair"], row["target_class"], row["pairs"]) for row in found] == [
-        ("all", "all", 2),
-        ("all", "vertex-vertex", 2),
-        ("all", "face-vertex", 2),
-        ("pair 0", "all", 1),
-        ("pair 1", "all", 1),
-    ]
-    for row in found:
-        assert set(row) == CONTRACT
-        assert set(row["reachable"]) == set(row["unfiltered"]) == set(row["last"]) == SUMMARY
-        # Stages are timed for all tasks of a variant together.
-        assert all((row[name] is None) != (row is found[0]) for name in TIMES)
-    assert set(found[0]["cpu_share"]) == {"broadphase", "narrowphase", "derivative", "solver"}
-    assert [row["targets"] for row in found] == [5, 3, 2, 3, 2]
-    settings = {"kind": "convex", "method": "distance", "neighborhood": "adaptive", "solver": "descent",
-                "transport": True, "margin": 1e-3, "budget": 2000, "budget_s": None, "witness": "plain",
-                "coupling": "one-sided", "step_size": 10.0, "optimise": "T2", "epsilon": None, "patch": None,
-                "dtype": "float64"}  # fmt: skip
-    assert found[0].items() >= settings.items()
-    json.loads(dumps(found))
 
 
 def test_the_patch_judges_the_same_tasks_beside_the_plain_witness():

@@ -34,11 +34,6 @@ def test_bodies_have_the_pieces_and_vertices_that_are_asked_for(pieces: int, ver
     assert not np.array_equal(body.pieces[0].vertices, other.pieces[0].vertices)
 
 
-def test_a_coil_is_hollow():
-    body = make_body(16, 32, 0)
-    assert all(np.linalg.norm(piece.vertices[:, :2], axis=1).min() > 0.02 for piece in body.pieces)
-
-
 @pytest.mark.parametrize(
     ("case", "piece_pairs"), [(Case("convex"), 1), (Case("mixed", 5), 5), (Case("concave", 5), 25)]
 )
