@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import batch_rows
 from grasp_refine.assets.embedded import resource_dir
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, save_npz
 from grasp_refine.problem.load import Loader
-from grasp_refine_apps.batch.jobs import read_jobs
+from grasp_refine.problem.spec import ProblemSpec
+from grasp_refine_apps.batch.jobs import Job, read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner, part_of
 from grasp_refine_apps.batch.shard import Shard
 from grasp_refine_apps.commands.inputs import Inputs
@@ -105,6 +107,17 @@ def test_parts_are_runs_of_shards_that_make_up_the_whole(mixed: Path):
         sizes = [sum(shard.size for shard in part) for part in found]
         assert max(sizes) - min(sizes) <= 1
     assert part_of((), 1, 3) == ()
+    large = tuple(batch_rows.shard(number, Path(), size) for number, size in enumerate((5, 1, 1, 1, 1, 1)))
+    assert part_of(large, 1, 2) == large[:1] and part_of(large, 2, 2) == large[1:]
+
+
+def test_folders_of_jobs_are_short_distinct_and_no_reserved_names(mixed: Path):
+    names = ("report.html", "index.csv", f"{'é' * 200}a", f"{'é' * 200}b")
+    jobs = [Job(name, ProblemSpec(grasps=mixed)) for name in names]
+    shards = Planner(Path("/out"), 64, "a batch", {}, 0).plan(jobs, lambda line: None, lambda *_: None).shards
+    folders = list(dict.fromkeys(shard.path.parts[2] for shard in shards))
+    assert folders[:2] == ["report.html_", "index.csv_"] and len(folders) == 4
+    assert max(len(folder.encode()) for folder in folders) <= 150
 
 
 def test_files_whose_names_differ_in_odd_letters_only_do_not_meet(tmp_path: Path):

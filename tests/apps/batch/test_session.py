@@ -24,14 +24,16 @@ def test_costs_and_stages_add_up_and_failures_have_their_reasons(tmp_path: Path)
     )
     # It failed in an earlier run.
     note_failure(shards[1], Failed("hung", "worker 7 hung", "", 2))
+    shards[0].path.write_bytes(bytes(400))
     session = Session(shards, (Refused("c", "no such hand"),), {0})
-    assert session.skipped == 4
+    assert (session.skipped, session.open_grasps, session.room_bytes) == (4, 12, 1200)
     with Progress(Console(file=io.StringIO()), shards, 1) as progress:
         for number, memory in ((1, 9), (2, 7)):
             spent = {"solver": (0.5, 0.25, 3)}
             session.take(shards[number], Done(4, 3, (1, 2), None, 1.0, 2.0, memory, profile=spent), progress)
         session.take(shards[3], Failed("crashed", "worker 1 was lost", "", 2), progress)
     session.wall_s = 16.0
+    assert session.peak_bytes == 9
     assert session.profile == {"solver": (1.0, 0.5, 6)}
     assert session.complete_shards == list(shards[:3])
     totals = session.totals(session.failures(), 20.0, 10.0)

@@ -56,6 +56,11 @@ def test_quantiles_outside_of_the_bins_are_extremes():
     its = Histogram(1.0, 10.0, 1)
     its.add(np.array([0.0, 0.0, 0.0, 5.0, 70.0]))
     assert (its.quantile(0.5), its.quantile(1.0)) == (0.0, 70.0) and np.isnan(Histogram.of(METRE).quantile(0.5))
+    # Within a bin as far as counts go, along the ratio of its edges, or along their difference.
+    for edges, half in (((1.0, 1000.0, 3), 10 * 10**0.5), ((0.0, 30.0, 3, True), 15.0)):
+        its = Histogram(*edges)
+        its.add(np.array([10.5, 11.0, 12.0, 19.5 if edges[-1] is True else 99.0]))
+        assert its.quantile(0.5) == pytest.approx(half)
 
 
 def test_the_mean_of_many_values_is_exact():
@@ -149,9 +154,14 @@ def test_the_worst_cases_have_the_lowest_quality_then_the_largest_depth():
 
 
 def test_the_worst_of_a_file_of_many_are_kept():
-    depth = np.arange(MAX_KEPT + 60) * 1e-5
-    rows = made_up_rows(len(depth), quality_after=0.5, penetration_m_after=depth, held_after=np.nan)
-    assert [case.row for case in statistics(rows).worst()] == [*range(len(depth) - 1, len(depth) - 1 - NUM_CASES, -1)]
+    """Without a quality, or not simulated, or deep: of more grasps than are kept, wherever they are."""
+    count = MAX_KEPT + 60
+    depth, quality, held = np.arange(count) * 1e-5, np.full(count, 0.5), np.ones(count)
+    rows = made_up_rows(count, quality_after=quality, penetration_m_after=depth, held_after=held)
+    assert [case.row for case in statistics(rows).worst()] == [*range(count - 1, count - 1 - NUM_CASES, -1)]
+    quality[3], held[5] = np.nan, np.nan
+    rows = made_up_rows(count, quality_after=quality, penetration_m_after=depth, held_after=held)
+    assert [case.row for case in statistics(rows).worst()][:3] == [5, 3, count - 1]
 
 
 def test_what_was_not_refined_is_no_case():

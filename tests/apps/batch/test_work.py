@@ -1,5 +1,6 @@
 """The work on a shard: what comes out depends on its inputs, and on nothing that was worked on before."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -7,14 +8,16 @@ import numpy as np
 import pytest
 
 from grasp_refine.assets.embedded import resource_dir
+from grasp_refine.problem.input_cache import NoCache
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.results.verdict import should_hold
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.batch.plan import Plan, Planner
 from grasp_refine_apps.batch.record import State, state_of
 from grasp_refine_apps.batch.shard import Done, Shard
-from grasp_refine_apps.batch.work import ShardWork
+from grasp_refine_apps.batch.work import ShardWork, problem_of
 from grasp_refine_apps.commands.inputs import Inputs
 from grasp_refine_apps.processes.task import Sign
 
@@ -53,11 +56,19 @@ def test_a_shard_comes_out_the_same_whatever_came_before(grasps: Path, tmp_path:
     assert content(second.path) == content(other.path)
 
 
-def test_signs_of_life_say_how_far_it_is(grasps: Path, tmp_path: Path):
-    (shard, _) = planned(tmp_path / "out", grasps).shards
+def test_signs_of_life_say_how_far_it_is_and_numbers_are_those_of_the_file(grasps: Path, tmp_path: Path):
+    with np.load(grasps) as file:
+        np.savez(grasps, **{**file, "object": ["rounded_box", "mug"] * 2})
+    (shard,) = planned(tmp_path / "out", grasps, object_name="rounded_box").shards
     heard: list[Sign] = []
     work = ShardWork(QUICK, True, {})  # simulates
-    work(shard, lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
+    done = work(shard, lambda what, share, finished=0: heard.append(Sign(what, share, finished)))
+    with np.load(shard.path) as file:
+        provenance = json.loads(str(file["provenance"]))
+        held = tuple(int(file[f"simulation_{side}"].sum()) for side in ("before", "after"))
+        good = tuple(int(should_hold(file[f"quality_{side}"]).sum()) for side in ("before", "after"))
+    assert (provenance["row"], provenance["index"]) == ([0, 2], [0, 1]), "of the file, and of its object"
+    assert (done.held, done.good) == (held, good)
     for values in zip(*(sign[1:] for sign in heard), strict=True):
         assert list(values) == sorted(values)
     assert (heard[0][1:], heard[-1][1:]) == ((0.0, 0), (1.0, 2))
@@ -82,3 +93,13 @@ def test_each_table_is_simulated_by_itself(grasps: Path, tmp_path: Path):
         content(found.path)["simulation_displacement_m_before"]
         != content(next(shard for shard in both if shard.task.job == "low").path)["simulation_displacement_m_before"]
     )
+
+
+def test_each_shard_of_sampled_grasps_is_another_draw(tmp_path: Path):
+    shards = planned(tmp_path, "sample:4", hand="franka_hand", object="box:0.04,0.04,0.06").shards
+    first, second, again = (
+        problem_of(shard.task, 0, NoCache(), lambda *_: None).groups[0].grasps.hand_pose
+        for shard in (*shards, shards[0])
+    )
+    np.testing.assert_array_equal(first, again)
+    assert len(first) == len(second) == 2 and (np.abs(first[:, None] - second).max(axis=2) > 1e-3).all()
