@@ -15,6 +15,7 @@ from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
 from grasp_refine.measures.geometry import measure, movement
 from grasp_refine.objects.object import load_object
+from grasp_refine.objects.region import HalfSpace
 from grasp_refine.scene.hand_object import CLEARANCE, CLEARANCE_OTHERS, HandObject, clearances
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
@@ -101,7 +102,10 @@ def test_an_open_hand_stays(mugs: Scene) -> None:
 
 def test_what_the_scene_wants_of_contacts_means_nothing(mugs: Scene) -> None:
     target = np.zeros((4, len(mugs.links), 3))
+    regions = {"touch": (HalfSpace("up", np.eye(3)[2], 0.02),), "avoid": (HalfSpace("right", np.eye(3)[0], 0.0),)}
     aimed = replace(mugs, target_link=target, target_object=target, direction=np.full_like(target, np.nan))
+    aimed = replace(aimed, task=replace(mugs.task, **regions))
+    assert aimed.regions is not None
     np.testing.assert_array_equal(open_hand(aimed)[1], open_hand(mugs)[1])
 
 
