@@ -38,29 +38,6 @@ from made_results import plain_outcome
 from refusals import refused
 
 
-def test_a_measure_has_one_name_which_ends_in_its_unit():
-    """Result files, the index, JSON, and `Metrics` have these names; of both sides with `_before` and `_after`."""
-    both = {
-        *("quality", "wrench_residual", "contact_error_m", "contact_error_mean_m", "penetration_m"),
-        *("self_penetration_m", "scene_penetration_m", "region_miss_m", "arm_dexterity_m"),
-    }
-    assert {entry for measure in RECORDED for entry in measure.entries.values()} == {
-        *(f"{name}_{side}" for name in both for side in ("before", "after")),
-        *("starts", "iterations", "queries", "loss_m2", "limits_violated", "cpu_s", "wall_s"),
-        *("moved_palm_m", "moved_palm_rad", "moved_joints_rad", "moved_slides_m"),
-    }
-    assert {one.name for one in VALIDATED} == {*both, "contact_distance_m", "contact_number", "limits_violated"}
-    assert {one.name for one in COMPARED} == both - {"contact_error_mean_m"}
-    assert all(one.name.endswith(one.unit.suffix) for one in MEASURES)
-
-
-def test_quality_and_contacts_are_better_high_and_errors_and_costs_low():
-    found = {better: {one.name for one in MEASURES if one.better == better} for better in ("higher", "lower", "")}
-    assert found["higher"] == {"quality", "contact_number", "arm_dexterity_m"}
-    assert found[""] == {"starts", *(one.name for one in MOVEMENTS)}
-    assert len(found["lower"]) + 8 == len(MEASURES)
-
-
 @pytest.mark.parametrize("measure", [*MEASURES], ids=lambda one: one.name)
 def test_people_read_the_unit_that_is_named(measure: Measure):
     """The factor is that from the SI unit of the key to the symbol."""

@@ -1,6 +1,5 @@
 """Metrics of a clamp around a ball in closed form."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,12 +72,6 @@ def test_contact_errors_are_the_worst_and_the_mean_of_links_that_should_touch(ha
     np.testing.assert_allclose(found.contact_error_mean_m, [0.0025, 0.002, 0.004], atol=1e-6)
 
 
-def test_a_finger_is_as_near_as_its_nearest_link(hand: Hand, ball: Object) -> None:
-    palm = replace(hand.contacts[0], link="palm")
-    found = at(replace(hand, contacts=(*hand.contacts, palm)), ball, [[0.004, 0.0, 0.002], [0.001, 0.0, 0.002]])
-    np.testing.assert_allclose(found.contact_distance_m, [0.001, 0.0005], atol=1e-9)
-
-
 def test_links_near_the_object_count_once_each(hand: Hand, ball: Object) -> None:
     found = at(hand, ball, [[0, 0, 0], [0.0019, 0.0021, 0.0], [-0.005, 0.01, 0.01], [0.01, 0.01, 0.01]])
     np.testing.assert_array_equal(found.contact_number, [3, 2, 1, 0])
@@ -149,11 +142,3 @@ def test_grasps_that_are_not_finite_have_no_metrics_and_spoil_no_other(hand: Han
         middle = name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m")
         np.testing.assert_array_equal(np.isnan(getattr(found, name)), [True, middle, True], err_msg=name)
         np.testing.assert_array_equal(getattr(found, name)[1:2], getattr(alone, name))
-
-
-def test_select_and_join(hand: Hand, ball: Object) -> None:
-    found = at(hand, ball, [[0.001 * i, 0.0, 0.0] for i in range(4)])
-    again = Metrics.join([found.select(np.array([2, 3])), found.select(np.array([0]))])
-    assert len(found) == 4 and len(again) == 3
-    np.testing.assert_array_equal(again.contact_distance_m, found.contact_distance_m[[2, 3, 0]])
-    np.testing.assert_array_equal(again.wrench_residual, found.wrench_residual[[2, 3, 0]])

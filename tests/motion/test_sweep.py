@@ -152,3 +152,12 @@ def test_depth_in_object_is_the_largest_at_the_end(hand: Hand) -> None:
     apart = HandPath(path.T_world_root, path.q + 0.05)
     scene, _ = grasp(hand)
     assert Sweep(scene, HandObject.of(scene)).depth_in_object(apart) == 0.0
+
+
+def test_of_several_overlaps_at_once_the_deepest_is_named(hand: Hand) -> None:
+    """A tip 2 mm in the object and 5 mm in a post, where the hand stands still."""
+    scene, motion = grasp(hand, body("post", (0.0, -0.053, 0.0, 0.01)), stages=(0.038, 0.05, 0.05))
+    still = HandPath(motion.T_world_root[0, [0, 0]], motion.q[0, [0, 0]])
+    met = Sweep(scene, HandObject.of(scene)).obstruction(still)
+    assert met is not None and (met.first, met.second, met.share) == ("left", "post", 0.0)
+    assert met.depth == pytest.approx(0.005, abs=1e-6)

@@ -17,7 +17,7 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import Config, Scene, refine
 from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.status import Status
-from grasp_refine.results.document import run_document, settings
+from grasp_refine.results.document import run_document
 from grasp_refine.results.outcome import Outcome, compare
 from grasp_refine.scene.contact_selection import ContactSelection
 from made_results import error_in_millimetres, with_measures, with_status
@@ -94,10 +94,3 @@ def test_a_document_has_si_units_and_null_for_nan():
     assert second["moved_palm_m"] is None and second["moved_slides_m"] is None
     assert second["moved_palm_rad"] == pytest.approx(np.radians(5))
     assert second["moved_joints_rad"] == pytest.approx(np.radians(6))
-
-
-def test_settings_name_the_method_that_was_chosen():
-    described = settings(Config())
-    assert described["solver"]["type"] == "LevenbergMarquardt"
-    assert described["derivative"]["neighborhood"]["type"] == "Adaptive"
-    json.loads(dumps(described))

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from grasp_refine.refinement.max_move import MaxMove
 from grasp_refine.refinement.refine import Config
-from grasp_refine.refinement.solvers.descent import Descent
-from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
-from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold, status_advice
+from grasp_refine.results.verdict import BAR, HOLDS, Agreement, should_hold
 from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.validation.trials import Reason
 from made_results import error_in_millimetres, made_trials, with_measures, with_status
@@ -60,16 +57,6 @@ def text(
 # The table
 
 
-def test_the_table_reports_slides_in_millimetres():
-    """A gripper that slides has no column in degrees for its joints."""
-    outcome = with_measures(
-        error_in_millimetres(3), moved_slides_m=np.full(3, 7e-3), moved_joints_rad=np.full(3, np.nan)
-    )
-    lines = text(outcome)
-    assert any("slides" in line.split() for line in lines) and not any("joints" in line.split() for line in lines[:4])
-    assert any("4.0 5.0 7.0 0.400" in " ".join(line.split()) for line in lines)
-
-
 def test_the_table_speaks_millimetres_and_degrees():
     lines = text(error_in_millimetres(3))
     assert_names(lines[0], "claw", "mug", "3 grasps")
@@ -96,20 +83,6 @@ def test_the_table_speaks_millimetres_and_degrees():
         assert_names(line, *named)
 
 
-def test_a_measure_that_fell_nowhere_is_not_called_less():
-    outcome = error_in_millimetres(3)
-    worse = with_measures(outcome, penetration_m=outcome["penetration_m"][:, ::-1].copy())
-
-    def told(outcome: Outcome) -> str:
-        (line,) = [line for line in text(outcome) if line.startswith("penetration") and "mean" in line]
-        return line
-
-    way, back = (told(one).partition("3 of 3")[0] for one in (outcome, worse))
-    assert way != back and "3 of 3" in told(outcome) and "3 of 3" in told(worse)
-    mixed = with_measures(outcome, penetration_m=np.array([[2e-3, 1e-3], [1e-3, 2e-3], [1e-3, 1e-3]]))
-    assert re.search(r"\b1\b.* 1 of 3\b", told(mixed))
-
-
 def test_what_the_verdict_is_depends_on_what_was_wanted():
     """Where grasps should hold it is by quality; elsewhere it is how the refinement ended, and quality is told."""
     outcome = with_status(with_quality(error_in_millimetres(3), g1=0.8), g1=Status.STALLED, g2=Status.STALLED)
@@ -126,37 +99,6 @@ def test_what_the_verdict_is_depends_on_what_was_wanted():
     assert any(line.startswith(f"quality {BAR}") and "0 → 2 of 3" in line for line in text(aimed(outcome)))
     assert_names(text(aimed(outcome))[-1], "123 / 123 iterations", "0.25 s / 0.25 s")
     assert "starts" not in text(aimed(outcome))[-1]
-
-
-def test_what_can_be_done_about_grasps_that_may_slip():
-    def said(config: Config, outcome: Outcome = with_quality(error_in_millimetres(3), g2=0.8)) -> str:  # noqa: B008
-        (line,) = [line for line in text(outcome, config, width=200) if "may slip (2)" in line]
-        return line.partition(": ")[2]
-
-    def options(advice: str) -> list[str]:
-        return re.findall(r"`[a-z_]+`", advice)
-
-    assert options(said(Config())) == ["`starts`"]
-    bounded = Config(max_move=MaxMove(joints=0.1), seconds=2.0)
-    assert options(said(bounded)) == ["`starts`", "`max_move`", "`seconds`"]
-    assert said(GEOMETRY) and not options(said(GEOMETRY))
-    assert_names(said(Config(solver=Descent())), "`solver` levenberg-marquardt", "descent")
-    advice = said(Config(), aimed(with_quality(error_in_millimetres(3), g2=0.8)))
-    assert "targets" in advice and not options(advice)
-
-
-def test_the_iterations_of_a_stage_are_not_the_users():
-    """They end a start; raising --iterations would do nothing."""
-    outcome = with_status(error_in_millimetres(2), g1=Status.BUDGET)
-    own = status_advice(Status.BUDGET, outcome, Config())
-    assert own != Status.BUDGET.advice and "--" not in own
-    assert "`seconds`" in status_advice(Status.BUDGET, outcome, Config(seconds=1.0))
-    bounded = Config(max_move=MaxMove(translation=0.0))
-    assert status_advice(Status.STALLED, outcome, bounded).startswith(Status.STALLED.advice)
-    assert "`max_move`" in status_advice(Status.STALLED, outcome, bounded)
-    assert "`max_move`" not in Status.STALLED.advice
-    for few in (Config(solver=LevenbergMarquardt(iterations=5)), GEOMETRY):
-        assert status_advice(Status.BUDGET, outcome, few) == Status.BUDGET.advice
 
 
 def test_a_quality_that_is_not_known_is_not_good():
@@ -222,16 +164,6 @@ def test_the_table_loses_nothing_at_80_columns(width: int):
     assert any("1600.0 → 160.0" in line for line in lines)
 
 
-def test_each_status_comes_with_its_advice():
-    lines = text(
-        with_status(error_in_millimetres(4), g1=Status.BUDGET, g2=Status.BUDGET, g3=Status.NO_TARGET), width=100
-    )
-    assert any("1 of 4" in line and "converged" in line for line in lines)
-    assert f"1 no target (3): {Status.NO_TARGET.advice}" in lines
-    many = with_status(error_in_millimetres(20), **{f"g{i}": Status.BUDGET for i in range(13)})
-    assert f"13 budget: {Status.BUDGET.advice}" in text(many, GEOMETRY, width=100)
-
-
 def test_of_many_grasps_the_worst_are_listed():
     outcome = with_status(error_in_millimetres(41), g7=Status.NO_TARGET)
 
@@ -246,20 +178,3 @@ def test_of_many_grasps_the_worst_are_listed():
     assert_names(text(outcome)[0], "41 grasps", "10", "`verbose`")
     for lines, count in ((text(outcome, verbose=True), 41), (text(error_in_millimetres(40)), 40)):
         assert sum("→" in line and line.split()[0].isdigit() for line in lines) == count
-
-
-def test_each_object_has_its_table_and_all_have_one():
-    lines = text(error_in_millimetres(5, ("mug", "[bold]can")))
-    titles = [line.strip() for line in lines if re.search(r": \d grasps$", line.strip())]
-    for title, named in zip(
-        titles, (("claw", "mug", "3 grasps"), ("claw", "[bold]can", "2 grasps"), ("2 objects", "5 grasps")), strict=True
-    ):
-        assert_names(title, *named)
-    assert any("5 of 5" in line and "converged" in line for line in lines)
-
-
-def test_what_there_is_none_of_is_a_dash():
-    outcome = with_status(error_in_millimetres(1), g0=Status.NO_TARGET)
-    outcome = with_measures(outcome, contact_error_m=np.full((1, 2), np.nan), moved_palm_m=np.array([np.nan]))
-    (row,) = [line for line in text(outcome) if "no target" in line and "→" in line]
-    assert row.split()[:4] == ["0", "-", "→", "-"]

@@ -8,7 +8,6 @@ import pytest
 
 from grasp_refine.collision.query import query
 from grasp_refine.core.se3 import transform_from_pose
-from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
 from grasp_refine.sampling.antipodal import FRICTION, antipodal_pairs
@@ -16,8 +15,6 @@ from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine.sampling.jaw_frame import JawFrame, jaw_frame
 from grasp_refine.sampling.sample import CONTACT_DISTANCE_M, sample_grasps
 from grasp_refine.scene.hand_object import HandObject
-from grasp_refine.scene.plane import Plane
-from grasp_refine.scene.task import Task
 from plate_gripper import URDF
 
 
@@ -118,24 +115,6 @@ def test_both_jaws_touch_opposite_sides(hand: str, source: str, request: pytest.
     # Approach directions are all around the axis.
     way = T[:, :3, :3] @ jaws.approach
     assert np.linalg.norm(way.mean(axis=0)) < 0.7
-
-
-def test_the_seed_says_which(franka: Hand, box: Object) -> None:
-    def sampled(seed: int) -> GraspSet:
-        return sample_grasps(franka, box, 4, seed=seed)
-
-    np.testing.assert_array_equal(sampled(1).hand_pose, sampled(1).hand_pose)
-    assert not np.allclose(sampled(1).hand_pose, sampled(2).hand_pose)
-
-
-def test_no_gripper_approaches_from_below_a_table(franka: Hand, box: Object) -> None:
-    table = Plane((0.0, 0.0, 1.0), -0.05)
-    grasps = sample_grasps(franka, box, 8, task=Task(table=table))
-    T = transform_from_pose(grasps.hand_pose)
-    assert (T[:, 2, 2] < 0.05).all()
-    prepared = HandObject(franka, box)
-    links = prepared.chain(T, grasps.q).T_world_link
-    assert table.lowest(prepared.bodies, links)[..., 2] is not None
 
 
 def test_what_is_wider_than_the_stroke_is_taken_where_it_is_thin(franka: Hand) -> None:

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from grasp_refine.closing.motion import Motion
-from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.core.se3 import transform
+from grasp_refine.core.se3 import exp_so3, transform
 from grasp_refine.results.simulated import reason_lines, simulation_entry
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
-from grasp_refine.scene.protocols.protocol import Protocol
 from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
@@ -22,13 +20,13 @@ from grasp_refine.validation.simulation import simulate
 from grasp_refine.validation.trials import Reason, Trials
 from grasp_refine_apps.viewer.model.validated import TrialResult
 from gripper import RADIUS, around, ball, gripper
-from refusals import assert_names, refused
+from refusals import assert_names
 from validation.test_protocol import lever
 
 EDGE, HALF_PLATE = 0.002, 0.04
 """How far from the plates' lower edge the ball is touched, and half of the height of the plates, in metres."""
 
-NOISE = Noise(count=24, offset=0.01, turn=0.0)
+NOISE = Noise(count=12, offset=0.01, turn=0.0)
 SHAKEN = replace(DEXGRASPBENCH, name="shaken", friction=0.1, noise=NOISE, required_label=0.5)
 
 LOST_BELOW = 0.002
@@ -56,13 +54,13 @@ def world() -> World:
 
 
 def test_the_label_is_the_share_of_the_offsets_at_which_plates_still_touch(world: World):
-    numbers = np.array([3, 7, 11])
+    numbers = np.array([22, 26, 10])
     least, most = (expected(numbers, LOST_BELOW + slack) for slack in (-0.001, 0.001))
-    assert (0.5 < least).all() and (most < 1.0).all()
+    np.testing.assert_array_equal(least, most)
     trials = judge(world, above_the_edge(count=3), numbers=numbers)
     assert (trials.reason == Reason.HELD).all(), "centred, all hold"
-    assert trials.label is not None
-    assert (least <= trials.label).all() and (trials.label <= most).all()
+    np.testing.assert_allclose(trials.label, [9 / 12, 10 / 12, 11 / 12])
+    np.testing.assert_allclose(trials.label, least)
     assert judge(build_world(gripper(), ball(), Task(DEXGRASPBENCH)), above_the_edge()).label is None
 
 
@@ -92,13 +90,6 @@ def test_further_trials_are_judged_alike(world: World):
     assert simulate(world, motion).label is None
 
 
-def test_trials_are_joined_and_selected_with_their_labels(world: World):
-    numbers = np.array([3, 7, 11])
-    trials = judge(world, above_the_edge(count=3), numbers=numbers)
-    parts = [trials.select(np.array([i])) for i in (2, 0)]
-    np.testing.assert_array_equal(Trials.join(parts).label, trials.label[[2, 0]])
-
-
 def test_a_grasp_that_holds_only_where_the_object_should_be_says_so(world: World):
     trials = judge(world, above_the_edge(0.0005))
     strict = replace(SHAKEN, required_label=0.9)
@@ -106,12 +97,12 @@ def test_a_grasp_that_holds_only_where_the_object_should_be_says_so(world: World
     assert trials.outcome.tolist() == [Reason.OFF_CENTRE]
     entry = simulation_entry(trials, 0, strict)
     assert (entry["success"], entry["reason"], entry["label"]) == (False, "off centre", trials.label[0])
-    assert_names(entry["rule"], "all of +x", "90 %", "24 trials", "10 mm")
+    assert_names(entry["rule"], "all of +x", "90 %", "12 trials", "10 mm")
     (line,) = reason_lines(trials, strict)
     assert_names(line.plain, "1 off centre")
     seen = TrialResult.of(trials, 0, strict, {}, None)
     assert not seen.held
-    assert_names(seen.verdict, "Does not hold", f"{trials.label[0]:.0%} of 24", "all 6 directions")
+    assert_names(seen.verdict, "Does not hold", f"{trials.label[0]:.0%} of 12", "all 6 directions")
 
 
 def test_offsets_stay_on_the_table_and_turn_the_object_about_its_middle(monkeypatch: pytest.MonkeyPatch):
@@ -136,37 +127,11 @@ def test_offsets_stay_on_the_table_and_turn_the_object_about_its_middle(monkeypa
     assert np.abs(turned[:, :3, 3]).max() > 1e-4
 
 
-def test_progress_counts_grasps(world: World):
-    seen: list[float] = []
-    judge(world, above_the_edge(count=2), progress=seen.append)
-    assert seen == sorted(seen) and seen[-1] == pytest.approx(2.0)
-
-
-def test_offsets_start_from_the_pose_that_conditions_give(world: World):
-    """A grasp and an object that are both somewhere else have the label of those where they are usually."""
-    T = transform(np.eye(3), np.array([0.0, 0.3, 0.1]))
+def test_offsets_move_with_the_pose_that_conditions_give(world: World):
+    """A grasp and an object that are both somewhere else, and turned, have the label that they have at home."""
+    T = transform(exp_so3(np.array([1.6, -0.9, 0.4])), np.array([0.0, 0.3, 0.1]))
     motion = above_the_edge()
     moved = Motion(T @ motion.T_world_root, motion.q)
     at = replace(Conditions.nominal(world, 1), T_world_object=T[None])
-    assert judge(world, moved, at).label == pytest.approx(judge(world, motion).label, abs=1 / NOISE.count)
-
-
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [
-        ({"required_label": 0.0}, ("required_label", "0")),
-        ({"required_label": 1.5}, ("required_label", "1.5")),
-    ],
-)
-def test_a_label_that_cannot_be_is_refused(fields: dict, named: tuple[str, ...]):
-    with refused(GraspRefineError, *named):
-        Protocol(**fields)
-
-
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [({"count": -1}, "count"), ({"offset": -0.1}, "offset"), ({"turn": np.inf}, "turn")],
-)
-def test_offsets_that_cannot_be_are_refused(fields: dict, named: str):
-    with refused(GraspRefineError, "Noise", named):
-        Noise(**fields)
+    numbers = np.array([22])
+    assert judge(world, motion, numbers=numbers).label == judge(world, moved, at, numbers=numbers).label == 9 / 12

@@ -13,7 +13,6 @@ import torch
 from grasp_refine.core.errors import HandError
 from grasp_refine.forces.squeeze import set_point_offsets
 from grasp_refine.forces.torques import torque_bounds
-from grasp_refine.hands.files.prefixed_names import prefixed_names
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.kinematics import Kinematics
 from grasp_refine.hands.linkages.servos import moments
@@ -259,13 +258,6 @@ def test_a_mimic_joint_that_turns_the_other_way_has_its_offset_turned(tmp_path: 
     check_poses(hand, made, 1e-9)
 
 
-def test_inertia_follows_from_what_is_only_seen_where_the_file_says_so(tmp_path: Path) -> None:
-    path = written(tmp_path, root='<inertial pos="0 0 1" mass="9" diaginertia="1 1 1"/>')
-    path.write_text(path.read_text().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>'))
-    model = mjcf_model(ours(tmp_path), path).spec.compile()
-    assert model.body("palm").mass[0] == pytest.approx(0.4) and model.ngeom == 5
-
-
 @pytest.mark.parametrize(
     "said",
     [
@@ -377,27 +369,13 @@ def test_bounds_of_torques_are_what_actuators_make_of_the_farthest_set_points(
 
 
 @pytest.mark.parametrize(
-    "servo",
+    "actuator",
     [
-        '<motor name="p1" joint="rh_a1_j"/>',
-        '<position name="p1" joint="rh_a1_j" kp="3" timeconst="0.1"/>',
-        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0.5 -3 0"/>',
-        '<general name="p1" joint="rh_a1_j" biastype="affine" gainprm="3" biasprm="0 2 0"/>',
+        *("motor", "velocity kv='0.01'", "general", "cylinder", "intvelocity kp='3' actrange='-1 1'", ""),
+        "position kp='3' timeconst='0.1'",
+        "general biastype='affine' gainprm='3' biasprm='0.5 -3 0'",
+        "general biastype='affine' gainprm='3' biasprm='0 2 0'",
     ],
-)
-def test_other_actuators_are_replaced_by_the_servos_of_the_hand(tmp_path: Path, servo: str) -> None:
-    path, hand = (
-        written(tmp_path, rest=SERVOS.replace('<position name="p1" joint="rh_a1_j" kp="3"/>', servo)),
-        ours(tmp_path),
-    )
-    made = mjcf_model(hand, path)
-    assert_names(" ".join(made.notes), "hand.xml", "p1", "position")
-    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
-    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
-
-
-@pytest.mark.parametrize(
-    "actuator", ["motor", "velocity kv='0.01'", "general", "cylinder", "intvelocity kp='3' actrange='-1 1'", ""]
 )
 def test_servos_in_place_of_other_actuators_come_to_rest(tmp_path: Path, actuator: str) -> None:
     """Joints with motors often have no damping: with servos they swung for ever, and threw objects by metres."""
@@ -410,6 +388,8 @@ def test_servos_in_place_of_other_actuators_come_to_rest(tmp_path: Path, actuato
     model.opt.gravity[:] = 0.0
     model.opt.timestep, model.opt.integrator = 0.004, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     dof = [model.joint(f"rh_{name}_j").dofadr[0] for name in names]
+    np.testing.assert_allclose(made.actuator.kp, hand.actuator.kp)
+    np.testing.assert_allclose(made.actuator.force_limit, hand.actuator.force_limit)
     assert (model.dof_damping[dof] >= hand.actuator.damping).all()
     assert (model.dof_armature[dof] >= hand.actuator.armature).all()
     np.testing.assert_allclose(made.actuator.damping, model.dof_damping[dof])
@@ -429,16 +409,6 @@ def test_a_servo_whose_control_has_other_units_is_one_with_set_points(tmp_path: 
     np.testing.assert_allclose(model.actuator_ctrlrange[at], [0.0, 255 * 0.06 / 3.0])
 
 
-def test_names_match_behind_a_prefix() -> None:
-    there = ["rh_FFJ4", "lh/FFJ3", "XFFJ2", "a_1", "b_1", "FFJ1", "x_FFJ1"]
-    assert prefixed_names("FFJ4", there) == ["rh_FFJ4"] and prefixed_names("FFJ3", there) == ["lh/FFJ3"]
-    assert (
-        prefixed_names("FFJ2", there) == []
-        and prefixed_names("1", there) == ["a_1", "b_1"]
-        and prefixed_names("FFJ1", there) == ["FFJ1"]
-    )
-
-
 def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:
     path = written(tmp_path)
     path.write_text(path.read_text().replace("rh_a1_j", "thumb").replace("rh_a2_j", "index"))
@@ -453,21 +423,18 @@ def test_hand_toml_says_which_joint_is_which(tmp_path: Path) -> None:
 
 
 def test_a_small_difference_is_reported_and_a_large_one_refused(tmp_path: Path) -> None:
+    """Of a place by its millimetres, of an axis by its degrees."""
     hand = ours(tmp_path)
-    made = mjcf_model(hand, written(tmp_path, reach=0.0406))
-    assert_names(made.notes[0], "hand.xml", " mm", "URDF")
-    (off,) = re.findall(r"(\d\.\d+) mm", made.notes[0])
+    (off,) = re.findall(r"(\d\.\d+) mm", mjcf_model(hand, written(tmp_path, reach=0.0406)).notes[0])
     assert 0.5 < float(off) < 1
-    with refused(HandError, "'a2_j'", "2") as caught:
-        mjcf_model(hand, written(tmp_path, reach=0.05))
-    (off,) = re.findall(r"(\d+\.\d\d) mm", str(caught.value))
-    assert 2 < float(off) < 15
-    crooked = written(tmp_path)
-    crooked.write_text(crooked.read_text().replace('name="rh_a2_j" axis="1 0 0"', 'name="rh_a2_j" axis="1 0 0.1"'))
-    with refused(HandError, "'a2_j'", "2") as caught:
-        mjcf_model(hand, crooked)
-    (tilt,) = re.findall(r"(\d+\.\d\d) degrees", str(caught.value))
-    assert 2 < float(tilt) < 6
+    far, crooked = written(tmp_path, reach=0.05).read_text(), written(tmp_path).read_text()
+    crooked = crooked.replace('name="rh_a2_j" axis="1 0 0"', 'name="rh_a2_j" axis="1 0 0.1"')
+    for text, unit, most in ((far, "mm", 15), (crooked, "degrees", 6)):
+        (tmp_path / "hand.xml").write_text(text)
+        with refused(HandError, "'a2_j'", "2") as caught:
+            mjcf_model(hand, tmp_path / "hand.xml")
+        (off,) = re.findall(rf"(\d+\.\d\d) {unit}", str(caught.value))
+        assert 2 < float(off) < most
 
 
 def test_joints_on_one_line_are_aligned_by_their_axes(tmp_path: Path) -> None:

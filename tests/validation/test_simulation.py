@@ -8,21 +8,20 @@ import pytest
 from scipy.stats import kstest
 
 from grasp_refine.closing.motion import Motion
-from grasp_refine.core.se3 import distances, exp_so3, log_so3
+from grasp_refine.core.se3 import exp_so3, log_so3
 from grasp_refine.results.simulated import reason_lines
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
 from grasp_refine.scene.protocols.noise import Noise
 from grasp_refine.scene.protocols.strict import STRICT
-from grasp_refine.scene.protocols.tabletop import TABLETOP
 from grasp_refine.scene.task import Task
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import World, build_world
 from grasp_refine.validation.replay.record import record
 from grasp_refine.validation.replay.replay import Stage
-from grasp_refine.validation.robustness import holds_at, holds_without_squeeze, noise_score
+from grasp_refine.validation.robustness import holds_without_squeeze
 from grasp_refine.validation.simulation import CHUNK_GRASPS, close, push, simulate
 from grasp_refine.validation.trials import Reason, Trials
-from gripper import KP, RADIUS, around, ball, gripper, lifted, two_balls
+from gripper import KP, RADIUS, around, ball, gripper
 
 PUSH = DEXGRASPBENCH.mass * DEXGRASPBENCH.acceleration
 ACROSS = ("+y", "-y", "+z", "-z")
@@ -36,18 +35,6 @@ def world() -> World:
 def holds(world: World, force: float, friction: float) -> Trials:
     conditions = Conditions(np.eye(4)[None], np.array([friction]))
     return simulate(world, around(force), conditions)
-
-
-@pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])
-def test_a_ball_between_two_plates_holds_when_friction_can_carry_the_push(world: World, friction: float) -> None:
-    # Each plate carries half of the push across: it slips when that is above friction x normal force.
-    limit = PUSH / (2 * friction)
-    held, dropped = holds(world, 1.15 * limit, friction), holds(world, 0.85 * limit, friction)
-    across = [held.directions.index(name) for name in ACROSS]
-    assert (held.reason[0, across] == Reason.HELD).all()
-    assert (dropped.reason[0, across] == Reason.MOVED).all()
-    # MuJoCo's friction creeps near its limit, far from it it does not.
-    assert holds(world, 2 * limit, friction).displacement_m[0, across].max() < 0.01
 
 
 def test_a_push_along_the_plates_normal_is_carried_by_both_actuators(world: World) -> None:
@@ -72,13 +59,6 @@ def test_what_is_within_a_gap_does_not_touch() -> None:
     wide.model.geom_gap[:] = 0.02
     early = simulate(wide, around(4.0, grasp=2 * RADIUS + 0.006))
     assert not early.contacts_grasp.any() and early.contacts_squeeze.all()
-
-
-def test_the_worst_direction_is_nearest_to_its_own_limit(world: World) -> None:
-    trials = holds(world, 4.0, 0.6)
-    peak_m, peak_rad = np.zeros(trials.reason.shape), np.zeros(trials.reason.shape)
-    peak_m[:, 1], peak_rad[:, 4] = 0.8 * DEXGRASPBENCH.farthest, 0.4 * DEXGRASPBENCH.steepest
-    assert (replace(trials, peak_m=peak_m, peak_rad=peak_rad).worst == 1).all()
 
 
 def test_the_limits_are_as_in_the_protocol() -> None:
@@ -144,7 +124,7 @@ def test_a_simulation_that_diverges_is_not_set_back_to_its_start() -> None:
 def test_without_memory_for_all_contacts_nothing_is_said_of_a_grasp(world: World) -> None:
     """MuJoCo only warns when contacts no longer fit, and lets things pass through each other: 10 kB were too few."""
     found = set()
-    for memory in range(8_000, 24_000, 1_000):
+    for memory in range(8_000, 24_000, 4_000):
         world.spec.memory = memory
         trials = simulate(replace(world, model=world.spec.compile()), around(4.0))
         found.add(frozenset(trials.reason.ravel().tolist()))
@@ -213,60 +193,10 @@ def test_a_recorded_trial_is_the_same_trial(world: World) -> None:
     assert record(world, Motion(motion.T_world_root * np.nan, motion.q), "+x", name="", hand="") is None
 
 
-def test_progress_ends_at_the_number_of_grasps(world: World) -> None:
-    told: list[float] = []
-    simulate(world, around(1.0, count=2), progress=told.append)
-    assert told == sorted(told) and told[-1] == pytest.approx(2)
-
-
-def test_stopping_at_the_first_failure_changes_no_verdict(world: World) -> None:
-    motion = various(8)
-    whole, short = simulate(world, motion), simulate(world, motion, first_failure=True)
-    np.testing.assert_array_equal(whole.success, short.success)
-    lost = ~short.success
-    assert (short.reason[lost] != Reason.HELD).all(axis=1).all()
-
-
-def test_more_friction_holds_what_less_does_not(world: World) -> None:
-    motion = around(1.0, count=2)
-    held = holds_at(world, motion, (0.3, 0.4, 0.6, 0.9))
-    np.testing.assert_array_equal(held, [[False, False, True, True]] * 2)
-
-
 def test_without_squeeze_only_what_touches_before_can_hold(world: World) -> None:
     np.testing.assert_array_equal(holds_without_squeeze(world, around(4.0)), [False])
     pressed = around(4.0, grasp=2 * RADIUS - 8.0 / KP)
     np.testing.assert_array_equal(holds_without_squeeze(world, pressed), [True])
-
-
-def test_noise_depends_on_the_seed_and_the_grasp_not_on_the_batch(world: World) -> None:
-    motion, noise = around(4.0, count=3), Noise(count=4, offset=0.004)
-    numbers = np.array([5, 6, 7])
-    score = noise_score(world, motion, noise, middle=np.zeros(3), numbers=numbers)
-    alone = noise_score(world, motion.select(np.array([1])), noise, middle=np.zeros(3), numbers=numbers[[1]])
-    assert score[1] == alone[0] and ((score >= 0) & (score <= 1)).all()
-    far = noise_score(world, motion, Noise(count=4, offset=0.2), middle=np.zeros(3), numbers=numbers)
-    assert (far < score).any()
-
-
-def test_noise_moves_the_object_on_a_table_and_turns_it_about_its_middle(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[np.ndarray] = []
-
-    def spy(world: World, motion: Motion, conditions: Conditions, **others: object) -> Trials:
-        seen.append(conditions.T_world_object)
-        return simulate(world, motion, conditions, **others)
-
-    monkeypatch.setattr("grasp_refine.validation.robustness.simulate", spy)
-    world = build_world(gripper(), ball(), Task(TABLETOP))
-    up, middle, motion = np.array([0.0, 0.0, 1.0]), np.array([0.01, 0.0, 0.02]), lifted(around(8.0), 0.015)
-    noise_score(world, motion, Noise(3), middle=middle, numbers=np.array([0]), upright=up)
-    noise_score(world, motion, Noise(3, offset=0.0, turn=0.5), middle=middle, numbers=np.array([0]))
-    on_table, turned = seen
-    np.testing.assert_allclose(on_table[:, 2, :3], np.tile(up, (3, 1)), atol=1e-15)
-    np.testing.assert_allclose(on_table[:, 2, 3], 0.0, atol=1e-15)
-    assert np.abs(on_table[:, :2, 3]).min() > 1e-5
-    np.testing.assert_allclose(turned[:, :3, :3] @ middle + turned[:, :3, 3], np.tile(middle, (3, 1)), atol=1e-12)
-    assert np.abs(turned[:, :3, 3]).max() > 1e-4
 
 
 def test_noise_is_uniform_in_spheres() -> None:
@@ -276,23 +206,6 @@ def test_noise_is_uniform_in_spheres() -> None:
     for vectors, most in zip((T[:, :3, 3], log_so3(T[:, :3, :3])), lengths, strict=True):
         assert kstest((np.linalg.norm(vectors, axis=1) / most) ** 3, "uniform").pvalue > 0.01
         np.testing.assert_allclose((vectors > 0).mean(axis=0), 0.5, atol=0.03)
-
-
-def test_an_object_is_lifted_off_a_table() -> None:
-    world = build_world(gripper(), ball(), Task(TABLETOP))
-    held, dropped = simulate(world, lifted(around(8.0), 0.015)), simulate(world, lifted(around(0.05), 0.015))
-    assert held.directions == ("lift",)
-    assert held.success.all() and held.displacement_m.max() < 0.02
-    assert (dropped.reason == Reason.MOVED).all()
-    lift = record(world, lifted(around(8.0), 0.015), "lift", name="ball", hand="gripper")
-    assert lift is not None and lift.lifted()[-1] == pytest.approx([0.0, 0.0, TABLETOP.lift])
-
-
-def test_a_hand_in_the_table_is_a_failure_of_its_own() -> None:
-    # The plates reach 4 cm down, the ball lies on its radius of 3 cm.
-    world = build_world(gripper(), ball(), Task(TABLETOP))
-    trials = simulate(world, lifted(around(8.0), -0.005))
-    assert (trials.reason == Reason.IN_TABLE).all() and np.isnan(trials.displacement_m).all()
 
 
 def test_an_object_that_is_ejected_while_the_hand_closes_is_not_lost_to_the_push(world: World) -> None:
@@ -337,26 +250,9 @@ def test_a_failure_says_at_which_check(world: World) -> None:
     assert np.isnan(trials.time_s[held]).all() and (trials.peak_m[held] >= trials.displacement_m[held]).all()
 
 
-def test_the_object_has_its_mass_whatever_its_pieces() -> None:
-    for thing in (ball(), two_balls()):
-        world = build_world(gripper(), thing, Task(replace(DEXGRASPBENCH, mass=0.25)))
-        assert world.model.body_mass[world.object_body] == pytest.approx(0.25)
-    inertia = build_world(gripper(), ball(), Task(DEXGRASPBENCH)).model.body_inertia[1]
-    np.testing.assert_allclose(inertia, 0.4 * 0.1 * RADIUS**2, rtol=1e-6)
-
-
 def test_trials_of_hands_with_other_links_are_joined_by_name(world: World) -> None:
     held = holds(world, 4.0, 0.6)
     other = replace(held, links=("palm", "right plate"), contacts=held.contacts * [True, False])
     joined = Trials.join([held, other])
     assert joined.links == ("left plate", "right plate", "palm") and len(joined) == 2
     np.testing.assert_array_equal(joined.contacts[:, 0], [[True, True, False], [False, False, True]])
-
-
-def test_distances_of_poses_that_are_not_finite_are_not_known() -> None:
-    T = np.tile(np.eye(4), (3, 1, 1))
-    other = T.copy()
-    other[0, :3, 3], other[1, :3, :3], other[2, 0, 0] = [3, 4, 0], exp_so3(np.array([0, 0, 0.5])), np.nan
-    moved, turned = distances(T, other)
-    np.testing.assert_allclose(moved, [5, 0, np.nan])
-    np.testing.assert_allclose(turned, [0, 0.5, np.nan], atol=1e-12)

@@ -1,8 +1,6 @@
 """The world that a hand is put into: what can touch what there, and what is said where there can be none."""
 
-import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,8 +8,6 @@ import pytest
 from mujoco.batch import Batch
 
 from grasp_refine.core.errors import GraspRefineError
-from grasp_refine.hands.files.mujoco_messages import one_line, unlogged
-from grasp_refine.hands.linkages.servos import moments
 from grasp_refine.objects.object import load_object
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.protocols.dexgraspbench import DEXGRASPBENCH
@@ -21,7 +17,7 @@ from grasp_refine.validation.engines.mujoco.hand_model import HandModel
 from grasp_refine.validation.engines.mujoco.stepping import Conditions
 from grasp_refine.validation.engines.mujoco.world import TABLE, build_world
 from grasp_refine.validation.simulation import close, simulate
-from gripper import XML, around, ball, gripper
+from gripper import around, ball, gripper
 from refusals import refused
 
 
@@ -107,46 +103,3 @@ def test_a_hand_that_weighs_nothing_does_not_blame_the_object() -> None:
     with refused(GraspRefineError, "mass and inertia", "'hand/left'") as caught:
         build_world(hand, ball(), Task(DEXGRASPBENCH))
     assert "`mass`" not in str(caught.value)
-
-
-def test_complaints_fit_into_one_line() -> None:
-    text = "XML Error: Error: unrecognized attribute: 'foo'\n  Element 'body',\t line 1\n\n"
-    assert one_line(ValueError(text)) == "unrecognized attribute: 'foo', Element 'body', line 1"
-
-
-def test_warnings_of_mujoco_go_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    hand = replace(
-        gripper(), spec=mujoco.MjSpec.from_string(XML.format(kp=1).replace("<world", "<size nuserdata='3'/><world"))
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        build_world(hand, ball(), Task(DEXGRASPBENCH))
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_was_done_with_warnings_is_done_again_afterwards() -> None:
-    heard: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(heard.append)
-    try:
-        with pytest.raises(KeyError), unlogged():
-            with unlogged():
-                pass
-            assert mujoco.get_mju_user_warning() != heard.append
-            raise KeyError
-        assert mujoco.get_mju_user_warning() == heard.append
-        simulate(build_world(gripper(kp=1e13), ball(), Task(DEXGRASPBENCH)), around(2.0), threads=2)
-        assert mujoco.get_mju_user_warning() == heard.append and not heard
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
-def test_moments_are_as_in_a_whole_step() -> None:
-    model = build_world(gripper(), ball(), Task(DEXGRASPBENCH)).model
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    dense = np.zeros((model.nu, model.nv))
-    mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    np.testing.assert_array_equal(moments(model), dense)
-    assert (dense != 0).sum() == 2

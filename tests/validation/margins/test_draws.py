@@ -48,12 +48,6 @@ def test_numbers_are_uniform_in_their_ranges_or_in_the_logarithm(many: Draws) ->
     assert many.default_contact.mean() == pytest.approx(0.5, abs=0.02)
 
 
-def test_a_sobol_sequence_covers_a_range_more_evenly_than_chance(many: Draws) -> None:
-    low, high = FACTORS.friction
-    shares = [np.mean(draw(FACTORS, 32, seed).friction < low + 0.3 * (high - low)) for seed in range(20)]
-    assert np.std(shares) < 0.5 * np.sqrt(0.3 * 0.7 / 32)
-
-
 def test_factors_do_not_go_together(many: Draws) -> None:
     values = np.column_stack([getattr(many, field.name).reshape(len(many), -1) for field in fields(Draws)])
     apart = np.corrcoef(values.T.astype(float)) - np.eye(values.shape[1])

@@ -1,5 +1,7 @@
 """Confidence intervals against published numbers, and against how often they contain the truth."""
 
+import statistics
+
 import numpy as np
 import pytest
 
@@ -13,67 +15,37 @@ def test_wilson_intervals_of_newcombe_1998() -> None:
     np.testing.assert_allclose(upper, [0.3662, 0.1605, 0.1611, 0.1718], atol=5e-5)
 
 
-def test_none_and_all_are_no_certainty() -> None:
-    lower, upper = wilson(np.array([0, 32]), 32)
-    assert lower[0] == 0.0 and 0.1 < upper[0] < 0.11
-    assert 0.89 < lower[1] < 0.9 and upper[1] == 1.0
-    assert mean_interval(np.zeros((3, 8), dtype=bool))[2] > 0.0
-    assert mean_interval(np.ones((3, 8), dtype=bool))[1] < 1.0
-    _, low, high = difference_interval(np.ones((1, 8), dtype=bool), np.ones((1, 8), dtype=bool))
-    assert low < 0.0 < high
+def test_the_interval_of_a_mean_is_that_of_as_many_trials_as_have_its_variance() -> None:
+    """From the draws, where all grasps are lost together, to all trials, where they are lost apart."""
+    held = np.random.default_rng(0).uniform(size=(5, 16)) < np.linspace(0.3, 0.9, 16)
+    mean, low, high = mean_interval(held)
+    variance = statistics.variance(held.mean(axis=0).tolist()) / 16
+    trials = mean * (1 - mean) / variance
+    assert mean == held.mean() and 16 < trials < 80
+    np.testing.assert_allclose([low, high], np.ravel(wilson(np.asarray(mean * trials), trials)), rtol=1e-12)
+    together, apart = ((np.arange(32) + step * np.arange(20)[:, None]) % 4 > 0 for step in (0, 1))
+    for case, trials in ((together, 32), (apart, 640)):
+        expected = np.ravel(wilson(np.asarray(0.75 * trials), trials))
+        np.testing.assert_allclose(mean_interval(case)[1:], expected, atol=3e-3)
+    for none_or_all in (np.zeros((3, 8), dtype=bool), np.ones((3, 8), dtype=bool)):
+        expected = np.ravel(wilson(none_or_all.sum(), 24))
+        np.testing.assert_allclose(mean_interval(none_or_all)[1:], expected)
+        assert np.ptp(expected) > 0.1, "no certainty"
 
 
-def test_of_one_grasp_the_mean_has_wilsons_interval() -> None:
-    held = np.arange(32)[None] % 4 > 0
-    assert mean_interval(held) == pytest.approx((0.75, *map(float, wilson(np.asarray(24), 32))), abs=0.01)
-
-
-def correlated(rng: np.random.Generator, grasps: int, draws: int, levels: np.ndarray) -> np.ndarray:
-    """Grasps that hold where a common number of each draw is below a level of their own."""
-    return rng.uniform(size=draws)[None] < levels[:grasps, None]
-
-
-def test_means_of_grasps_that_fail_together_are_as_uncertain_as_their_draws() -> None:
-    rng, truth = np.random.default_rng(0), 0.75
-    inside, width = [], []
-    for _ in range(400):
-        _, low, high = mean_interval(correlated(rng, 20, 32, np.full(20, truth)))
-        inside.append(low <= truth <= high)
-        width.append(high - low)
-    assert np.mean(inside) > 0.92
-    # That of 32 trials, not that of 640.
-    assert np.mean(width) > 0.25
-
-
-def test_means_of_grasps_that_fail_apart_are_more_certain() -> None:
-    rng, truth = np.random.default_rng(1), 0.75
-    inside, width = [], []
-    for _ in range(400):
-        _, low, high = mean_interval(rng.uniform(size=(20, 32)) < truth)
-        inside.append(low <= truth <= high)
-        width.append(high - low)
-    assert np.mean(inside) > 0.9
-    assert np.mean(width) < 0.1
-
-
-@pytest.mark.parametrize("grasps", [1, 20])
-def test_differences_in_the_same_draws_contain_the_truth_and_are_narrower_than_apart(grasps: int) -> None:
-    rng = np.random.default_rng(2)
-    before, after = np.full(grasps, 0.6), np.full(grasps, 0.8)
-    inside, width = [], []
-    for _ in range(400):
-        common = rng.uniform(size=32)
-        found, low, high = difference_interval(common[None] < before[:, None], common[None] < after[:, None])
-        assert low <= found <= high
-        inside.append(low <= 0.2 <= high)
-        width.append(high - low)
-    assert np.mean(inside) > 0.92
-    apart = 2 * 1.96 * np.sqrt((0.6 * 0.4 + 0.8 * 0.2) / 32)
-    assert np.mean(width) < 0.75 * apart
-
-
-def test_a_difference_turns_its_sign_with_the_order() -> None:
-    rng = np.random.default_rng(3)
-    a, b = rng.uniform(size=(2, 5, 16)) < 0.5
-    one, two = difference_interval(a, b), difference_interval(b, a)
-    assert one == pytest.approx((-two[0], -two[2], -two[1]))
+@pytest.mark.parametrize("grasps", [1, 5])
+def test_the_interval_of_a_difference_counts_one_more_draw_for_and_one_against(grasps: int) -> None:
+    """As large as the largest change: with these, mean and variance over the draws give it; it turns with the order."""
+    common = np.random.default_rng(2).uniform(size=32)
+    before, after = (common < np.linspace(low, low + 0.1, grasps)[:, None] for low in (0.5, 0.75))
+    found, low, high = difference_interval(before, after)
+    change = (after.mean(axis=0) - before.mean(axis=0)).tolist()
+    draws = [*change, max(map(abs, change)), -max(map(abs, change))]
+    half = 1.959963984540054 * statistics.pstdev(draws) / np.sqrt(len(draws))
+    middle = statistics.fmean(draws)
+    assert found == pytest.approx(statistics.fmean(change)) and low < 0.2 < high
+    assert [low, high] == pytest.approx([min(found, middle - half), max(found, middle + half)], rel=1e-12)
+    assert difference_interval(after, before) == pytest.approx((-found, -high, -low))
+    # Where nothing differs, a single grasp's change keeps it from being empty.
+    _, low, high = difference_interval(before, before)
+    assert [-low, high] == pytest.approx([1.959963984540054 / grasps * np.sqrt(2) / 34] * 2)

@@ -142,37 +142,26 @@ def test_the_other_model_is_used_in_its_draws_alone(worlds: Worlds) -> None:
     assert "model" not in worlds.trials
 
 
-def test_limits_are_as_in_coulomb(worlds: Worlds) -> None:
+def test_limits_are_as_in_coulomb_and_the_next_step_is_lost(worlds: Worlds) -> None:
     motion = pressing(1.0, 4.0)
-    found = limits(worlds.usual, motion)
-    normal = normal_force(worlds, motion)
-    of_friction = (FRICTION_RANGE[1] / FRICTION_RANGE[0]) ** (0.5**STEPS)
-    of_force = (FORCE_RANGE_N[1] / FORCE_RANGE_N[0]) ** (0.5**STEPS)
+    found, nominal = limits(worlds.usual, motion), Conditions.nominal(worlds.usual, 2)
+    closed, normal = close(worlds.usual, motion, nominal), normal_force(worlds, motion)
+    of_friction, of_force, of_torque = (
+        (high / low) ** (0.5**STEPS) for low, high in (FRICTION_RANGE, FORCE_RANGE_N, TORQUE_RANGE_NM)
+    )
     # Near its limit MuJoCo's friction creeps, by less than 5 cm in 2 s within some percent of it.
     ratio = found.friction / (WEIGHT / (2 * normal))
     assert (ratio > 0.9).all() and (ratio < of_friction * 1.05).all()
     ratio = found.force / (2 * DEXGRASPBENCH.friction * normal)
     assert (ratio < 1.1).all() and (ratio > 0.95 / of_force).all()
-
-
-def test_a_limit_held_and_the_next_step_did_not(worlds: Worlds) -> None:
-    motion = pressing(1.0, 4.0)
-    found = limits(worlds.usual, motion)
-    step = (FRICTION_RANGE[1] / FRICTION_RANGE[0]) ** (0.5**STEPS)
-    nominal = Conditions.nominal(worlds.usual, 2)
     assert simulate(worlds.usual, motion, replace(nominal, friction=found.friction)).success.all()
-    assert not simulate(worlds.usual, motion, replace(nominal, friction=found.friction / step)).success.any()
-    closed = close(worlds.usual, motion, nominal)
-    for first, values, (low, high) in ((0, found.force, FORCE_RANGE_N), (3, found.torque, TORQUE_RANGE_NM)):
+    assert not simulate(worlds.usual, motion, replace(nominal, friction=found.friction / of_friction)).success.any()
+    for first, values, step in ((0, found.force, of_force), (3, found.torque, of_torque)):
         wrench = np.zeros((2, 6, 6))
-        for axis in range(3):
-            for side in (0, 1):
-                wrench[:, 2 * axis + side, first + axis] = (1 - 2 * side) * values
-        held = push(worlds.usual, replace(closed, conditions=replace(nominal, wrench=wrench)))
-        assert held.success.all()
-        more = (high / low) ** (0.5**STEPS) * wrench
-        lost = push(worlds.usual, replace(closed, conditions=replace(nominal, wrench=more)))
-        assert not lost.success.any()
+        wrench[:, np.arange(6), first + np.arange(6) // 2] = values[:, None] * [1, -1, 1, -1, 1, -1]
+        for factor, held in ((1.0, True), (step, False)):
+            pushed = replace(closed, conditions=replace(nominal, wrench=factor * wrench))
+            assert (push(worlds.usual, pushed).success == held).all()
 
 
 @pytest.mark.parametrize("make", [ball, two_balls])

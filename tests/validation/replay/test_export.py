@@ -98,12 +98,6 @@ def test_key_frames_are_frames_of_the_replay(recorded: Recorded, exported: Path)
         assert key.time == replay.time[frame]
 
 
-def test_few_key_frames_are_the_ends_of_the_stages(recorded: Recorded, tmp_path: Path) -> None:
-    export_xml(recorded.spec, recorded.model, recorded.replay, tmp_path / "few.xml", keyframes=1)
-    keys = ET.parse(tmp_path / "few.xml").getroot().findall("keyframe/key")
-    assert [key.get("name") for key in keys] == ["pregrasp", "grasp", "squeeze", "push 0.500 s"]
-
-
 def test_without_a_push_there_is_no_actuator_for_it(recorded: Recorded, tmp_path: Path) -> None:
     export_xml(recorded.spec, recorded.model, replace(recorded.replay, force=np.zeros(3)), tmp_path / "lift.xml")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "lift.xml")).nu == recorded.model.nu

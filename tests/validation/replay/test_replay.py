@@ -107,13 +107,3 @@ def test_a_damaged_file_is_refused(replay: Replay, tmp_path: Path, change: dict,
     with refused(GraspFileError, *named) as caught:
         load_replay(path)
     assert str(caught.value).startswith(f"{path}: ")
-
-
-def test_half_a_file_is_refused(replay: Replay, tmp_path: Path) -> None:
-    path = tmp_path / "replay.npz"
-    save_replay(path, replay)
-    path.write_bytes(path.read_bytes()[:3000])
-    with refused(GraspFileError, path):
-        load_replay(path)
-    with refused(GraspFileError, tmp_path / "none.npz"):
-        load_replay(tmp_path / "none.npz")
