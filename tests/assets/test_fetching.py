@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 import socket
 import subprocess
@@ -99,14 +98,6 @@ def test_a_read_only_folder_is_a_mirror_too(claw: Asset, tmp_path: Path):
     finally:
         for path in (mirror, *filter(Path.is_dir, mirror.rglob("*"))):
             path.chmod(0o755)
-
-
-def test_upstream_addresses_are_as_in_the_pinned_commit():
-    leap, banana = read_manifest("hands")["leap"], read_manifest("objects")["ycb_011_banana"]
-    base = "https://raw.githubusercontent.com/dexsuite/dex-urdf/93505db3c0b29b4a80bd359048de7d39c9ea3218/"
-    assert Upstream().source(leap, leap.main) == f"{base}robots/hands/leap_hand/leap_hand_right.urdf"
-    base = "https://raw.githubusercontent.com/alberthli/frogger/f91157f96a235fc3b070d7f7ec9f52c3140c2cba/"
-    assert Upstream().source(banana, banana.main) == f"{base}data/011_banana/011_banana.obj"
 
 
 def test_files_come_from_upstream_under_their_own_paths(claw: Asset, tmp_path: Path, cache: Path):
@@ -313,17 +304,6 @@ def test_all_assets_come_from_the_shared_folder(shared_assets: Path, monkeypatch
     verdicts = list(verify(assets))
     assert [verdict.state for verdict in verdicts] == ["whole"] * len(assets)
     assert sum(verdict.files for verdict in verdicts) == sum(len(asset.files) for asset in assets)
-
-
-def test_upstream_meshes_of_the_leap_mjcf_lie_where_it_looks_for_them():
-    """The package's file looks for them outside of its own folder; the numbers are those of that file."""
-    leap = read_manifest("hands")["leap_mjcf"]
-    folder = Path("/somewhere") / leap.main.place
-    places = {str(Path("/somewhere") / file.place) for file in leap.files}
-    for mesh in ("palm_right", "base", "proximal", "medial", "distal", "tip", "thumb_base", "thumb_tip"):
-        looked = folder.parent / "../../../../../mujoco_menagerie/leap_hand/assets" / f"{mesh}.obj"
-        assert os.path.normpath(looked) in places
-    assert os.path.normpath(folder.parent / "meshes/leap_mount.obj") in places
 
 
 def test_two_processes_that_fetch_at_once_end_with_whole_files(shared_assets: Path, monkeypatch: pytest.MonkeyPatch):

@@ -3,7 +3,6 @@
 import itertools
 import os
 import pickle
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,13 +138,6 @@ def test_not_an_npz(tmp_path: Path, content: bytes):
     assert_names(refused(path), ".npz")
 
 
-def test_a_zip_of_something_else(tmp_path: Path):
-    path = tmp_path / "grasps.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("readme.txt", "hello")
-    assert_names(refused(path), ".npz", "readme.txt")
-
-
 class Bomb:
     """Creates a folder when unpickled."""
 
@@ -241,19 +233,6 @@ def test_stages_are_read_where_they_are(write):
     grasps = load_grasps(write(**only))
     assert grasps.pregrasp is None and grasps.squeeze is not None
     assert load_grasps(write()).squeeze is None
-
-
-def test_select_takes_rows_of_everything_in_the_given_order(write):
-    grasps = load_grasps(write(object=["mug", "can", "jar"], label_score=[1.0, np.nan, 3.0], **targets(), **stages()))
-    chosen = grasps.select([2, 0])
-    np.testing.assert_array_equal(chosen.pregrasp.pose, grasps.pregrasp.pose[[2, 0]])
-    np.testing.assert_array_equal(chosen.squeeze.q, grasps.squeeze.q[[2, 0]])
-    assert chosen.object.tolist() == ["jar", "mug"]
-    np.testing.assert_array_equal(chosen.labels["score"], [3.0, 1.0])
-    np.testing.assert_array_equal(chosen.q, grasps.q[[2, 0]])
-    np.testing.assert_array_equal(chosen.hand_pose, grasps.hand_pose[[2, 0]])
-    np.testing.assert_array_equal(chosen.targets.point_link, grasps.targets.point_link[[2, 0]])
-    assert len(grasps.select([])) == 0
 
 
 def test_saved_grasps_load_again(write, tmp_path: Path):

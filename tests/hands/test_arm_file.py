@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import grasp_refine as gr
 from grasp_refine.core.errors import HandError
 from grasp_refine.hands.arm_file import load_arm
 from grasp_refine.hands.chain import Chain
@@ -65,13 +64,6 @@ def test_link_above_the_gripper_is_found_by_load_arm(tmp_path: Path, hand: Hand)
     """An arm that was read as the gripper at its end has no flange, and the message says what reads it."""
     with pytest.raises(HandError, match=r"flange.*load_arm"):
         mount(load_hand(files(tmp_path)[0], candidates=16), hand, "flange")
-
-
-def test_arms_without_a_gripper_are_read_as_hands_are(hand: Hand) -> None:
-    """Ours has none."""
-    arm, same = load_arm("ur5e", candidates=16), load_hand("ur5e", candidates=16)
-    assert set(arm.links_by_name) == set(same.links_by_name) and arm.notes == same.notes
-    assert gr.load_arm is load_arm
 
 
 def test_hand_without_a_flange_is_mounted_with_a_note(hand: Hand) -> None:

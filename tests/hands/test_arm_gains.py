@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from grasp_refine.hands.arm_gains import ARMATURE, BANDWIDTH_RAD_S, moved_inertia, with_arm_gains
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.hands.mount import mount, standing
-from made_hands import inertial, joint, link, links, made_hand, slide
+from made_hands import inertial, joint, link, links, made_hand, slide, solid
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,25 @@ def test_inertia_is_that_of_all_that_a_joint_moves(tmp_path: Path, gripper: Hand
     found = moved_inertia(mount(alone, gripper, "rod", T))
     np.testing.assert_allclose(found[0], 2.0 + mass, rtol=1e-9)
     assert abs(found[1] - (0.24 + mass * 0.6**2)) < 0.02
+
+
+def test_inertia_of_turned_links_is_as_in_mujoco(tmp_path: Path) -> None:
+    tool = inertial(2, (0.01, 0.02, 0.025), "0.03 -0.1 0.1")
+    hand = made_hand(
+        tmp_path,
+        links("stand") + link("rod", inertial(1, (0.002, 0.01, 0.01), "0.2 0 0")) + link("tool", tool),
+        joint("turn", "stand", "rod", at="0.1 0 0", rpy="0.2 0.1 1", axis="0 0.6 0.8", limits=(-3, 3)),
+        joint("hold", "rod", "tool", "fixed", at="0.1 0.2 0.3", rpy="0.4 -0.3 0.8"),
+        name="turned",
+    )
+    np.testing.assert_allclose(moved_inertia(hand), mujoco.MjModel.from_xml_path(str(hand.urdf)).dof_M0, rtol=1e-6)
+
+
+def test_a_link_with_a_mass_alone_has_it_spread_over_its_shape(tmp_path: Path) -> None:
+    """A box of 2 kg about its middle: m (a^2 + b^2) / 12."""
+    bar = link("bar", '<inertial><mass value="2"/></inertial>' + solid("box 0.1 0.3 0.05"))
+    hand = made_hand(tmp_path, links("stand") + bar, joint("turn", "stand", "bar", axis="0 0 1", limits=(-3, 3)))
+    np.testing.assert_allclose(moved_inertia(hand), [2 / 12 * (0.1**2 + 0.3**2)], rtol=1e-9)
 
 
 def test_damping_leaves_half_of_the_effort_at_half_speed(tmp_path: Path, gripper: Hand) -> None:

@@ -34,16 +34,6 @@ FINGERS = {
 """Groups of the contact links where names tell the finger."""
 
 
-def test_a_link_without_geometry_says_which_links_have_some(tmp_path: Path):
-    path = write(
-        tmp_path, {"base": "", "tip": BALL, "thumb": BALL}, joint("a", "base", "tip"), joint("b", "base", "thumb")
-    )
-    hand = load_hand(path, candidates=16)
-    assert hand.links_by_name["tip"].solid is hand.links_by_name["tip"].body
-    with refused(HandError, "'base'", "tip, thumb"):
-        _ = hand.links_by_name["base"].solid
-
-
 def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = "") -> str:
     inside += '<limit lower="-1" upper="2" effort="3"/>'
     return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'

@@ -52,7 +52,7 @@ def test_poses_of_the_arm_are_found_again_to_a_micrometre(whole: Hand, kinematic
     np.testing.assert_array_equal(found.best[:, ~whole.arm_joints], q[:, ~whole.arm_joints])
 
 
-def test_solutions_differ_and_the_best_is_nearest_and_far_from_singular(whole: Hand, kinematics: ArmKinematics) -> None:
+def test_solutions_differ(whole: Hand, kinematics: ArmKinematics) -> None:
     """A wrist of this kind has up to eight ways to a pose; each is there once."""
     q = np.tile(whole.rest, (1, 1))
     T = kinematics.palm(T_BASE[None], q)
@@ -61,12 +61,23 @@ def test_solutions_differ_and_the_best_is_nearest_and_far_from_singular(whole: H
     assert 4 <= len(ways) <= 8
     turned = np.abs((ways[:, None] - ways + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)
     assert (turned[~np.eye(len(ways), dtype=bool)] > 0.01).all()
-    free = found.free[0]
-    good = free & (found.dexterity[0] >= GOOD_DEXTERITY)
-    away = np.abs(found.q[0] - whole.rest).max(axis=1)
-    assert good[0] and away[0] == away[good].min()
-    assert (np.diff(found.dexterity[0, free & ~good]) <= 0).all()
-    assert (np.diff(free[np.isfinite(found.dexterity[0])].astype(int)) <= 0).all()
+
+
+def test_solutions_are_ranked_free_ones_first_then_far_from_singular_then_near_rest(
+    whole: Hand, kinematics: ArmKinematics
+) -> None:
+    q = np.tile(whole.rest, (6, 1))
+    q[:, 2] = np.linspace(0.02, 0.8, 6)  # an elbow that is nearly straight
+    found = kinematics.solve(T_BASE, q[:, ~whole.arm_joints], kinematics.palm(np.tile(T_BASE, (6, 1, 1)), q))
+    poor = np.maximum(GOOD_DEXTERITY - found.dexterity, 0.0)
+    away = np.abs(found.q - whole.rest).max(axis=2)
+    for row in range(6):
+        known = np.isfinite(poor[row])
+        assert (np.diff(found.free[row, known].astype(int)) <= 0).all()
+        for group in (True, False):
+            rows = known & (found.free[row] == group)
+            assert (np.diff(1e4 * poor[row, rows] + away[row, rows]) >= -1e-6).all()
+    assert ((poor > 1e-3) & found.free).sum(axis=1).max() >= 2 and (poor == 0.0).any()
 
 
 def test_poses_beyond_the_arm_are_out_of_reach(whole: Hand, kinematics: ArmKinematics) -> None:

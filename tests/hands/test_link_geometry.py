@@ -1,8 +1,6 @@
 """Collision geometry of links: primitives, meshes with scales as hulls or several pieces, and what is said of these."""
 
-import re
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,6 @@ from grasp_refine.core.errors import HandError, MeshError
 from grasp_refine.geometry.pieces import Piece
 from grasp_refine.hands.files.link_geometry import LinkMeshes, link_pieces
 from grasp_refine.hands.files.mesh_files import read_mesh, resolve_mesh
-from grasp_refine.hands.files.shape import MeshFile
 from grasp_refine.hands.files.urdf_tree import urdf_tree
 from refusals import assert_names, refused
 
@@ -143,25 +140,6 @@ def test_a_mesh_of_several_links_is_cut_and_mentioned_once(palm: Path) -> None:
     assert [a is b for a, b in zip(left, right, strict=True)] == [True, True]
     (note,) = meshes.notes()
     assert_names(note, "left, right", "palm.obj")
-
-
-@pytest.mark.parametrize(
-    ("hand", "link", "pieces", "note"),
-    [
-        ("barrett/barrett.urdf", "base_link", 2, r"base_link: .*base_link_cylinder.obj .* 27.\d mm"),
-        ("shadow/shadow_right.urdf", "forearm", 3, r"forearm: .*forearm_E3M5.obj .* [56].\d mm"),
-        ("leap/leap_right.urdf", "fingertip", 1, None),
-    ],
-)
-def test_meshes_of_known_hands(shared_assets: Path, hand: str, link: str, pieces: int, note: str | None) -> None:
-    meshes = LinkMeshes(shared_assets / "hands" / hand)
-    raw = urdf_tree(meshes.path).links[link]
-    of_meshes = tuple(shape for shape in raw.collisions if isinstance(shape.geometry, MeshFile))
-    found = link_pieces(replace(raw, collisions=of_meshes), meshes)
-    assert len(found) == pieces
-    notes = meshes.notes()
-    assert len(notes) == (note is not None)
-    assert note is None or re.match(note, notes[0])
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Mimic joints: what they follow in the end, and how they limit it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,19 @@ def test_limits_keep_all_followers_within_theirs() -> None:
         leads = followed(follower, by_name)
         ends = leads.multiplier * np.array([by_name[leads.joint].lower, by_name[leads.joint].upper]) + leads.offset
         assert follower.lower - 1e-12 <= ends.min() and ends.max() <= follower.upper + 1e-12
+
+
+def test_couplings_on_curves_are_put_into_each_other() -> None:
+    b, c = Mimic("a", 0.5, 0.1, (0.3,)), Mimic("b", -2.0, 0.25, (0.7,))
+    joints = {
+        "a": joint("a", -1, 1),
+        "b": replace(joint("b", -9, 9), mimic=b),
+        "c": replace(joint("c", -9, 9), mimic=c),
+    }
+    found, x = followed(joints["c"], joints), np.linspace(-1, 1, 5)
+    y = 0.1 + 0.5 * x + 0.3 * x**2
+    assert found.joint == "a"
+    np.testing.assert_allclose(np.polynomial.polynomial.polyval(x, found.coefficients), 0.25 - 2.0 * y + 0.7 * y**2)
 
 
 def test_limits_that_were_rounded_are_kept_without_a_word() -> None:

@@ -234,19 +234,6 @@ def test_the_simulated_hand_moves_as_it_does(tmp_path: Path) -> None:
             np.testing.assert_allclose(T, T_base @ pose(data, name), atol=1e-9, err_msg=name)
 
 
-def test_a_hand_toml_goes_with_an_mjcf(tmp_path: Path) -> None:
-    path = awkward(tmp_path)
-    (tmp_path / "hand.toml").write_text(
-        'mjcf = "hand.xml"\nbase_link = "wrist"\n[rest_pose]\na1 = 0.7\n[[contact]]\nlink = "a5"\ngroup = "first"\n'
-    )
-    for source in (tmp_path, path, tmp_path / "hand.toml"):
-        hand = load_hand(source, candidates=16)
-        assert (hand.base_link, [contact.group for contact in hand.contacts]) == ("wrist", ["first"])
-        assert hand.rest[hand.joint_names.index("a1")] == 0.7 and hand.urdf.samefile(path)
-    # A wrist that turns beside its origin is the base as it is.
-    assert hand.links[0].name == "wrist" and "w" not in hand.joints_by_name
-
-
 def test_motors_become_servos_with_their_torque(tmp_path: Path) -> None:
     path = awkward(tmp_path)
     servo = '<position joint="a1" kp="3"/>'
@@ -303,15 +290,6 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, named: tu
     path = tmp_path / "hand.xml"
     path.write_text(text)
     with refused(HandError, "hand.xml", *named):
-        load_hand(path, candidates=16)
-
-
-def test_models_that_an_mjcf_attaches_are_checked(tmp_path: Path) -> None:
-    (tmp_path / "inner.xml").write_text(BODY.format("", '<replicate count="5000">' + JOINT + "</replicate>", ""))
-    path = tmp_path / "hand.xml"
-    attached = '<asset><model name="m" file="inner.xml"/></asset>'
-    path.write_text(BODY.format(attached, JOINT, '<attach model="m" body="p" prefix="x"/>'))
-    with refused(HandError, "inner.xml", "5000"):
         load_hand(path, candidates=16)
 
 

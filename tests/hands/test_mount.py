@@ -81,6 +81,9 @@ def test_linkage_hand_on_an_arm_keeps_its_chains_modes_and_compliance(arm: Hand,
     np.testing.assert_array_equal(whole.compliance, [*np.zeros(6), *hand.compliance])
     np.testing.assert_allclose(whole.stiffness, [*arm.actuator.kp, *hand.stiffness])
     assert whole.modes == hand.modes and whole.yielding == hand.yielding
+    apart = (("forearm_link", "wrist_3_link"),)
+    assert whole.excluded == hand.excluded != ()
+    assert mount(replace(arm, excluded=apart), hand, "tool0").excluded == (*apart, *hand.excluded)
 
 
 def test_names_that_both_have_get_the_prefix_of_the_arm(arm: Hand, hand: Hand) -> None:

@@ -23,8 +23,6 @@ from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.refine import refine
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.verdict import HOLDS
-from grasp_refine.sampling.closure_frame import closure_frame
-from grasp_refine.sampling.jaw_frame import jaw_frame
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.engines.mujoco.urdf_model import urdf_model
 from grasp_refine_apps.report.hand_facts import licence
@@ -130,16 +128,6 @@ def test_it_is_as_published(name: str) -> None:
     T = poses(hand, links, np.zeros((1, len(hand.lower))))[0]
     points = transform_points(T, np.array([pads.get(link, (0.0, 0.0, 0.0)) for link in links]))
     np.testing.assert_allclose(points, list(facts["points"].values()), atol=1e-9)
-
-
-def test_the_franka_hand_opens_80_mm_wide_and_presses_with_70_n() -> None:
-    hand = ours("franka_hand")
-    jaws = jaw_frame(hand, closure_frame(hand))
-    assert jaws is not None and jaws.groups == ("left", "right")
-    np.testing.assert_allclose(jaws.width, 2.0 * jaws.q[:, 0], atol=1e-9)
-    np.testing.assert_allclose((jaws.width.max(), jaws.width.min()), (0.08, 0.0), atol=1e-9)
-    # The work of both forces is that of the force at the joint that both fingers follow.
-    assert hand.actuator.force_limit.tolist() == [2.0 * PUBLISHED["franka_hand"]["force"]]
 
 
 @pytest.mark.parametrize("name", [name for name in WHOLE if name in MAKERS])

@@ -1,7 +1,6 @@
 """Hands that nobody tuned anything for: underactuated, with a coupled spread, on an arm, left; from URDF to a hold."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,7 +11,7 @@ import underactuated as hand_of_five
 from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import exp_se3, inverse, transform_from_pose
 from grasp_refine.hands.chain import Chain
-from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.self_collision import touching_pairs
 from grasp_refine.measures.metrics import metrics
 from grasp_refine.objects.object import load_object
@@ -131,18 +130,6 @@ def test_only_the_hand_of_an_arm_moves(hands: dict[str, Hand]) -> None:
     tips = [contact.link for contact in alone.contacts]
     np.testing.assert_array_equal(Chain(alone, tips)(T, q).T_world_link, Chain(on_arm, tips)(T, q).T_world_link)
     assert touching_pairs(alone) == touching_pairs(on_arm)
-
-
-def test_slides_and_endless_joints_of_an_arm_move_when_asked(tmp_path: Path) -> None:
-    spread_gripper(tmp_path, arm=True)
-    whole = load_hand(tmp_path / "gripper.urdf", base_link="stand", candidates=256)
-    assert whole.joint_names == ("lift", "wrist", *gripper_of_three.INDEPENDENT)
-    assert [whole.joints_by_name[n].kind for n in ("lift", "wrist", "screw")] == ["prismatic", "continuous", "fixed"]
-    assert (whole.lower[1], whole.upper[1], whole.rest[1]) == (-np.inf, np.inf, 0.0)
-    scene, _, found = grasped(whole, "sphere:0.03", 4, Config(starts=2))
-    assert (found.status == Status.CONVERGED).sum() >= 2, "the stand is in the way"
-    assert np.ptp(found.q[:, 0]) > 0 and ((found.q >= whole.lower) & (found.q <= whole.upper)).all()
-    assert metrics(whole, scene.object, found.T_world_root, found.q).penetration_m.max() < 1e-4
 
 
 def test_a_left_hand_is_the_mirror_image_of_the_right_one(hands: dict[str, Hand]) -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from grasp_refine.core.errors import HandError
 from grasp_refine.hands.files.visuals import Visual, load_visuals
-from refusals import assert_names, refused
+from refusals import assert_names
 
 ROBOT = """<robot name="r">
   <material name="brick"><color rgba="0.8 0.2 0.1 1"/></material>
@@ -78,13 +77,3 @@ def test_what_is_broken_is_left_out_and_reported(tmp_path: Path, broken: str, na
     assert [visual.link for visual in visuals] == ["base", "tip"]
     (line,) = said
     assert_names(line, "'base'", *named)
-
-
-def test_only_the_links_that_were_asked_for(tmp_path: Path):
-    load(tmp_path, BOX.format(""), BOX.format(""))
-    assert [visual.link for visual in load_visuals(tmp_path / "hand.urdf", ("tip",))] == ["tip"]
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
-    with refused(HandError, "none.urdf", "No such file or directory"):
-        load_visuals(tmp_path / "none.urdf", ("tip",))

@@ -1,7 +1,5 @@
 """Modes in which linkages yield: motions of five-bar linkages, what springs and limits hold, and their compliance."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -124,18 +122,6 @@ def test_compliance_is_the_work_of_soft_equalities(seconds: float) -> None:
     tips = ["right_finger", "left_finger"]
     assert transmission_compliance(model, linkage, tips) == pytest.approx(expected, rel=0.05)
     assert transmission_compliance(model, linkage, ["palm"]) == 0.0
-
-
-def test_hands_without_closed_chains_have_none(tmp_path: Path) -> None:
-    file = tmp_path / "finger.xml"
-    file.write_text(
-        """<mujoco><worldbody><body name="palm"><geom size="0.03"/><body name="finger" pos="0.05 0 0">
-        <joint name="bend" axis="0 1 0" range="0 90"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.05"/>
-        </body></body></worldbody><actuator><position joint="bend" kp="3"/></actuator></mujoco>"""
-    )
-    plain = load_hand(file, candidates=64)
-    assert not plain.modes and plain.compliance is None
-    np.testing.assert_array_equal(plain.stiffness, plain.actuator.kp)
 
 
 @pytest.mark.parametrize("longer", [-1e-7, 0.0, 1e-7])

@@ -316,20 +316,6 @@ def test_an_embedded_name_is_no_folder_unless_it_comes_as_a_path(parts: Path, mo
         assert len(load_object(source, candidates=64).body.pieces) == 2
 
 
-def test_what_is_shown_is_the_simplified_mesh_or_the_only_one_or_all_pieces(bodex: Path):
-    def shown() -> np.ndarray:
-        return load_object(bodex, candidates=64).mesh.extents
-
-    put(bodex / "mesh" / "raw.obj", block([[0, 0, 0], [7, 7, 7]]))
-    np.testing.assert_allclose(shown(), [3, 3, 1])
-    (bodex / "mesh" / "simplified.obj").unlink()
-    np.testing.assert_allclose(shown(), [7, 7, 7])
-    put(bodex / "mesh" / "other.obj", block([[0, 0, 0], [8, 8, 8]]))
-    thing = load_object(bodex, candidates=64)
-    np.testing.assert_allclose(thing.mesh.extents, [3, 3, 1])
-    assert len(thing.mesh.faces) == 24 and thing.mesh.volume == pytest.approx(5)
-
-
 def check_only_note(thing: object.Object, *named: str) -> None:
     (note,) = thing.notes
     assert_names(note, *named)
@@ -359,13 +345,6 @@ def test_a_piece_that_is_not_convex_is_noted(parts: Path):
     thing = load_object(parts, candidates=64)
     check_only_note(thing, "c.obj", "hull", "40.0%")
     assert thing.body.pieces[2].mesh().volume == pytest.approx(7)
-
-
-def test_an_open_piece_is_its_hull_and_noted(tmp_path: Path):
-    put(tmp_path / "one" / "a.obj", without_top(block(ARM).subdivide()))
-    thing = load_object(tmp_path / "one", candidates=64)
-    check_only_note(thing, "a.obj", "watertight", "hull")
-    assert thing.mesh.volume == pytest.approx(3)
 
 
 @pytest.mark.parametrize("flat", [SHEET, TRIANGLE, SPECK], ids=["sheet", "triangle", "speck"])

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from grasp_refine.core.se3 import exp_so3, pose_from_transform, transform, transform_from_pose
-from grasp_refine.grasps.grasp_set import GraspSet
+from grasp_refine.core.se3 import exp_so3, transform, transform_from_pose
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.objects.object import Object, load_object
-from grasp_refine.problem.facade import evaluate, problem_of
 from grasp_refine.problem.frame_check import frame_notes
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.scene import Scene
@@ -71,15 +69,3 @@ def test_grasps_of_many_fingers_are_checked_too() -> None:
     turn = transform(exp_so3(np.array([np.pi / 2, 0.0, 0.0])), np.zeros(3))
     (note,) = frame_notes([Scene(hand, ball, T @ turn, grasps.q)])
     assert_names(note, "-90 degrees about x", "0 of 6")
-
-
-def test_a_problem_has_the_note(franka: Hand, slab: Object) -> None:
-    turn = transform(exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3))
-    poses = pose_from_transform(opened(franka) @ turn)
-    grasps = GraspSet(
-        franka.name, "panda_hand", franka.joint_names, np.full(8, slab.name), np.ones(8), poses, np.full((8, 1), 0.04)
-    )
-    problem = problem_of(franka, slab, grasps)
-    assert any("90 degrees about z" in note for note in problem.notes)
-    assert not problem.convention_notes
-    assert evaluate(problem).validated.metrics.values["penetration_m"].min() > 0.005

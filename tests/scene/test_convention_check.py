@@ -1,6 +1,5 @@
 """What a grasp file most likely means: told where it is clear, and nothing said of grasps that may be meant so."""
 
-import json
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -165,16 +164,6 @@ def test_commands_refuse_in_one_line_and_write_nothing(file: Path, capsys: pytes
             assert_names(error, file, "degrees", "millimetres", "--as-is")
     assert file.read_bytes() == before
     assert [path.name for path in Path().iterdir()] == [file.name]
-
-
-def test_convert_writes_what_is_meant_and_says_so(file: Path, capsys: pytest.CaptureFixture[str]):
-    assert run("convert", file, "new.npz", "--to", "ours", "--json", "new.json", "--as-is") == 0
-    notes = json.loads(Path("new.json").read_text())["notes"]
-    units = ("degrees", "millimetres")
-    assert [unit for note in notes for unit in units if unit in note] == list(units)
-    error = capsys.readouterr().err
-    assert [error.count(unit) for unit in units] == [1, 1]
-    np.testing.assert_array_equal(load_grasps("new.npz").q, load_grasps(file).q)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

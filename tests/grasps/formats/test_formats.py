@@ -16,10 +16,10 @@ from grasp_refine.grasps.formats.agreement import fingertip_distances
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
 from grasp_refine.grasps.formats.folders import natural, object_folder, scale_folder
-from grasp_refine.grasps.formats.listing import FOREIGN, FORMATS
+from grasp_refine.grasps.formats.listing import FORMATS
 from grasp_refine.grasps.formats.reading import reading
 from grasp_refine.grasps.formats.writing import check_output, written
-from grasp_refine.grasps.grasp_set import GraspSet, Targets
+from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
 from refusals import assert_names, refused
 
@@ -116,18 +116,6 @@ def test_a_hand_that_a_format_does_not_know_is_refused_with_both_lists(grasps: G
     with refused(GraspFileError, "leap_cache", "'shadow'"):
         write(grasps("shadow").select([0]), tmp_path / "out.npy", "leap_cache", load)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_a_format_cannot_hold_is_said(grasps: Grasps, load: Load, tmp_path: Path):
-    before = grasps("shadow")
-    points = np.zeros((len(before), 1, 3))
-    with_targets = replace(before, targets=Targets(("ffdistal",), points, points))
-    for known in FOREIGN[:4]:
-        _, lost = write(with_targets, tmp_path / known.name, known.name, load)
-        assert any("targets" in note for note in lost)
-    one_stage = GraspSet(**{**vars(before), "pregrasp": None, "squeeze": None})
-    _, lost = write(one_stage, tmp_path / "one", "bodex", load)
-    assert len(lost) == 2 and "pregrasp" in lost[0] and "squeeze" in lost[1]
 
 
 def bench(grasps: Grasps, load: Load, folder: Path) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Protocols by name and out of a user's TOML: what a file says counts, and what it cannot mean is refused."""
 
 from dataclasses import replace
-from math import radians
 from pathlib import Path
 
 import pytest
@@ -143,9 +142,3 @@ def test_what_cannot_be_meant_is_refused_in_one_line(tmp_path: Path, text: str, 
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with refused(GraspRefineError, "none.toml", "no such file"):
         load_protocol(str(tmp_path / "none.toml"))
-
-
-def test_summaries_report_the_numbers() -> None:
-    assert_names(DEXGRASPBENCH.summary, "friction 0.6", "100 g", "1 N", "6 directions", "2 s")
-    shaken = replace(DEXGRASPBENCH, noise=Noise(7, 0.004, radians(3)), required_label=0.6)
-    assert_names(shaken.rule, "60 %", "7 trials", "4 mm", "3 degrees")
