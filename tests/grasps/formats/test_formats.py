@@ -12,7 +12,12 @@ import pytest
 from grasp_refine.core.errors import GraspFileError
 from grasp_refine.core.se3 import exp_so3
 from grasp_refine.grasps.formats import source
-from grasp_refine.grasps.formats.agreement import fingertip_distances
+from grasp_refine.grasps.formats.agreement import (
+    DisagreementError,
+    check_agreement,
+    check_same,
+    fingertip_distances,
+)
 from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
 from grasp_refine.grasps.formats.folders import natural, object_folder, scale_folder
@@ -85,6 +90,16 @@ def test_what_is_written_is_read_again(
     assert (again.grasps.pregrasp is not None) == (again.grasps.squeeze is not None) == stages
     assert any("pregrasp" in line and "squeeze" in line for line in lost) != stages or to == "isaac_grasp"
     assert any("single" in line for line in lost) == (precision == SINGLE)
+
+
+def test_grasps_that_are_written_agree_within_a_micrometre(grasps: Grasps, load: Load):
+    before = grasps("leap", count=2)
+    near, far = (replace(before, hand_pose=before.hand_pose + np.eye(7)[0] * away) for away in (0.9e-6, 1.1e-6))
+    for check in (partial(check_agreement, load=partial(load, "leap")), check_same):
+        assert check(before, near) == pytest.approx(0.9e-6, rel=1e-3)
+        for other in (far, before.select([0])):
+            with refused(DisagreementError):
+                check(before, other)
 
 
 def test_the_leap_cache_is_read_again_to_single_precision(grasps: Grasps, load: Load, tmp_path: Path):

@@ -119,12 +119,12 @@ def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
 
 OPENS = {"limits": (0, 0.04), "effort": 50}
 JAWS = (
-    link("base", solid("box 0.05 0.05 0.04", "-0.04 0 0.02")),
-    links("first", "second", inside=solid("box 0.04 0.02 0.01")),
-    slide("slide", "base", "first", at="0.03 0 0.005", axis="0 0 1", **OPENS),
-    slide("other", "base", "second", at="0.03 0 -0.005", axis="0 0 -1", follow=("slide",), **OPENS),
+    link("base", solid("box 0.05 0.04 0.05", "-0.04 0.02 0")),
+    links("first", "second", inside=solid("box 0.04 0.01 0.02")),
+    slide("slide", "base", "first", at="0.03 0.005 0", axis="0 1 0", **OPENS),
+    slide("other", "base", "second", at="0.03 -0.005 0", axis="0 -1 0", follow=("slide",), **OPENS),
 )
-"""Jaws that move along z and point along x: their palm lies behind the origin of the base link."""
+"""Jaws that move along y and point along x: their palm lies behind the origin of the base link."""
 
 
 def test_graspgens_frame_is_that_of_the_jaws(tmp_path: Path, load: Load):
@@ -132,7 +132,7 @@ def test_graspgens_frame_is_that_of_the_jaws(tmp_path: Path, load: Load):
     files = {name: GRASP_GEN | more for name, more in (("bare", {}), ("named", {"gripper_frame": "/World/base"}))}
     for hand, axis, approach, joint in (
         (load("franka_hand", "panda_hand"), [0, 1, 0], [0, 0, 1], "panda_finger_joint1"),
-        (made_hand(tmp_path, *JAWS, name="jaws", candidates=1024), [0, 0, 1], [1, 0, 0], "slide"),
+        (made_hand(tmp_path, *JAWS, name="jaws", candidates=1024), [0, 1, 0], [1, 0, 0], "slide"),
     ):
         bare, named = (reading(save(tmp_path / f"{name}.yaml", file), hand=hand) for name, file in files.items())
         R = transform_from_pose(bare.grasps.hand_pose)[:, :3, :3]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspFileError
+from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.formats.layout import (
     ALLEGRO,
     BODEX,
@@ -73,6 +74,10 @@ def test_every_layout_is_of_a_hand_of_ours(load: Callable[..., Hand]):
         hand = load(layout.hand, layout.base_link)
         assert set(layout.joints) == set(hand.joint_names)
     assert sorted(JOINTS, key=int) == sorted(LEAP, key=int) == [str(number) for number in range(16)]
+
+
+def test_leap_hangs_upside_down_a_tenth_of_a_metre_up():
+    np.testing.assert_allclose(MUJOCO[2].T_root_base, transform_from_pose(np.array([0, 0, 0.1, 0, 1, 0, 0.0])))
 
 
 def test_several_hands_with_that_number_need_a_name(load: Callable[..., Hand]):

@@ -55,6 +55,13 @@ def test_the_tables_have_as_many_joints_as_the_hands():
     for table in (multidex.ROBOTS, dro.ROBOTS):
         assert {robot: len(layout.joints) for robot, layout in table.items()} == NUM_JOINTS
         assert all(len(set(layout.joints)) == len(layout.joints) for layout in table.values())
+    # As in the URDFs of GeorgeWuzy/CEDex-Grasp c5acc16, barrett_adagrasp/model.urdf and robotiq_3finger.
+    barrett = [name[3:6] for name in multidex.ROBOTS["barrett"].joints]
+    assert barrett == ["j32", "j33", "j11", "j12", "j13", "j21", "j22", "j23"]
+    robotiq = [
+        name.removeprefix("gripper_finger").replace("joint_", "") for name in multidex.ROBOTS["robotiq_3finger"].joints
+    ]
+    assert robotiq == "A_2 A_3 A_4 B_knuckle B_2 B_3 B_4 C_knuckle C_2 C_3 C_4".split()
 
 
 @pytest.mark.parametrize("robot", list(NUM_JOINTS))

@@ -52,6 +52,9 @@ def test_orders_are_as_long_as_its_grippers_have_joints():
     shadow = GRIPPERS["shadow_hand"].joints
     assert shadow[4:7] == ("thumb_joint1", "index_finger_join2", "little_finger_joint2")
     assert shadow[-2:] == ("little_finger_joint5", "thumb_joint5")
+    # Level by level, as the README of its branch iros_2024 lists them.
+    robotiq = [name.removeprefix("RIQ_").removesuffix("_joint") for name in GRIPPERS["robotiq_3finger"].joints]
+    assert robotiq[3:7] == [f"link_{n}_RIQ_link_{n + 1}_joint_{f}" for n, f in ((0, "c"), (0, "b"), (1, "a"), (1, "c"))]
     human = GRIPPERS["HumanHand"].joints
     assert (human[0], human[5], human[19]) == ("palm_index1_0_joint", "index1_0_index1_joint", "thumb2_thumb3_joint")
 
