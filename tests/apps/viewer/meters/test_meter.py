@@ -34,7 +34,7 @@ EXAMPLES = [
 
 
 def states(viewer: Controller) -> list[State]:
-    """States that differ in one thing that is measured, each before and after the first one."""
+    """States that differ in what is measured, one after the other, and each between two of the first one."""
     first = viewer.state
     viewer.targets.set_nearest()
     settled(viewer)
@@ -51,7 +51,7 @@ def states(viewer: Controller) -> list[State]:
     regions = [contact_regions(first.scene.object, avoid=f"above:z={z}") for z in (0.04, 0.06)]
     tasks = [Task(table=0.03), Task(table=0.05), *(Task(avoid=each.avoid) for each in regions)]
     others += [replace(first, scene=replace(first.scene, task=task)) for task in tasks]
-    return [first, *(each for other in others for each in (other, first))]
+    return [first, *others, *(each for other in others for each in (first, other))]
 
 
 def test_whatever_changes_is_measured_anew(viewer: Controller) -> None:
