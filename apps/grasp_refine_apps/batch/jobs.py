@@ -230,6 +230,8 @@ def _value(key: str, value: Any, hint: Any, folder: Path, where: str) -> Any:
         return truth
     if not isinstance(value, str) or not value:
         raise GraspRefineError(f"{where} must be text, got {quote_value(value)}")
+    if not is_valid(value):
+        raise GraspRefineError(f"{where} holds control characters: {quote_value(value)}")
     if choices and value not in choices:
         raise GraspRefineError(f"{where} must be one of {', '.join(choices)}, got '{value}'")
     if choices or value.startswith(SAMPLE) or not (Path in kinds or (key in NAMES_OR_PATHS and _is_path(value))):
