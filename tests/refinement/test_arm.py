@@ -36,13 +36,14 @@ from grasp_refine.refinement.solvers.iterate import Point
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.refinement.terms.stay_near import StayNear
-from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.refinement.terms.weights import Weights, term_kinds
 from grasp_refine.refinement.variables import MAX_STEP, variables
 from grasp_refine.sampling.sample import sample_grasps
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
+from grasp_refine.scene.task import Task
 from sliding_gripper import sliding_gripper
 
 FEW = LevenbergMarquardt(iterations=12)
@@ -205,6 +206,23 @@ def test_palms_beyond_their_bounds_come_back_on_the_way_of_the_arm(sliding: Scen
     away[:, ~arm] = [0.02, 0.0]
     far = unknowns.project(member, Point(sliding.T_world_root[member], first + away))
     np.testing.assert_allclose((far.q - first)[:, ~arm][:, 0], 0.01, atol=1e-12)
+
+
+def test_links_that_stand_on_the_table_with_the_base_do_not_count(sliding: Scene) -> None:
+    """The depths of all others are those of their lowest vertices."""
+    height = float(T_BASE[2, 3]) + 0.25
+    scene = replace(sliding, task=Task(table=height))
+    weights = Weights(**{**dict.fromkeys(term_kinds(), 0.0), "table": 1.0})
+    problem = GraspProblem(scene, Goal.nothing(4, len(scene.links)), Config(weights=weights))
+    known = problem.evaluate(np.arange(4), Point(scene.T_world_root, scene.q), None)
+    depth = np.zeros((4, len(scene.links)))
+    for column, body in enumerate(problem.prepared.bodies):
+        for piece in body.pieces:
+            z = (piece.vertices @ known.T_link[:, column, 2, :3].T).min(axis=0) + known.T_link[:, column, 2, 3]
+            depth[:, column] = np.maximum(depth[:, column], height - z + piece.radius)
+    stands = np.isin(scene.links, list(scene.hand.arm.standing))
+    assert (depth[:, stands] > 0).all() and (depth[:, ~stands] > 0).any()
+    np.testing.assert_allclose(known.loss, (depth[:, ~stands] ** 2).sum(axis=1), rtol=1e-9, atol=1e-15)
 
 
 def test_twists_of_palms_are_of_the_grasps_that_step(sliding: Scene) -> None:

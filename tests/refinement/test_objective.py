@@ -9,21 +9,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from grasp_refine.collision.query import QueryStatus
-from grasp_refine.core.se3 import exp_se3
+from grasp_refine.core.se3 import body_gradient, exp_se3, hat, matvec
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
+from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.objective import Objective, limits_within
 from grasp_refine.refinement.solvers.adam import Adam
+from grasp_refine.refinement.solvers.descent import Descent
 from grasp_refine.refinement.solvers.iterate import Point
-from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.refinement.terms.weights import Weights, term_kinds
 from grasp_refine.scene import surroundings
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.goal import goal_of
+from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
+from grasp_refine.witness.autograd import WitnessLayer
+from grasp_refine.witness.contact_kinematics import ContactKinematics
+from grasp_refine.witness.transport import transport
 from grasp_refine.witness.zeroth_order import ZerothOrder
 from sliding_gripper import around_object, sliding_gripper
 
@@ -72,6 +78,30 @@ def test_samples_of_a_derivative_are_drawn_anew_in_each_evaluation(scene: Scene)
     np.testing.assert_allclose(again.gradient, first.gradient, rtol=1e-9)
     assert (np.abs(second.gradient - first.gradient).max(axis=1) > 1e-6).all()
     assert len({*map(int, first.number), *map(int, of.evaluate(rows, point, second).number)}) == 2
+
+
+def test_transported_gradients_have_the_steps_of_the_solver(scene: Scene) -> None:
+    """Those of the object act through the links, scaled by the steps of translation and rotation."""
+    scene = replace(scene, object=load_object("box:0.05,0.06,0.045", candidates=64))
+    solver = Descent(transport=True, step_translation=2e-3, step_rotation=5e-2)
+    only = Weights(**{**dict.fromkeys(term_kinds(), 0.0), "contact": 1.0})
+    goal = goal_of(scene, ContactSelection(links=("left", "right")))
+    of = Objective(scene, goal, Config(solver=solver, weights=only))
+    found = of.evaluate(np.arange(4), Point(scene.T_world_root, scene.q), None)
+    T, q = (torch.from_numpy(part.copy()).requires_grad_() for part in (scene.T_world_root, scene.q))
+    T_link = of.kinematics(T, q)
+    a, b = (part.detach().clone().requires_grad_() for part in (T_link, torch.eye(4).double().expand(T_link.shape)))
+    w = WitnessLayer(HandObject.of(scene).pairs, ContactKinematics())(a, b)
+    G_a, G_b = torch.autograd.grad((w.distance[torch.from_numpy(goal.touching)] ** 2).sum(), (a, b))
+    scale = torch.tensor([2e-3] * 3 + [5e-2] * 3, dtype=torch.float64)
+    a, b = a.detach(), b.detach()
+    moved = body_gradient(a, G_a) + transport(b, a, body_gradient(b, G_b) * scale) / scale
+    R, G = a[..., :3, :3], torch.zeros_like(a)
+    G[..., :3, :3], G[..., :3, 3] = R @ hat(moved[..., 3:]), matvec(R, moved[..., :3])
+    G_T, G_q = torch.autograd.grad(T_link, (T, q), G)
+    expected = torch.cat([body_gradient(T.detach(), G_T), G_q], dim=1).numpy()
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_allclose(found.gradient, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_a_failed_query_of_a_body_around_leaves_no_loss(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,15 +46,6 @@ def test_round_bodies_are_followed_exactly(method: Analytical | FiniteDifference
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_finite_differences_follow_the_normal_too() -> None:
-    pairs = ball_and_capsule()
-    T_a, T_b = poses_at_gap(pairs, 8, 0.003, seed=3)
-    cotangents = random_cotangents(query(pairs, T_a, T_b), ("normal",), seed=4)
-    expected = slopes_along_twists(lambda a, b: contracted(query(pairs, a, b), cotangents), T_a, T_b, 1e-5)
-    found = layer_gradient(WitnessLayer(pairs, FiniteDifference(step=1e-4)), T_a, T_b, cotangents)
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-2)
-
-
 def test_zeroth_order_estimates_the_smooth_derivative() -> None:
     pairs = ball_and_capsule()
     T_a, T_b = poses_at_gap(pairs, 8, 0.01, seed=5)

@@ -12,7 +12,7 @@ from grasp_refine.geometry.pieces import Piece, box, capsule, hull, sphere
 from grasp_refine.geometry.rings import Rings
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance
-from grasp_refine.witness.neighborhood import Neighbors, draw_offset
+from grasp_refine.witness.neighborhood import Neighbors
 from grasp_refine.witness.rings import Neighbor, choose_rings
 from grasp_refine.witness.scene import WitnessScene
 from refusals import refused
@@ -94,26 +94,6 @@ def test_without_a_limit_all_vertices_of_the_rings_are_taken(name: str, rings: i
             np.testing.assert_array_equal(near.normals[s, b][near.mask[s, b, 1:]], piece.rings(rings).normals[index])
             farthest = np.linalg.norm(piece.vertices[list(expected)] - x[b], axis=1).max()
             assert near.radius[s, b] == pytest.approx(farthest, rel=1e-12)
-
-
-def test_a_fixed_number_is_drawn_from_the_rings_and_others_at_another_time() -> None:
-    piece = PIECES["icosphere"]()
-    x = piece.vertices[[5, 40, 100]]
-    draws = []
-    for key in range(60):
-        near = choose(piece, x, Neighbor(3, 16), draw_offset(0, key))
-        assert near.points.shape == (2, 3, 17, 3) and near.normals.shape == (2, 3, 16, 3)
-        assert near.mask.all()
-        np.testing.assert_array_equal(near.points[:, :, 0], np.stack([x, x]))
-        for b, start in enumerate((5, 40, 100)):
-            index = drawn(near, piece.vertices, 0, b)
-            assert len(set(index)) == 16 and set(index) <= set(row(piece.rings(3), start))
-        draws.append(frozenset(drawn(near, piece.vertices, 0, 0)))
-    assert len(set(draws)) > 20
-    # Over time, all of them.
-    assert frozenset.union(*draws) == set(row(piece.rings(3), 5))
-    again = choose(piece, x, Neighbor(3, 16), draw_offset(0, 59))
-    np.testing.assert_array_equal(again.points, near.points)
 
 
 def test_a_piece_with_few_vertices_gives_all_it_has() -> None:
