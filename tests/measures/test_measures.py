@@ -38,15 +38,6 @@ from made_results import plain_outcome
 from refusals import refused
 
 
-@pytest.mark.parametrize("measure", [*MEASURES], ids=lambda one: one.name)
-def test_people_read_the_unit_that_is_named(measure: Measure):
-    """The factor is that from the SI unit of the key to the symbol."""
-    factor = {"mm": 1e3, "mm²": 1e6, "°": 180 / np.pi, "s": 1.0, "": 1.0}[measure.unit.symbol]
-    suffix = {"mm": "_m", "mm²": "_m2", "°": "_rad", "s": "_s", "": ""}[measure.unit.symbol]
-    assert measure.unit.factor == pytest.approx(factor) and measure.unit.suffix == suffix
-    assert measure.text(2.0, ".3f") == f"{2 * factor:.3f}"
-
-
 def test_measures_of_a_refinement_are_each_its_own():
     T = np.tile(np.eye(4), (2, 1, 1))
     T[1, :3, :3], T[1, 0, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], 0.25

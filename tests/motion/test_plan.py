@@ -9,7 +9,7 @@ import grasp_refine as gr
 from ball_hand import AHEAD, BALL, FROM_ABOVE, PALM, TIP, ball_hand, body, grasp, thing
 from grasp_refine.closing.motion import Motion
 from grasp_refine.core.rpy_poses import transform_from_rpy
-from grasp_refine.core.se3 import distances, exp_se3, inverse, transform
+from grasp_refine.core.se3 import distances, exp_se3, exp_so3, inverse, transform
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import box
 from grasp_refine.grasps.grasp_set import GraspSet
@@ -123,18 +123,26 @@ def test_each_direction_is_tried_in_turn(hand: Hand) -> None:
     turn[:3, :3] = [[0.6 * half, 0.6 * half, -0.8], [-half, half, 0.0], [0.8 * half, 0.8 * half, 0.6]]
     own, up = np.array([0.0, 0.0, 1.0]), turn[2, :3]
     middle = (own + up) / np.linalg.norm(own + up)
+    spin = transform(exp_so3(np.array([0.0, 0.0, 0.2])), np.zeros(3))
     found: list[np.ndarray] = []
+
+    def plan(ways: list[np.ndarray]) -> MotionPlan:
+        blocks = [body(f"b{k}", (*FROM_ABOVE[:3, 3] + 0.13 * way, 0.004)) for k, way in enumerate(ways)]
+        scene, motion = grasp(hand, *blocks, turn=turn)
+        scene = replace(scene, T_world_root=spin @ scene.T_world_root)
+        return planned(scene, Motion(spin @ motion.T_world_root, motion.q), approach=0.15, lift=0.0)
+
     for _ in range(7):
-        blocks = [body(f"b{k}", (*FROM_ABOVE[:3, 3] + 0.13 * way, 0.004)) for k, way in enumerate([-own, *found])]
-        plan = planned(*grasp(hand, *blocks, turn=turn), approach=0.15, lift=0.0)
-        assert plan.free, plan.why
-        found.append(np.array(plan.direction))
+        free = plan([-own, *found])
+        assert free.free, free.why
+        found.append(np.array(free.direction))
     np.testing.assert_allclose(found[:3], [own, middle, up], atol=1e-9)
     sides = (np.array(found[3:]) - np.cos(TILT_RAD) * own) / np.sin(TILT_RAD)
+    # Along the axes of the palm.
+    axes = np.kron(np.eye(2), [[1.0], [-1.0]]) @ spin[:3, :2].T
+    assert (np.abs(sides @ axes.T).max(axis=1) > 1 - 1e-9).all()
     np.testing.assert_allclose(sides @ sides.T, np.kron(np.eye(2), [[1, -1], [-1, 1]]), atol=1e-9)
-    np.testing.assert_allclose(sides @ own, 0.0, atol=1e-9)
-    blocks = [body(f"b{k}", (*FROM_ABOVE[:3, 3] + 0.13 * way, 0.004)) for k, way in enumerate(found)]
-    last = planned(*grasp(hand, *blocks, turn=turn), approach=0.15, lift=0.0)
+    last = plan(found)
     assert last.status == PlanStatus.BLOCKED and last.why.startswith("approach: palm and b0")
     np.testing.assert_allclose(last.direction, own, atol=1e-9)
 

@@ -109,7 +109,7 @@ def test_the_root_goes_to_where_the_motion_says_and_is_raised_along_z_of_the_wor
     start, end = exp_se3(np.random.default_rng(1).normal(size=(2, 6)) * [0.05, 0.05, 0.05, 0.9, 0.6, 0.9])
     rows = Plants(world).simulations(world, Conditions.nominal(world, 1), np.array([True]), 1)
     far = np.array([[0.0, 0, 5, 1, 0, 0, 0]])
-    rows.place(pose_from_transform(start[None]), np.array([[0.01, -0.01]]), far)
+    rows.place(pose_from_transform(start[None]), np.array([[0.005, -0.005]]), far)
     crossed = rows.touching(np.array([0]))
     assert not crossed.links.any() and crossed.depth[0] == crossed.depth_table[0] == 0.0, "plates in each other"
     rows.place(pose_from_transform(start[None]), np.zeros((1, 2)), far)

@@ -48,12 +48,6 @@ def test_numbers_are_uniform_in_their_ranges_or_in_the_logarithm(many: Draws) ->
     assert many.default_contact.mean() == pytest.approx(0.5, abs=0.02)
 
 
-def test_factors_do_not_go_together(many: Draws) -> None:
-    values = np.column_stack([getattr(many, field.name).reshape(len(many), -1) for field in fields(Draws)])
-    apart = np.corrcoef(values.T.astype(float)) - np.eye(values.shape[1])
-    assert np.abs(apart).max() < 0.1
-
-
 @pytest.mark.parametrize("factor", FIELDS)
 def test_one_factor_alone_leaves_all_others_as_in_the_protocol(many: Draws, factor: str) -> None:
     alone = many.only(factor, STRICT, 0.3)
