@@ -96,6 +96,8 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
     root, values = random_poses(count, 1), rng.uniform([-1, -1, -1, -0.01], [1, 1, 1, 0.01], (count, 4))
     place, data = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)), mujoco.MjData(model)
     (of_object,), ends, poses = np.flatnonzero(world.link_of_geom == OBJECT_GEOM), np.zeros(6), []
+    dofs = [model.joint(f"hand/{name}").dofadr[0] for name in JOINTS]
+    inertia = np.zeros((count, len(JOINTS), model.nv))
     for row in range(count):
         data.qpos[world.root_at : world.root_at + 7], data.qpos[world.joints_at] = root[row], values[row]
         mujoco.mj_kinematics(model, data)
@@ -105,11 +107,14 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
         apart = mujoco.mj_geomDistance(model, data, int(of_object), geom, 1.0, ends)
         place[row, :3] = data.geom_xpos[of_object] + (1 + 0.003 / apart) * (ends[3:] - ends[:3])
         data.qpos[world.object_at :][:3] = place[row, :3]
-        mujoco.mj_kinematics(model, data)
+        mujoco.mj_fwdPosition(model, data)
         poses.append(transform(data.geom_xmat.reshape(-1, 3, 3), data.geom_xpos))
+        for column, unit in zip(inertia[row], np.eye(model.nv)[dofs], strict=True):
+            mujoco.mj_mulM(model, data, column, unit)
     for rows in (drake, other):
         rows.place(root, values, place)
     plant = drake._plant
+    at = [plant.plant.GetJointByName(f"hand/{name}").velocity_start() for name in JOINTS]
     context = plant.diagram.CreateDefaultContext()
     of_plant = plant.plant.GetMyMutableContextFromRoot(context)
     for row in range(count):
@@ -118,6 +123,8 @@ def test_bodies_are_where_mujoco_has_them_and_overlap_as_deeply() -> None:
         query = plant.plant.get_geometry_query_input_port().Eval(of_plant)
         for identity, geom in plant.geoms.items():
             np.testing.assert_allclose(query.GetPoseInWorld(identity).GetAsMatrix4(), poses[row][geom], atol=1e-9)
+        found = plant.plant.CalcMassMatrix(of_plant)[np.ix_(at, at)]
+        np.testing.assert_allclose(found, inertia[row][:, dofs], atol=1e-9)
     found, expected = (rows.touching(np.arange(count)) for rows in (drake, other))
     np.testing.assert_array_equal(found.links, expected.links)
     alone, exact = expected.links.sum(axis=1) == 1, np.array(np.isin(model.geom_type[geoms], EXACT).tolist() * 4)
