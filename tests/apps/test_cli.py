@@ -423,16 +423,6 @@ def test_hands_lists_what_comes_with_the_program(capsys: pytest.CaptureFixture[s
     assert not any(contact["guessed"] for contact in allegro["contacts"])
 
 
-def test_hands_reads_a_bare_urdf(shared_assets: Path, capsys: pytest.CaptureFixture[str]):
-    urdf = shared_assets / "hands" / "barrett" / "barrett.urdf"
-    assert main(["hands", str(urdf), "--json", "hand.json"]) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "8 joints" in out
-    (hand,) = json.loads(Path("hand.json").read_text())["hands"]
-    assert "LICENSE" in hand["licence"]
-    assert hand["contacts"] and all(contact["guessed"] for contact in hand["contacts"])
-
-
 def test_the_doctor_finds_a_working_installation(capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json", "doctor.json", "--overwrite"]) == 0
     out = capsys.readouterr().out

@@ -182,18 +182,6 @@ def test_the_same_rows_give_the_same_bytes_however_they_are_cut(
         assert a.read().to_pylist() == c.read().to_pylist()
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_an_index_of_nothing_has_heads_only(ending: str, tmp_path: Path):
-    path = tmp_path / f"index.{ending}"
-    write(path, [])
-    if ending == "csv":
-        assert path.read_text() == ",".join(column_kinds()) + "\n"
-    else:
-        import pyarrow.parquet
-
-        assert pyarrow.parquet.read_table(path).column_names == list(column_kinds())
-
-
 def test_where_the_index_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pyarrow")
     assert index_path(tmp_path, "auto") == index_path(tmp_path, "parquet") == tmp_path / "index.parquet"

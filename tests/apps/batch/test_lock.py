@@ -47,9 +47,11 @@ def test_a_folder_is_locked_while_a_batch_works_there(tmp_path: Path):
     assert locks(tmp_path) == []
 
 
-@pytest.mark.parametrize(("host", "pid"), [(host(), 1), ("elsewhere", 2**22)])
-def test_another_batch_is_refused_and_named(tmp_path: Path, host: str, pid: int):
-    there = left_by(tmp_path, host, pid)
+@pytest.mark.parametrize(
+    ("host", "pid", "part"), [(host(), 1, (1, 1)), ("elsewhere", 2**22, (1, 1)), (host(), 1, (2, 1))]
+)
+def test_another_batch_is_refused_and_named(tmp_path: Path, host: str, pid: int, part: tuple[int, int]):
+    there = left_by(tmp_path, host, pid, part=part)
     with refused(GraspRefineError, tmp_path, host, pid, there, "--out"), locked(tmp_path, SHARDS, (1, 1)):
         pass
     assert locks(tmp_path) == [there], "the lock of the other one stays, ours goes"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,12 +16,11 @@ from drawn_charts import bars, paths, tooltips
 from grasp_refine.measures.measures import COMPARED, MEASURES
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.batch.chart import CHARTED, chart, statistics_row
-from grasp_refine_apps.batch.page import MAX_KINDS, page, view_command
+from grasp_refine_apps.batch.page import MAX_KINDS, page
 from grasp_refine_apps.batch.pictures import Picture
 from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.words import NONE
 from grasp_refine_apps.batch.worst import Case
-from grasp_refine_apps.cli import COMMANDS
 from refusals import assert_names
 
 PNG = b"\x89PNG\r\n\x1a\nnot a picture"
@@ -112,18 +110,6 @@ def test_counts_are_as_in_the_statistics():
     assert "converged 5 62.5 % stalled 2 25.0 %" in said
     assert f"no target 1 12.5 % {Status.NO_TARGET.advice}" in said
     assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said
-
-
-def test_a_case_says_where_it_is_and_how_to_see_it():
-    one = case()
-    html = page(document(), some(), [Picture(one, PNG, PNG)])
-    said = words_of(html[html.index('class="cases"') :].partition("</figure>")[0])
-    assert_names(said, "allegro", "mug", "row 11", "grasps.npz", "stalled", "rotated", view_command(one))
-    assert_names(said, "quality 0.250 → 0.500", "penetration 1.00 → 0.25 mm", "contact error – → 10.00 mm")
-    assert shlex.split(view_command(one)) == [
-        "refine-grasp", "view", "my sets/00003.npz", "--index", "7", "--object", "/my meshes/mug.obj",
-    ]  # fmt: skip
-    assert "view" in COMMANDS
 
 
 def test_the_page_stays_small_whatever_failed():

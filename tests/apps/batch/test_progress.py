@@ -75,15 +75,6 @@ def test_a_file_gets_a_line_now_and_then_and_at_each_failure(clock: Clock):
         assert len(said(console)) == 3
 
 
-def test_names_and_messages_are_no_markup(clock: Clock):
-    console = plain()
-    with Progress(console, shards(1), 1, clock=clock) as progress:
-        progress.say("note: [red]x[/] has [holes]")
-        progress.failed(shard(0, Path(), 10), Failed("error", "[b]file[/b].obj: [Errno 5]", "", 1))
-    assert "note: [red]x[/] has [holes]" in said(console)
-    assert "job, part 0 failed (error): [b]file[/b].obj: [Errno 5]" in said(console)
-
-
 # In a terminal
 
 
@@ -121,14 +112,6 @@ def test_no_line_is_wider_than_the_terminal_and_many_workers_are_counted(clock: 
     shown = picture(progress, 60)
     assert len(shown) == 2 + 8 + 1 and max(map(len, shown)) <= 60
     assert shown[-1].strip() == "and 12 more" and shown[2].endswith("…")
-
-
-def test_a_terminal_is_not_flooded_with_failures(clock: Clock):
-    console = Console(file=io.StringIO(), width=80, highlight=False, force_terminal=True, color_system=None)
-    progress = Progress(console, shards(30), 1, clock=clock)
-    for number in range(30):
-        progress.failed(shard(number, Path()), Failed("error", "no", "", 1))
-    assert said(console)[8:] == ["further failures are listed at the end"] and len(said(console)) == 9
 
 
 # Speed

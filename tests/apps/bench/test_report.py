@@ -60,15 +60,6 @@ def printed(report: Report) -> str:
     return console.export_text()
 
 
-def test_a_terminal_shows_its_own_columns_tables_and_notes():
-    notes = Note("for all [x]", only=None), Note("for the page")
-    text = printed(Report("title", [table(), Table("hidden", table().columns, ROWS, only="page"), *notes]))
-    assert "some rows" in text and "hidden" not in text and "for all [x]" in text and "for the page" not in text
-    lines = text.splitlines()
-    assert [line.split()[-1] for line in lines if line.startswith(("[a]", "<b>"))] == ["1", "0.002"]
-    assert [line.split() for line in lines[1:5]] == [["hits"], ["at"], ["all", "gap"], ["name", "%", "mm"]]
-
-
 DOCUMENT = {
     "preset": "smoke", "seed": 3, "invocation": "refine-grasp bench <x>", "cpu_s": 2.0, "engine": "native",
     "machine": {"cpus": 2, "cpu": "a processor", "system": "Linux"}, "versions": {"coal": "3"},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.engine import why_not_native
-from grasp_refine.core.profiling import STAGES, Stopwatch
+from grasp_refine.core.profiling import Stopwatch
 from grasp_refine_apps.bench.timing import MAX_CALLS, WARM_UP_CALLS, cpu_share, cpu_times, one_thread, split_stages
 
 
@@ -44,13 +44,6 @@ def test_the_compiled_engine_works_with_one_thread_for_a_while(monkeypatch: pyte
         assert native_search.threads_for(10**6) == 1
         raise KeyError
     assert native_search.threads_for(10**6) == 8
-
-
-def test_what_is_not_distinguished_is_one_part():
-    parts = split_stages("broad phase", "derivative")
-    assert list(parts) == ["broadphase", "derivative", "solver"]
-    assert parts["broadphase"] == ("broad phase",)
-    assert sorted(stage for part in parts.values() for stage in part) == sorted(STAGES)
 
 
 def test_shares_are_of_the_time_of_all_stopwatches():

@@ -89,29 +89,6 @@ def test_grasps_that_are_not_finite_are_left_out(file: Path, capfd: pytest.Captu
     assert not Path("x").exists()
 
 
-def test_labels_choose_the_grasps(file: Path, capfd: pytest.CaptureFixture[str]):
-    labels = {"energy": np.array([2.0, np.nan, 0.5]), "success": np.array([1.0, 0.0, 0.0])}
-    grasps = replace(load_grasps(file).select([0, 1, 0]), labels=labels)
-    save_npz(Path("labelled.npz"), grasps.arrays())
-    for conditions, rows in (
-        (["energy<1"], [2]),
-        (["success = 0"], [1, 2]),
-        (["energy>=-1e3"], [0, 2]),
-        (["energy>=-1e3", "success=1"], [0]),
-    ):
-        assert main(["convert", "labelled.npz", "some.npz", "--to", "ours", "--where", *conditions, "--overwrite"]) == 0
-        some = load_grasps("some.npz")
-        np.testing.assert_array_equal(some.hand_pose, grasps.hand_pose[rows])
-        np.testing.assert_array_equal(some.labels["energy"], grasps.labels["energy"][rows])
-    capfd.readouterr()
-    for condition, named in (("score>1", ("'score'", "energy, success")), ("energy", ("'energy'", ">="))):
-        said = refused(capfd, "convert", "labelled.npz", "x.npz", "--to", "ours", "--where", condition)
-        assert_names(said, *named)
-    said = refused(capfd, "convert", "labelled.npz", "x.npz", "--to", "ours", "--where", "energy>5")
-    assert_names(said, "energy>5", "labelled.npz")
-    assert not Path("x.npz").exists()
-
-
 def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.CaptureFixture[str]):
     grasps = load_grasps(file).select([0, 1, 0, 1, 0])
     grasps = replace(grasps, q=grasps.q + 1e-3 * np.arange(5)[:, None])

@@ -72,16 +72,6 @@ def test_a_model_stays_at_the_pregrasp_until_commanded_to_close(world: World, gr
     np.testing.assert_allclose(data.qpos, load_replay(tmp_path / "gripper_ball_2_+x.npz").qpos[0], atol=1e-9)
 
 
-def test_sizes_of_an_object_have_files_of_their_own(world: World, group: Group, tmp_path: Path) -> None:
-    for scale in (1.0, 0.06, 0.08):
-        recorded(Recording(tmp_path, direction="+x"), replace(group, scale=scale), world, tmp_path)
-    assert [name for name in names(tmp_path) if name.endswith("2_+x.npz")] == [
-        "gripper_ball_2_+x.npz",
-        "gripper_ball_x0.06_2_+x.npz",
-        "gripper_ball_x0.08_2_+x.npz",
-    ]
-
-
 def test_a_place_that_cannot_be_written_is_found_out_before_the_work(problems: list[Problem], tmp_path: Path) -> None:
     Recording(tmp_path / "new" / "folder").check(DEXGRASPBENCH, FILES, problems, overwrite=False)
     assert not names(tmp_path)

@@ -36,11 +36,6 @@ def test_trajectories_are_followed_by_protocols_that_lift(
         assert found["held"] and abs(found["lifted_m"] - 0.1) < 5e-3 and found["hits"] == []
 
 
-def test_a_table_of_the_simulation_alone_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", *GIVEN, "--protocol", "tabletop"]) == 0
-    assert "give --table" in capfd.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("given", "named"),
     [(["--from", "0,1"], "--trajectory"), (["--trajectory", "trajectory.json", "--from", "left"], "left")],

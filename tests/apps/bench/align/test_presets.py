@@ -7,9 +7,8 @@ from typing import get_args
 import pytest
 
 from grasp_refine.witness.derivative import Derivative
-from grasp_refine.witness.distance import Distance
 from grasp_refine_apps.bench.align.patch import Patch
-from grasp_refine_apps.bench.align.presets import EPSILON, OURS, PRESETS
+from grasp_refine_apps.bench.align.presets import EPSILON, PRESETS
 from grasp_refine_apps.bench.align.tasks import CLASSES
 from grasp_refine_apps.bench.align.variants import ADAPTIVE, Variant
 from grasp_refine_apps.bench.derivatives import NEIGHBORHOODS
@@ -39,12 +38,3 @@ def test_the_variants_of_a_preset_differ_and_can_be_built(name: str):
 
 def test_the_command_line_offers_all_presets():
     assert set(get_args(PresetName)) == set(PRESETS)
-
-
-def test_the_default_is_the_method_of_the_paper():
-    assert Variant() == OURS
-    assert (OURS.method, OURS.neighborhood, OURS.transport, OURS.optimise) == ("distance", "adaptive", True, "T2")
-    assert (OURS.margin, OURS.step_size, OURS.budget) == (1e-3, 10.0, 2000)
-    unilateral, coupled = (Variant(coupling=coupling).derivative(0) for coupling in ("one-sided", "coupled"))
-    assert isinstance(unilateral, Distance) and isinstance(coupled, Distance)
-    assert (unilateral.smoothed_self, coupled.smoothed_self) == (True, False)

@@ -16,7 +16,6 @@ from grasp_refine.problem.problem import Problem
 from grasp_refine.problem.spec import ProblemSpec
 from grasp_refine.sampling.closure_frame import closure_frame
 from grasp_refine_apps.bench.success import cases
-from grasp_refine_apps.bench.success.assets import ObjectCase
 from grasp_refine_apps.bench.success.cases import SAMPLED, Axes, Case, load_case, perturbed
 from refusals import refused
 
@@ -69,21 +68,6 @@ def test_an_object_that_is_too_wide_is_scaled_until_a_grasp_is_found(monkeypatch
     problem, factor = load_case(case, 0, NoCache(), shrink=True)
     assert factor == pytest.approx(0.64)
     assert problem.groups[0].scene.object.body.diagonal == pytest.approx(0.64 * 0.06 * 3**0.5, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("convexity", "diagonal", "shape", "size"),
-    [
-        (0.95, 0.1, "convex", "below 14 cm"),
-        (0.9, 0.14, "convex", "14 to 18 cm"),
-        (0.89, 0.18, "concave", "14 to 18 cm"),
-        (0.1, 0.1801, "concave", "above 18 cm"),
-        (np.nan, np.nan, "not known", "not known"),
-    ],
-)
-def test_classes_of_objects(convexity: float, diagonal: float, shape: str, size: str):
-    thing = ObjectCase("thing", "thing.obj", 1.0, diagonal, convexity)
-    assert (thing.shape, thing.size) == (shape, size)
 
 
 @pytest.mark.parametrize(
