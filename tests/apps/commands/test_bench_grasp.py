@@ -61,6 +61,7 @@ def test_a_run_prints_its_tables_and_writes_its_rows(capfd: pytest.CaptureFixtur
     assert {path.name for path in Path().iterdir()} == {"bench.json"}
 
 
+@pytest.mark.slow
 def test_neither_processes_nor_batches_change_what_comes_out():
     options = (*BOX, "--count", "2", "--tasks", "targets", "--batches", "1", "2")
     single, together = map(numbers, document(*options)["rows"])

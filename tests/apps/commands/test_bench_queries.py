@@ -17,6 +17,7 @@ from refusals import assert_names
 pytestmark = pytest.mark.usefixtures("workplace", "threads")
 
 
+@pytest.mark.slow
 def test_smoke_measures_queries_and_reports_in_one_file(capfd: pytest.CaptureFixture[str]):
     for module in ("matplotlib", "jinja2"):
         pytest.importorskip(module, reason="the report needs it")

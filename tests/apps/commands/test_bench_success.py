@@ -50,6 +50,7 @@ def numbers(row: dict[str, Any]) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 def test_grasps_with_stages_are_tried_with_both_and_again_the_same():
     asked = [*gripper_grasps(), "--starts", "3"]
     found = [of(success(*asked, "--threads", threads), "all") for threads in "12"]

@@ -30,6 +30,7 @@ def test_a_scene_of_ones_own_is_checked(tmp_path: Path, capfd: pytest.CaptureFix
     assert "did you mean table?" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_in_a_scene_is_validated_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
