@@ -18,6 +18,7 @@ from grasp_refine.forces.quality import (
     PUSH_SHARE,
     PUSHES,
     YIELDING_RAD_N,
+    YIELDING_SHARE,
     Quality,
     quality,
 )
@@ -109,6 +110,8 @@ def test_the_object_yields_where_contacts_beside_it_are_close(free: Hand, ball: 
     turn = (x / (about_z - TOTAL_PRESSURE_N * half) + x / about_y) / 3.0
     assert found.yielding[0] == pytest.approx(max(turn / YIELDING_RAD_N - 1.0, 0.0), rel=0.02)
     assert (found.yielding[0] > 1.0) == (apart < 0.01)
+    rest = found.slippery + found.pushed + found.deep + found.open + found.strained
+    np.testing.assert_allclose(found.score, rest + YIELDING_SHARE * found.yielding)
     # Closer still, the forces turn it away: as bad as it gets.
     half = 0.4 * TOTAL_PRESSURE_N / (2.0 * CONTACT_STIFFNESS)
     assert of(rigid, ball, [[[x, half, 0], [x, -half, 0]]], [[[0, -1, 0], [0, 1, 0]]]).yielding[0] == MOST_YIELDING
@@ -131,6 +134,12 @@ def test_depth_counts_by_its_scale(free: Hand, ball: Object) -> None:
     np.testing.assert_allclose(found.deep, [0.0, 0.002 / DEEP, 0.0])
     np.testing.assert_allclose(found.open, [0.0, 0.0, 0.0015 / DEEP], atol=1e-9)
     np.testing.assert_allclose(found.score - found.deep - found.open, found.score[0], atol=1e-9)
+    other = of(free, ball, OPPOSING[0] * 2, OPPOSING[1] * 2, [[-0.001, -0.002], [0.001, 0.002]])
+    assert other.deepest_link[0] == 1 and other.farthest_contact[1] == 1
+    # Gaps on purpose do not count.
+    gaps = touching(free, *(part * 1 for part in OPPOSING), [[0.002, 0.001]])
+    clearance = np.full(len(gaps[0].links), 5e-4)
+    assert quality(free, ball, *gaps, clearance).open[0] == pytest.approx(0.001 / DEEP)
 
 
 def test_pushes_are_in_six_directions_and_turn_nothing() -> None:

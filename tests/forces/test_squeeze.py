@@ -184,7 +184,13 @@ def test_the_other_finger_presses_less_where_the_set_points_of_one_end(
     """Both pads press with 15 N, or with what the left one can; the right one at least with `MIN_PRESSURE_SHARE`."""
     q = np.array([[0.002, 0.0]])
     hand = ending(clamp, 0.002 - newtons / 5.0)
-    left, right = 5.0 * (squeezed(Scene(hand, ball, np.eye(4)[None], q)) - q)[0]
+    found = squeeze(Scene(hand, ball, np.eye(4)[None], q))
+    left, right = 5.0 * (found.q - q)[0]
+    np.testing.assert_allclose(np.linalg.norm(found.forces.flat().vector, axis=1), share * 15.0)
+    # A force limit does not change the other actuators.
+    weak = replace(hand, actuator=replace(hand.actuator, force_limit=np.array([np.inf, 5.0])))
+    ahead = 5.0 * (squeezed(Scene(weak, ball, np.eye(4)[None], q)) - q)[0]
+    np.testing.assert_allclose(ahead, [left, 5.0])
     assert right == pytest.approx(share * 15.0)
     assert left == pytest.approx(-min(newtons, 15.0))
 

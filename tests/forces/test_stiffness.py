@@ -131,10 +131,14 @@ def second_derivatives(function: Callable[[np.ndarray], float], size: int, step:
 
 
 def test_joints_of_one_tendon_give_in_turn(tmp_path: Path) -> None:
-    """A motion that keeps the length of the tendon meets no stiffness."""
+    """A motion that keeps the length of the tendon meets no stiffness; its stiffness is that of its first joint."""
     hand = claw(tmp_path, coupled=True)
+    kp = np.arange(1.0, 1.0 + len(hand.joint_names))
+    hand = replace(hand, actuator=replace(hand.actuator, kp=kp))
     (group, *_), K = hand.coupled, joint_stiffness(hand)
     joints = [hand.joint_names.index(name) for name in group.joints]
+    K_tendon = kp[joints[0]] * np.outer(group.ratio, group.ratio)
+    np.testing.assert_allclose(K[np.ix_(joints, joints)], K_tendon, atol=1e-5)
     dq = np.zeros(len(K))
     dq[joints[:2]] = group.ratio[1], -group.ratio[0]
     assert dq @ K @ dq < 1e-4 and K[joints[0], joints[0]] > 0.01

@@ -53,13 +53,6 @@ def test_two_opposing_contacts_balance() -> None:
     np.testing.assert_allclose(found.pressure, 0.5, atol=1e-9)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.15, 1.0])
-def test_contacts_on_one_side_push_with_all_they_have(friction: float) -> None:
-    """Nothing opposes the pressures, whose sum is 1; both act 2 cm beside the centre, which friction cannot mend."""
-    found = of([[1, 0, 0], [1, 0, 0]], [[0, 0.02, 0], [0, 0.02, 0]], friction=friction)
-    assert found.residual[0] == pytest.approx(np.hypot(1.0, 0.02 / LEVER_M), abs=1e-6)
-
-
 def test_no_contact_carries_more_than_half() -> None:
     """A contact at +x against two at -x that are not opposite to it: it takes half, they a quarter each."""
     found = of([[-1, 0, 0], [1, 0, 0], [1, 0, 0]], [[0.03, 0, 0], [-0.03, 0.01, 0], [-0.03, -0.01, 0]])

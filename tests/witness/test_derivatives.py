@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 
 from grasp_refine.collision.query import Pairs, query
-from grasp_refine.core.errors import CollisionError
 from grasp_refine.core.se3 import exp_se3, inverse, matvec, transform_points
-from grasp_refine.geometry.body import build_body
-from grasp_refine.geometry.pieces import sphere
 from grasp_refine.witness.autograd import WitnessLayer
 from grasp_refine.witness.distance import Distance, scores_of, smooth, temperature
 from grasp_refine.witness.neighborhood import Adaptive, Fixed
 from grasp_refine.witness.rings import Neighbor
 from grasp_refine.witness.scene import WitnessScene
-from refusals import refused
 from shapes_for_tests import BODY_PAIRS, convex_body
 from twists import (
     layer_gradient,
@@ -90,9 +86,3 @@ def test_signed_distance_gradient_is_exact(bodies: str, gap: float) -> None:
 
 
 # the layer as a torch function
-
-
-def test_bodies_with_different_numbers_of_candidates_are_refused() -> None:
-    few = build_body("few", [sphere(0.01)], candidates=64)
-    with refused(CollisionError, "64, 1024"):
-        WitnessLayer(Pairs((few,), (convex_body(0, 300),)), Distance()).columns(np.array([0]))

@@ -192,11 +192,6 @@ def boxes(s: float) -> World:
     return World.of(pairs, larger(T_a, s), larger(T_b, s), np.full((2, 12, 1, 3), np.nan), s)
 
 
-@pytest.mark.parametrize("s", [2.0**-9, 1e-3, 100.0])
-def test_fitted_curvatures_scale_with_the_bodies(s: float) -> None:
-    np.testing.assert_allclose(fits(s, 1.0), fits(1.0, 1.0), rtol=1e-4, atol=1e-3)
-
-
 def test_what_stands_for_a_sharp_edge_scales_with_bodies_that_are_not_as_large_as_a_hand() -> None:
     """10 000/m was a radius as large as the body at 0.1 mm."""
     hand = PairCurvatures.of(boxes(1.0).pairs, 1.0)
