@@ -183,6 +183,17 @@ def test_an_mjcf_that_cannot_be_used_is_reported_and_nothing_more(tmp_path: Path
     assert any("A1" in note and "r.xml" in note for note in hand.notes)
 
 
+def test_an_mjcf_that_moves_otherwise_is_reported_though_it_looks_the_same_at_rest(tmp_path: Path) -> None:
+    """There the third link hangs from the first."""
+    loaded(tmp_path, "")
+    third = """<body name="a3" pos="0 0 0.04"><joint name="rh_A3" axis="0 1 0"/><geom size="0.01"/></body>"""
+    text = (tmp_path / "r.xml").read_text()
+    assert third + "</body></body>" in text
+    other = text.replace(third + "</body></body>", "</body>" + third.replace("0 0 0.04", "0 0 0.08") + "</body>")
+    (tmp_path / "r.xml").write_text(other)
+    assert any("moves unlike" in note and "A3" in note for note in load_hand(tmp_path, candidates=16).notes)
+
+
 def test_the_makers_shadow_hand_shares_actuators_between_the_outer_joints(shared_assets: Path) -> None:
     urdf, mjcf = shared_assets / "hands/shadow/shadow_right.urdf", shared_assets / "hands/shadow_mjcf/right_hand.xml"
     hand = load_hand(urdf, mjcf=mjcf, candidates=16)

@@ -160,10 +160,10 @@ def test_overlaps_of_ignored_links_are_noted_beyond_what_every_configuration_has
     assert ignored_overlaps(build(tmp_path, slide("base", "a", 0.05, 0.1)), np.array([[0.06]])) == ""
 
 
-def test_joints_without_limits_turn_all_around(tmp_path: Path) -> None:
-    assert found(build(tmp_path, turn("base", "hand", 0.05), slide("base", "post", -0.07, -0.05))) == (
-        ("hand", "post"),
-    )
+@pytest.mark.parametrize("at", [(-0.035, 0.035, 0), (-0.035, -0.035, 0), (0.035, 0.035, 0), (0.035, -0.035, 0)])
+def test_joints_without_limits_turn_all_around(tmp_path: Path, at: tuple[float, float, float]) -> None:
+    post = ball("post") + joint("post_j", "base", "post", "prismatic", at=at, axis="0 0 1", limits=(0, 1e-3))
+    assert found(build(tmp_path, turn("base", "hand", 0.05), post)) == (("hand", "post"),)
 
 
 def test_mimic_joints_follow(tmp_path: Path) -> None:
@@ -243,6 +243,7 @@ def test_whatever_the_answer_depends_on_has_an_entry_of_its_own(tmp_path: Path) 
         (a, slide("a", "b", 0.1, 0.2)),
         (a, slide("base", "b", 0.05, 0.2, mimic="a_slide")),
         (a, b.replace("1 0 0", "0 1 0")),
+        (a, slide("base", "b", 0.05, 0.2, mimic="a_slide").replace("<mimic ", '<mimic offset="0.001" ')),
         (a, b, fixed("b", "c", 0.01)),
     ]
     hands = [build(tmp_path, *parts) for parts in variants]

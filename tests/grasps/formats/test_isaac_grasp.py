@@ -119,12 +119,12 @@ def test_files_of_graspgen_have_poses_only(tmp_path: Path, load: Load):
 
 OPENS = {"limits": (0, 0.04), "effort": 50}
 JAWS = (
-    link("base", solid("box 0.05 0.04 0.05", "-0.04 0.02 0")),
+    link("base", solid("box 0.05 0.04 0.05", "-0.06 0.02 0")),
     links("first", "second", inside=solid("box 0.04 0.01 0.02")),
-    slide("slide", "base", "first", at="0.03 0.005 0", axis="0 1 0", **OPENS),
-    slide("other", "base", "second", at="0.03 -0.005 0", axis="0 -1 0", follow=("slide",), **OPENS),
+    slide("slide", "base", "first", at="0 0.005 0", axis="0 1 0", **OPENS),
+    slide("other", "base", "second", at="0 -0.005 0", axis="0 -1 0", follow=("slide",), **OPENS),
 )
-"""Jaws that move along y and point along x: their palm lies behind the origin of the base link."""
+"""Jaws that move along y and point along x: they are around the origin of the base link, and their palm behind it."""
 
 
 def test_graspgens_frame_is_that_of_the_jaws(tmp_path: Path, load: Load):
