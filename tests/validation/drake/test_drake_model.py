@@ -42,7 +42,7 @@ TREE = """<body name="palm"><inertial pos="0 0 0" mass="1e4" diaginertia="1e3 1e
     <geom name="other" type="box" size="0.01 0.01 0.03" pos="0.02 0.01 0" mass="0.03"/></body></body>"""
 """A hand with all kinds of geoms, welded bodies, two joints of one body, and reference positions; degrees."""
 
-TENDON = """<tendon><fixed name="sum" stiffness="{force}" damping="0.1" actuatorfrcrange="-12 12">
+TENDON = """<tendon><fixed name="sum" stiffness="{force}" springlength="0.3" damping="0.1" actuatorfrcrange="-12 12">
   <joint joint="bend" coef="-0.7"/><joint joint="other" coef="1.5"/></fixed></tendon>"""
 SERVOS = """<actuator>
     <position joint="turn" kp="0.2" kv="0.002" gear="-3" ctrlrange="-1 0.7"/>

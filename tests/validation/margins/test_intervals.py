@@ -26,7 +26,7 @@ def test_the_interval_of_a_mean_is_that_of_as_many_trials_as_have_its_variance()
     together, apart = ((np.arange(32) + step * np.arange(20)[:, None]) % 4 > 0 for step in (0, 1))
     for case, trials in ((together, 32), (apart, 640)):
         expected = np.ravel(wilson(np.asarray(0.75 * trials), trials))
-        np.testing.assert_allclose(mean_interval(case)[1:], expected, atol=3e-3)
+        np.testing.assert_allclose(mean_interval(case)[1:], expected, rtol=1e-12)
     for none_or_all in (np.zeros((3, 8), dtype=bool), np.ones((3, 8), dtype=bool)):
         expected = np.ravel(wilson(none_or_all.sum(), 24))
         np.testing.assert_allclose(mean_interval(none_or_all)[1:], expected)
