@@ -217,6 +217,22 @@ def test_depths_elsewhere_and_contacts_outside_of_regions_cost_their_share(
     assert scores[1] - scores[0] == pytest.approx(cost, rel=1e-4)
 
 
+def test_links_in_each_other_cost_their_depth(scene: Scene, prepared: HandObject) -> None:
+    hand = scene.hand
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (300, len(hand.lower)))
+    T = np.tile(scene.T_world_root[:1], (300, 1, 1))
+    frames, pairs = prepared.chain(T, q), prepared.self_collision_links
+    inside = -query(prepared.self_collision_pairs, *(frames.T_world_link[:, side] for side in pairs)).distance.min(
+        axis=1
+    )
+    plain = judge(prepared, frames)[0]
+    row = int(np.where(np.isfinite(plain), inside, 0.0).argmax())
+    assert inside[row] > 1e-3
+    search = search_of(replace(scene, T_world_root=T[[row]], q=q[[row]]), prepared, STILL)
+    found = search.attempt(np.array([0]), search.initial(np.array([0])), (CLOSE,)).score[0]
+    assert found - plain[row] == pytest.approx(inside[row] / DEEP, rel=1e-6)
+
+
 def _axis(T: np.ndarray, piece: Any) -> np.ndarray:
     along = T[:3, :3] @ (piece.vertices[1] - piece.vertices[0])
     return along / np.linalg.norm(along)

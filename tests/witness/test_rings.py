@@ -96,14 +96,6 @@ def test_without_a_limit_all_vertices_of_the_rings_are_taken(name: str, rings: i
             assert near.radius[s, b] == pytest.approx(farthest, rel=1e-12)
 
 
-def test_a_piece_with_few_vertices_gives_all_it_has() -> None:
-    piece = box([0.05, 0.04, 0.03])
-    near = choose(piece, np.array([[0.025, 0.001, 0.002]]), Neighbor())
-    assert near.mask.sum(axis=2).tolist() == [[9], [9]]
-    assert sorted(drawn(near, piece.vertices, 0, 0)) == list(range(8))
-    assert np.isfinite(near.points).all() and np.isfinite(near.normals).all()
-
-
 @pytest.mark.parametrize(
     ("piece", "on_surface"),
     [
