@@ -144,7 +144,10 @@ def test_a_note_says_that_all_palms_are_in_the_table(tmp_path: Path) -> None:
     assert hand_notes(replace(scene, task=Task(table=float(lowest.max()) + 0.015))) == ()
     assert hand_notes(replace(scene, task=Task())) == ()
     # In a scene the note names the body in which a palm is deepest.
-    ends = [scene.T_world_root[row, :3, 3] for row in (0, 1)]
-    bodies = [body(name, sphere(r), *end, movable=True) for name, r, end in zip("ab", (0.05, 0.08), ends, strict=True)]
-    (note,) = hand_notes(replace(scene, task=Task(scene=Environment(tuple(bodies), np.eye(4)))).select([0, 1]))
+    T = scene.T_world_root.copy()
+    T[1, 0, 3] += 0.5
+    sizes = enumerate((("a", 0.05), ("b", 0.08)))
+    bodies = [body(name, sphere(r), *T[row, :3, 3], movable=True) for row, (name, r) in sizes]
+    apart = replace(scene, T_world_root=T, task=Task(scene=Environment(tuple(bodies), np.eye(4)))).select([0, 1])
+    (note,) = hand_notes(apart)
     assert "'b'" in note and "'a'" not in note
