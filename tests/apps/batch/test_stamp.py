@@ -258,16 +258,14 @@ FIELDS: dict[str, dict[str, Any]] = {
     "table": {"table": -0.1},
     "scene": {"scene": "desk.toml"},
     "base": {"base": "0.1,0,0,0,0,0"},
-    "touch": {"touch": ("above:z=0",)},
-    "avoid": {"avoid": ("above:z=0",)},
-}
+    "touch": {"touch": ("above:z=0",)}, "avoid": {"avoid": ("above:z=0",)},
+}  # fmt: skip
 """Field of a job -> another job, in which it is the last of the entries."""
 
 BEFORE: dict[str, dict[str, Any]] = {
-    "mount": {"arm": "arm/arm.urdf"},
-    "mount_pose": {"arm": "arm/arm.urdf"},
+    "mount": {"arm": "arm/arm.urdf"}, "mount_pose": {"arm": "arm/arm.urdf"},
     "objects": {"object": None, "objects": Path("objects")},
-}
+}  # fmt: skip
 """Field -> the job before, where the field has no meaning otherwise."""
 
 
