@@ -89,6 +89,8 @@ def test_all_of_a_grasp_is_drawn_where_the_library_has_it(view: View, viewer: Co
         places = [np.eye(4)] * (name == "depth") + [T[link] for link in links]
         for each in [node for key, node in nodes.items() if key.startswith(f"/grasp/{name}/")]:
             assert min(np.abs(each.T - place).max() for place in places) < 1e-6, name
+    depths = [node.T for key, node in nodes.items() if key.startswith("/grasp/depth/")]
+    assert min(np.abs(T_depth - np.eye(4)).max() for T_depth in depths) < 1e-9, "the part of the object in a link"
     forces = found.forces
     expected = force_arrows(forces.point, forces.force, viewer.state.scene.object.body)
     np.testing.assert_allclose(view.nodes.forces.node.points, expected, atol=1e-6)

@@ -135,7 +135,7 @@ def test_bodies_are_drawn_where_the_scene_has_them_and_red_where_a_link_is_in_th
     T[0, 3] -= 0.1
     viewer.editor.move_root(T)
     view.draw(viewer.state)
-    assert tuple(crate.color) == nodes.meshes[0].shapes[0].color
+    assert tuple(crate.color) == nodes.meshes[0].shapes[0].color and crate.opacity == OPACITY
     viewer.set(display=replace(viewer.state.display, surroundings=False))
     view.draw(viewer.state)
     assert view.nodes.environment is None
