@@ -7,11 +7,12 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import grasp_refine as gr
 from grasp_refine.assets.embedded import resource_dir
-from grasp_refine.grasps.grasp_set import load_grasps
+from grasp_refine.grasps.grasp_set import CONTACT_KEYS, OTHER_STAGES, REQUIRED, TARGET_KEYS, load_grasps
 from grasp_refine.hands.files.hand_toml import ARM_TOML, HAND_TOML
 from grasp_refine.hands.hand import load_hand
 from grasp_refine.results.verdict import should_hold
@@ -21,7 +22,10 @@ from grasp_refine.scene.scene_file import load_scene
 from grasp_refine_apps.batch.jobs import read_jobs
 from grasp_refine_apps.cli import main
 from grasp_refine_apps.commands.inputs import Inputs
-from readme import PYTHON, TEXT, blocks, extension_blocks, facade_blocks, run_python
+from readme import PAGES, PYTHON, TEXT, blocks, extension_blocks, facade_blocks, run_python, section
+
+MEASURED = "Performance"
+"""Section of README with a table of what was measured."""
 
 BENCHES = tuple(f"bench {name}" for name in ("align", "queries", "stability", "grasp", "success", "--gate"))
 
@@ -140,6 +144,13 @@ def test_the_scene_can_be_read(tmp_path: Path):
     assert scene.bodies[2].mass == 0.25
 
 
+def test_the_table_of_grasp_files_is_complete():
+    lines = section("docs/pages/reference/files.md", "Grasp files").splitlines()
+    listed = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in lines if "|" in line)))
+    stages = {f"{stage}_{key}" for stage in OTHER_STAGES for key in ("pose", "q")}
+    assert listed == {*REQUIRED, *TARGET_KEYS, *CONTACT_KEYS, *stages, "schema", "hand_pose_before", "q_before"}
+
+
 def test_the_options_are_as_in_the_commands(capsys: pytest.CaptureFixture[str]):
     known = set()
     methods = "run --solver levenberg-marquardt --solver descent --solver adam --derivative distance"
@@ -159,3 +170,57 @@ def test_python_blocks_need_the_facade_alone():
     assert not [module for block in blocks("python") for module in deep.findall(block)]
     used = {name for block in blocks("python") for name in re.findall(r"\bgr\.(\w+)", block)}
     assert len(used) > 30 and used <= set(dir(gr))
+
+
+# figures
+
+
+def numbers(text: str) -> set[str]:
+    """Numbers in a text: those of links, of code and of exponents left out."""
+    text = re.sub(r"\]\([^)]*\)|`[^`]*`|\[arXiv [\d.]+\]|10⁻|1e-\d", " ", text)
+    return set(re.findall(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?", text))
+
+
+def printed(name: str, text: str) -> str:
+    """The figures that a run prints after a name, such as "0.482 → 0.000"."""
+    (found,) = re.findall(rf"^{name}.*? ([\d.]+ → [\d.]+)(?: mm)?$", text, re.MULTILINE)
+    return found
+
+
+def rounded(figures: str) -> str:
+    """Figures "a → b" to hundredths."""
+    return " → ".join(f"{float(number):.2f}" for number in figures.split(" → "))
+
+
+def test_figures_that_readme_shows_twice_are_equal():
+    """Sample output, its own means, text, table, the same table on the benchmarks page, and both introductions."""
+    readme, overview = PAGES["README.md"], PAGES["docs/pages/index.md"]
+    (sample,) = (block for block in blocks("text", readme) if block.startswith("$ refine-grasp run\n"))
+    (again,) = (block for block in blocks("text", PAGES["docs/pages/getting-started.md"]) if block == sample)
+    lines = re.findall(r"^ {5}\d +([\d.]+) → ([\d.]+) +([\d.]+) → ([\d.]+)", sample, re.MULTILINE)
+    errors, _, depths, _ = (np.array(column, dtype=float) for column in zip(*lines, strict=True))
+    error, depth = printed("contact error fell", sample), printed("penetration fell", sample)
+    residual = printed("wrench residual fell", sample)
+    assert errors.mean() == pytest.approx(float(error.split()[0]), abs=0.006)
+    assert depths.mean() == pytest.approx(float(depth.split()[0]), abs=0.006)
+    (time,) = re.findall(r"iterations, (\d+ ms) / ", sample)
+    held = "2 → 4 of 4 hold"
+    assert f"here {held}" in readme
+    for page, heading in (("README.md", MEASURED), ("docs/pages/benchmarks.md", "At a glance")):
+        rows = {row.strip("| ").split(" | ")[0].lower(): row for row in section(page, heading).splitlines()}
+        (means,) = (row for name, row in rows.items() if "mean before → after" in name)
+        assert f"contact error {rounded(error)} mm, penetration {rounded(depth)} mm" in means
+        assert "wrench" not in means or f"wrench residual {rounded(residual)}" in means
+        (took,) = (row for name, row in rows.items() if "forces balanced" in name)
+        assert f"| {time} (median)" in took
+        (simulated,) = (row for name, row in rows.items() if name.startswith("the same in simulation"))
+        assert held in simulated
+    pictures = [re.findall(r"!\[(.*?)\]", page, re.DOTALL)[0].split() for page in (readme, overview)]
+    assert pictures[0] == pictures[1]
+
+
+def test_what_readme_measured_stands_on_the_benchmarks_page():
+    rows = [row for row in section("README.md", MEASURED).splitlines() if row.startswith("| ")][1:]
+    known = numbers(PAGES["docs/pages/benchmarks.md"])
+    assert len(rows) >= 9
+    assert {row.split(" | ")[0]: missing for row in rows if (missing := numbers(row) - known)} == {}

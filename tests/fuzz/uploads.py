@@ -82,4 +82,5 @@ def read(path: Path) -> Hashable:
     return upload.kind, len(upload.notes)
 
 
-READER = Reader("upload", seeds, read, change, (*meshes.WORDS, *urdfs.WORDS, b"PK\x01\x02", b"PK\x03\x04"))
+WORDS = (*meshes.WORDS, *urdfs.WORDS, b"PK\x01\x02", b"PK\x03\x04")
+READER = Reader("upload", seeds, read, change, WORDS, starts_programs=True)
