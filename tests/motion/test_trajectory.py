@@ -1,6 +1,7 @@
 """Trajectories: durations and speeds in closed form; files that suffice to follow them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,8 @@ def test_files_hold_waypoints_and_set_points_over_time(
     )
     planned = join((one, other), np.array([1, 0]))
     assert planned.row.tolist() == [3, 4] and planned.plans == (plan, none)
+    larger = join((replace(one, scenes=((scene, 0.7),)), other), np.array([1, 0]))
+    assert [scale for _, scale in larger.scenes] == [0.5, 0.7]
     assert planned.lines() == ["the trajectory is free in 1 of 2", "trajectory of grasp 2 no grasp: there is no grasp"]
     planned.save(tmp_path / "trajectories.npz")
     planned.save(tmp_path / "trajectories.json")

@@ -77,6 +77,9 @@ def test_there_are_two_groups_if_they_are_anywhere_near(hand: Hand) -> None:
     assert chosen(hand, touching, far) == {INDEX, "link_2.0", THUMB}
     # Nobody within reach: the two nearest.
     assert chosen(hand, touching, {INDEX: 0.012, MIDDLE: 0.02, RING: 0.015, THUMB: 0.029}) == {INDEX, RING}
+    # Of a finger with two contact links that are nearest, one is added.
+    pair = replace(hand, contacts=(*hand.contacts, replace(hand.contacts[-1], link="link_14.0")))
+    assert chosen(pair, touching, {THUMB: 0.012, "link_14.0": 0.013, INDEX: 0.02}) == {THUMB, INDEX}
     # The palm is a group.
     assert chosen(hand, touching, {INDEX: 0.005, "base_link": 0.001, THUMB: 0.02}) == {INDEX, "base_link"}
     assert chosen(hand, touching, {INDEX: 0.005, MIDDLE: 0.0301}) == {INDEX}

@@ -14,12 +14,13 @@ BODIES = {
     "dice": [box([0.02, 0.03, 0.04])],
     "ball": [sphere(0.02, [0.01, 0.02, 0.03])],
     "finger": [capsule(0.01, [0, 0, 0], [0.02, 0.03, 0.05]), box([0.01, 0.01, 0.1])],
+    "knob": [box([0.03, 0.03, 0.03]), sphere(0.02)],
 }
 
 
 def test_lowest_points_are_of_the_surface_and_nothing_is_below_them() -> None:
     bodies = [build_body(name, pieces, candidates=4000) for name, pieces in BODIES.items()]
-    T = exp_se3(np.random.default_rng(0).normal(size=(5, 3, 6)))
+    T = exp_se3(np.random.default_rng(0).normal(size=(5, len(BODIES), 6)))
     height, point = PLANE.heights(bodies, T)
     np.testing.assert_allclose(point @ PLANE.normal - 0.1, height, atol=1e-12)
     for column, body in enumerate(bodies):

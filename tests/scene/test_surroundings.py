@@ -15,6 +15,7 @@ from grasp_refine.scene.environment import Environment, EnvironmentBody
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.surroundings import Surroundings, choose_bodies, scene_depths
+from grasp_refine.scene.task import Task
 from sliding_gripper import around_object, sliding_gripper
 
 REACH = 0.01
@@ -111,6 +112,22 @@ def test_depths_are_of_the_deepest_pair_of_a_link_that_counts(scene: Scene, coun
     deepest = distance.argmin(axis=1)[inside]
     np.testing.assert_array_equal(found.link[inside], of.link[deepest])
     np.testing.assert_array_equal(found.body[inside], of.body[deepest])
+
+
+def test_bodies_keep_their_numbers_and_sets_of_them_apart(scene: Scene) -> None:
+    """Two bodies far from the object and from each other, and grasps that meet one or the other."""
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[0, :3, 3], T[1, :3, 3] = 5.0, -5.0
+    bodies = tuple(EnvironmentBody(f"body {k}", build_body("b", [sphere(0.05)], candidates=16), T[k]) for k in (0, 1))
+    prepared = HandObject.of(scene)
+    first = replace(scene, T_world_root=T[:1], q=scene.q[:1], task=Task(scene=Environment(bodies, np.eye(4))))
+    for number in (0, 1):
+        here = replace(first, T_world_root=T[number : number + 1])
+        links = prepared.chain(here.T_world_root, here.q).T_world_link
+        found = scene_depths(here.environment, prepared.bodies, links)
+        assert found.depth[0] > 1e-3 and found.body[0] == number
+        reached = prepared.surroundings(here)
+        assert reached is not None and reached.chosen.tolist() == [number]
 
 
 def test_the_nearest_pairs_count_where_there_are_too_many(scene: Scene) -> None:

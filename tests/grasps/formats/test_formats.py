@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from grasp_refine.core.errors import GraspFileError
-from grasp_refine.core.se3 import exp_so3
+from grasp_refine.core.se3 import exp_so3, transform_from_pose
 from grasp_refine.grasps.formats import source
 from grasp_refine.grasps.formats.agreement import (
     DisagreementError,
@@ -22,7 +22,7 @@ from grasp_refine.grasps.formats.content import load_content
 from grasp_refine.grasps.formats.dexgraspnet import angles_from_rotation, rotation_from_angles
 from grasp_refine.grasps.formats.folders import natural, object_folder, scale_folder
 from grasp_refine.grasps.formats.listing import FORMATS
-from grasp_refine.grasps.formats.reading import reading
+from grasp_refine.grasps.formats.reading import load_grasps, reading
 from grasp_refine.grasps.formats.writing import check_output, written
 from grasp_refine.grasps.grasp_set import GraspSet
 from grasp_refine.hands.hand import Hand
@@ -414,3 +414,14 @@ def test_nothing_is_left_when_writing_fails(grasps: Grasps, load: Load, tmp_path
         assert len(list(place.rglob("*.npy"))) == 6
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
+
+
+def test_a_cache_of_leap_is_read_as_by_others(shared_assets: Path) -> None:
+    """Joints by name and poses, against the same grasps that the assets hold in another form."""
+    found = load_grasps(shared_assets / "grasps/leap_cube_cache/leap_hand_in_palm_cube_grasp_50k_s10.npy")
+    other = load_grasps(shared_assets / "grasps/normalised/leap_cube.npz").select(np.arange(20))
+    order = [found.joint_names.index(name) for name in other.joint_names]
+    apart = np.abs(other.q[:, None] - found.q[None, :, order]).max(axis=2)
+    assert apart.min(axis=1).max() < 1e-6
+    T, expected = (transform_from_pose(one) for one in (found.hand_pose[apart.argmin(axis=1)], other.hand_pose))
+    np.testing.assert_allclose(T, expected, atol=1e-5)

@@ -14,6 +14,7 @@ from grasp_refine.forces.squeeze import CONTACTS
 from grasp_refine.geometry.body import build_body
 from grasp_refine.geometry.pieces import sphere
 from grasp_refine.hands.kinematics import Kinematics
+from grasp_refine.objects.object import load_object
 from grasp_refine.objects.region import HalfSpace
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.derivative_check import finite_differences, gradients, relative_errors
@@ -31,6 +32,8 @@ from grasp_refine.scene.goal import Goal
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
+from made_hands import made_hand
+from plate_gripper import PARTS
 from sliding_gripper import around_object, sliding_gripper
 
 COUNT, RADIUS, MARGIN, CLEARANCE, WEIGHT = 40, 0.03, 1e-3, 4e-3, 0.7
@@ -163,3 +166,21 @@ def test_bodies_without_a_link_near_them_cost_nothing(scene: Scene, tmp_path: Pa
         Objective(two, goal, Config(weights=only, solver=Adam())),
     ):
         assert problem.evaluate(np.arange(2), point, None).loss[0] == 0.0
+
+
+def test_corners_of_a_patch_count_as_much_as_one_gap_by_the_weight_of_the_patch(tmp_path: Path) -> None:
+    """Two plates at a box, turned by up to 0.3 rad: the weight falls as faces tilt apart."""
+    hand, angles = made_hand(tmp_path, *PARTS, candidates=64), np.linspace(0.0, 0.3, 6)
+    T = exp_se3(np.stack([np.zeros(6), np.zeros(6), np.full(6, -0.05), 0.5 * angles, angles, np.zeros(6)], axis=1))
+    scene = Scene(hand, load_object("box:0.04,0.04,0.04"), T, np.tile([0.062, -0.062], (6, 1)))
+    touching = np.tile(np.isin(scene.links, ["left", "right"]), (6, 1))
+    goal = replace(Goal.nothing(6, len(scene.links)), touching=touching)
+    config = Config(weights=Weights(**{**dict.fromkeys(term_kinds(), 0.0), "contact": 1.0}))
+    found = GraspProblem(scene, goal, config).evaluate(np.arange(6), Point(scene.T_world_root, scene.q), None)
+    faces, gap = found.patches.faces, np.where(touching, found.witness.distance, 0.0)
+    corners = np.where(faces.there, faces.gap, 0.0) ** 2
+    share = faces.weight / np.maximum(faces.count, 1)
+    assert ((faces.weight > 0.01) & (faces.weight < 0.9)).sum() >= 3
+    expected = (gap**2).sum(axis=1) + (share * corners.sum(axis=-1)).sum(axis=1)
+    np.testing.assert_allclose(found.loss, expected, rtol=1e-9)
+    assert (expected - (gap**2).sum(axis=1) > 1e-8).sum() >= 3
