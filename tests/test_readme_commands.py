@@ -40,6 +40,7 @@ OTHERS = {
     "pip install": "likewise, for Drake",
     ".venv/bin/pytest": "likewise",
     ".venv/bin/ruff": ".ci/run runs it",
+    "PYTHONPATH=tests .venv/bin/python -m mutation": "tests/mutation/test_mutants.py runs it",
     ".venv/bin/mkdocs": ".ci/run builds the documentation",
     ".venv/bin/refine-grasp run": "likewise",
     "dask ": "tests/dask_cluster.py starts such a cluster",

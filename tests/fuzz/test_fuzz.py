@@ -22,7 +22,11 @@ FEW = 25
 """Inputs of each reader in every run of the tests."""
 
 
-@pytest.mark.parametrize("name", READERS)
+NAMES = [pytest.param(name, marks=pytest.mark.slow) if READERS[name].starts_programs else name for name in READERS]
+"""Names of readers; processes take their time to start."""
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_sound_files_are_read(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Or nothing would be learned from changed ones."""
     reader = READERS[name]
@@ -43,7 +47,7 @@ def test_sound_files_are_read(name: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert all("../outside/scene.npy" in said for said in refused.values())
 
 
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_few_changed_files_are_read_or_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """In this process, where warnings are errors; longer, and watched in all ways, in the next test."""
     reader, random = READERS[name], Random(name)

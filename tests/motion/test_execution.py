@@ -123,6 +123,17 @@ def test_free_trajectory_lifts_the_object_as_in_a_plain_simulation(hand: Hand, t
             assert execute(strict, hand, [timed], threads=1).held.tolist() == [held]
 
 
+def test_objects_are_lifted_along_up_of_the_scene(hand: Hand, timed: Trajectory) -> None:
+    """In a scene that is tilted by 20 degrees, a movement along z of the object by 0.1 m lifts by cos 20 of it."""
+    if hand.arm is not None:
+        return
+    tilt = transform_from_rpy([0.0, 0.0, 0.0, 20.0, 0.0, 0.0])
+    environment = Environment((replace(TABLE, T_world_body=tilt @ TABLE.T_world_body),), tilt)
+    world = build_world(model_of(hand), THING, Task(SCENE, scene=environment))
+    found = execute(world, hand, [timed], threads=1)
+    assert abs(found.lifted_m[0] - 0.1 * np.cos(np.radians(20.0))) < 2e-3
+
+
 def apart(T: np.ndarray, found: Any) -> tuple[float, float]:
     """Return the distance and the rotation between a pose and a body in MuJoCo."""
     there = transform(found.xmat.reshape(3, 3), found.xpos)

@@ -213,7 +213,8 @@ def test_clicks_on_the_table_sort_and_open(viewer: Viewer, page: ViserPage) -> N
         until(lambda d=descending: made.state.listing == Listing("quality_after", d), "a sorted list")
     order = np.argsort(quality, kind="stable").tolist()
     rows = page.page.locator(".gr-table tbody tr")
-    until(lambda: [int(text.split()[0]) for text in rows.all_inner_texts()] == order, "rows in this order")
+    first = page.page.locator(".gr-table tbody tr td:first-child")
+    until(lambda: first.all_text_contents() == [str(row) for row in order], "rows in this order")
     for _ in range(2):
         # A row is opened again after another way of leaving it.
         rows.nth(3).click()
@@ -238,12 +239,17 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(viewer:
     values = viewer.controller.state.collection.columns[key].values
     middle = (np.nanmin(values) + np.nanmax(values)) / 2
     assert low == pytest.approx(middle, abs=0.02 * np.ptp(values)) and high == pytest.approx(np.nanmax(values))
-    chart.hover()
-    page.page.mouse.down()
-    # The server may replace the histogram between both halves of a click.
-    chart.evaluate("svg => svg.replaceWith(svg.cloneNode(true))")
-    page.page.mouse.up()
-    until(lambda: not viewer.controller.state.listing.ranges, "all of them")
+
+    def click() -> bool:
+        chart.hover()
+        page.page.mouse.down()
+        # The server may replace the histogram between both halves of a click, and while it does there is none.
+        chart.evaluate("svg => svg.replaceWith(svg.cloneNode(true))")
+        page.page.mouse.up()
+        page.page.wait_for_timeout(500)
+        return not viewer.controller.state.listing.ranges
+
+    until(click, "all of them")
     page.folder("Sort and filter")
 
 
@@ -309,6 +315,7 @@ def test_a_mesh_is_uploaded_and_names_in_files_run_no_scripts(viewer: Viewer, pa
     page.upload(upload, tmp_path / "text.obj")
     page.wait_for_text("text.obj")
     until(lambda: made.state.notice is not None and made.state.notice.bad, "a refusal")
+    page.close_notifications()
     page.upload(upload, tmp_path / "ball.obj")
     until(lambda: made.state.scene.object.name == "ball", "the ball")
     made.grasps.reopen(0)
