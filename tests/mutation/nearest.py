@@ -1,4 +1,4 @@
-"""Tests nearest to a module: the file of its name, then few that import it, or the folder that mirrors its own."""
+"""Tests nearest to a module: the file of its name, or the folder that mirrors its own; and those that import it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def module_name(path: Path) -> str:
 
 
 def nearest_tests(path: Path) -> list[str]:
-    """Return files of tests: the one of the same name, importers of the module where few, else those of its folder."""
+    """Return files of tests: the one of the same name, or those of its folder; then importers of the module, if few."""
     root = next(root for root in ROOTS if path.is_relative_to(root))
     mirror = ROOTS[root] / path.relative_to(root).parent
     while not list(mirror.glob("test_*.py")):
@@ -33,4 +33,4 @@ def nearest_tests(path: Path) -> list[str]:
     importing = [file for file in everywhere if imports.search(file.read_text(encoding="utf-8"))]
     named = [file for file in mirror.glob("*.py") if file.name == f"test_{path.stem}.py"]
     near = importing if len(importing) <= FEW else [file for file in importing if file.parent == mirror]
-    return list(dict.fromkeys(map(str, (*named, *near)))) or sorted(map(str, mirror.glob("test_*.py")))
+    return list(dict.fromkeys(map(str, (*(named or sorted(mirror.glob("test_*.py"))), *near))))
