@@ -58,6 +58,7 @@ def test_the_library_names_no_option_of_the_command(options: set[str]):
     assert not named
 
 
+@pytest.mark.slow
 def test_each_field_in_a_message_of_the_library_is_an_option(options: set[str]):
     """Also those in the help of fields; a name that is no option would be printed as one."""
     named = {
@@ -71,6 +72,7 @@ def test_each_field_in_a_message_of_the_library_is_an_option(options: set[str]):
     assert not named
 
 
+@pytest.mark.slow
 def test_a_field_of_the_library_is_printed_as_the_option(capfd: pytest.CaptureFixture[str]):
     with pytest.raises(GraspRefineError, match="`scale` .*0"):
         ProblemSpec(scale=0).check()

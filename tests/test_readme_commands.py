@@ -211,6 +211,7 @@ def test_the_validation_that_is_shown_has_these_rows(
     assert printed.split("\n")[0].split() == shown.split("\n")[0].split()
 
 
+@pytest.mark.slow
 def test_what_simulation_says_of_a_run_is_what_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from readme import blocks
+from readme import blocks, extension_blocks
 
 pytest.importorskip("mypy", reason="the checker comes with the extra 'test'")
 
@@ -102,9 +102,12 @@ def undefined(code: str) -> set[str]:
 
 
 def examples() -> list[str]:
-    """The Python of README.md and the documentation: each block, with the one before where it goes on from there."""
+    """The Python of README.md and the documentation: each block, with the one before where it goes on from there.
+
+    Extensions are short, without annotations.
+    """
     found: list[str] = []
-    for block in blocks("python"):
+    for block in (block for block in blocks("python") if block not in extension_blocks()):
         found.append(found[-1] + block if found and undefined(block) else block)
     return found
 

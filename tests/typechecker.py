@@ -3,6 +3,7 @@
 import numpy as np
 from beartype import BeartypeConf, FrozenDict, beartype
 from numpy.typing import ArrayLike
+from viser import ClientHandle
 
 typechecker = beartype(
     conf=BeartypeConf(
@@ -14,6 +15,8 @@ typechecker = beartype(
                 # Its many protocols refuse a list of tuples, which NumPy takes.
                 ArrayLike: object,
                 ArrayLike | None: object,
+                # Tests stand in for pages that no browser shows.
+                ClientHandle: object,
             }
         )
     )

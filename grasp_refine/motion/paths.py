@@ -61,8 +61,8 @@ class HandPath:
         T = chain(arcs.T_world_root, arcs.q).T_world_link
         return arcs._divided(motion(spheres, T[:-1], T[1:]).max(axis=1, initial=0.0) / spacing)
 
-    def _divided(self, parts: Float[np.ndarray, " K-1"]) -> HandPath:
-        """Return the path with the movement between two poses in so many equal parts, rounded up."""
+    def _divided(self, parts: Float[np.ndarray, " M"]) -> HandPath:
+        """Return the path with each of its M movements between two poses in so many equal parts, rounded up."""
         count = np.maximum(np.ceil(parts).astype(int), 1)
         count = np.minimum(count, max(MAX_SAMPLES // max(len(count), 1), 1))
         return self.at(np.concatenate([k + np.arange(n) / n for k, n in enumerate(count)] + [np.array([len(count)])]))

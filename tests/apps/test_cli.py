@@ -59,6 +59,7 @@ def grasp_file(inputs: Path) -> Callable[..., Path]:
 # The top level
 
 
+@pytest.mark.slow
 def test_help_is_instant_and_only_what_needs_torch_loads_it():
     """Help needs the standard library alone, of which it takes what `argparse` would load, too."""
     code = (
@@ -147,6 +148,7 @@ def test_a_run_writes_the_same_grasps_as_npz_and_json(capsys: pytest.CaptureFixt
     assert provenance["index"] == provenance["row"] == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.CaptureFixture[str]):
     assert main([*QUICK, "--index", "0", "--targets", "nearest"]) == 0
     result = "grasp-refine-results/allegro_rounded_box.npz"
@@ -161,6 +163,7 @@ def test_a_result_can_be_refined_further_but_not_overwritten(capfd: pytest.Captu
     np.testing.assert_array_equal(first.targets.point_object, again.targets.point_object)
 
 
+@pytest.mark.slow
 def test_a_result_is_replaced_by_the_same_refinement_only(capfd: pytest.CaptureFixture[str]):
     """A run with --geometry-only replaced the result of a full one, and nothing was said."""
     quick = (*QUICK, "--index", "0", "--starts", "1")
@@ -382,6 +385,7 @@ def test_only_embedded_hands_have_examples(inputs: Path, capfd: pytest.CaptureFi
 # Interruption
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_one_line_and_no_files():
     options = "--object rounded_box --tolerance 0 --solver descent"
     command = [sys.executable, "-c", PROGRAM, "run", *options.split()]

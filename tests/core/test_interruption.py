@@ -105,6 +105,7 @@ def test_in_the_midst_of_a_decomposition(
         assert list((tmp_path / "temporary").iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_in_the_midst_of_a_batch(start: Starter, ring: tuple[str | Path, ...], number: signal.Signals):
     """What its workers have started ends, too."""

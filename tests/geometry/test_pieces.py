@@ -360,6 +360,7 @@ def test_a_mesh_of_several_scales_is_cut_once_also_without_a_cache(bracket, slow
         np.testing.assert_allclose(piece.bounds, size * bracket.bounds, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_number_of_processes_changes_no_piece(bracket, monkeypatch):
     meshes = brackets(bracket, 2)
     monkeypatch.setattr(pieces_module, "usable_cores", lambda: 1)

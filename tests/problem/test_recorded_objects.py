@@ -115,6 +115,7 @@ def _plain(entries: list[dict]) -> list[dict]:
     return [{**entry, "measures_m": list(entry["measures_m"])} for entry in entries]
 
 
+@pytest.mark.slow
 def test_a_batch_refuses_results_of_another_object(result: Path, capfd: pytest.CaptureFixture[str]):
     words = ["batch", str(result), "--geometry-only", "--workers", "1", "--object"]
     assert main([*words, "mug", "--scale", "1000", "--out", "other"]) == 1

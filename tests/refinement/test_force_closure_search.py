@@ -305,7 +305,7 @@ def attempts(prepared: HandObject, scores: list[float], pinches: list[bool], mar
 def test_an_attempt_counts_where_it_is_better_and_pinches_stay_unless_it_is_much_better(
     tmp_path: Path, scene: Scene, prepared: HandObject
 ) -> None:
-    five = scene.select([0, 1, 2, 3, 0, 1])
+    five = scene.select(np.array([0, 1, 2, 3, 0, 1]))
     search, every = search_of(five, prepared), np.arange(6)
     search.take(every, attempts(prepared, [1.0, 1.0, 1.0, 1.0, 1.0, np.inf], [0, 0, 1, 1, 1, 0], 1.0))
     better = [0.9, 1.0 - 0.1 * SAME_SCORE, 0.9, 0.9 * PINCH_SHARE, 0.05, np.inf]
@@ -374,7 +374,7 @@ def test_every_start_of_a_grasp_is_another_one(scene: Scene, prepared: HandObjec
             firsts.extend(state.point.T)
         stages.append(state.stage)
 
-    one = scene.select([1])
+    one = scene.select(np.array([1]))
     config = replace(CONFIG, starts=5, solver=LevenbergMarquardt(iterations=1))
     found = refine(one, config, on_iteration=first, prepared=prepared)
     assert found.starts.tolist() == [5] and len(firsts) == 5
@@ -402,7 +402,7 @@ def test_good_grasps_are_not_tried_again(
 
 
 def test_more_starts_are_never_worse(scene: Scene, prepared: HandObject, insatiable: None) -> None:
-    two, found = scene.select([0, 2]), []
+    two, found = scene.select(np.array([0, 2])), []
     for count in (1, 3):
         found.append(refine(two, replace(CONFIG, starts=count), prepared=prepared))
         np.testing.assert_array_equal(found[-1].starts, count)
@@ -420,7 +420,7 @@ def test_a_grasp_alone_is_the_same_grasp(
     tried = int(np.argmax(together.starts))
     assert together.starts[tried] > 1 and together.starts.min() < together.starts.max()
     for order in ([tried], [3, 0]):
-        same(refine(scene.select(order), CONFIG, prepared=prepared), together, list(range(len(order))), order)
+        same(refine(scene.select(np.array(order)), CONFIG, prepared=prepared), together, list(range(len(order))), order)
 
 
 # budgets and ends
@@ -448,7 +448,7 @@ def test_grasps_that_are_nowhere_near_or_nowhere_at_all_spoil_no_other(
     np.testing.assert_array_equal(found.q[1], q[1])
     assert np.isnan(found.loss[1:3]).all() and found.starts[2] == 0 and not found.touching[1:3].any()
     same(found, held, [0, 3], [0, 3])
-    none = refine(scene.select([]), CONFIG, prepared=prepared)
+    none = refine(scene.select(np.arange(0)), CONFIG, prepared=prepared)
     assert none.T_world_root.shape == (0, 4, 4) and none.starts.shape == (0,)
 
 

@@ -308,7 +308,7 @@ def test_a_grasp_far_away_has_no_target(scene: Scene) -> None:
 
 @pytest.mark.parametrize("config", [Config(), NEAREST, SHORT], ids=["gap", "nearest", "descent"])
 def test_no_grasps_at_all_are_refined_at_once(scene: Scene, config: Config) -> None:
-    found = refine(scene.select([]), config)
+    found = refine(scene.select(np.arange(0)), config)
     assert found.T_world_root.shape == (0, 4, 4) and found.loss.shape == (0, 2)
 
 

@@ -71,6 +71,7 @@ def test_the_required_label_decides(world: World):
         assert judge(one, above_the_edge()).success.tolist() == [required <= label]
 
 
+@pytest.mark.slow
 def test_labels_depend_on_the_row_and_nothing_else(world: World):
     numbers = np.array([5, 6, 7])
     motion = above_the_edge(count=3)
@@ -80,6 +81,7 @@ def test_labels_depend_on_the_row_and_nothing_else(world: World):
     np.testing.assert_array_equal(labels, noise_score(world, motion, NOISE, middle=np.zeros(3), numbers=numbers))
 
 
+@pytest.mark.slow
 def test_further_trials_are_judged_alike(world: World):
     """With little friction nothing holds; with that of the protocol, as many as before; without squeeze, none."""
     motion, numbers = above_the_edge(count=3), np.array([3, 7, 11])

@@ -220,6 +220,7 @@ def test_parts_of_a_batch_make_up_the_whole(
     assert_same(out, whole)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("here")
 def test_bad_jobs_among_good_ones_are_named_and_the_rest_is_done(
     tmp_path: Path, sources: Path, whole: Path, capsys: pytest.CaptureFixture[str]

@@ -15,6 +15,7 @@ from refusals import assert_names
 EXAMPLE = resource_dir("robots") / "allegro" / "example_rounded_box.npz"
 
 
+@pytest.mark.slow
 def test_margins_are_shown_and_written(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ("--margins", "--draws", "4", "--seconds", "0.2", "--seed", "5", "--index", "1", "3")
     files = ("--json", "all.json", "--rows", "all.csv", "--html", "all.html")

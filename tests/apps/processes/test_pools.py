@@ -70,6 +70,7 @@ def test_work_keeps_what_it_has_loaded(start: Start, tmp_path: Path):
     assert all(counts == list(range(1, len(counts) + 1)) for counts in calls.values())
 
 
+@pytest.mark.slow
 def test_tasks_of_lost_workers_are_tried_again(start: Start, tmp_path: Path):
     """One worker is killed in the middle of a task, one kills itself whenever it gets a certain task."""
     found = outcomes(start, tmp_path, "a:crash once SIGKILL", "b:crash SIGKILL", *["c:write"] * 6)

@@ -102,6 +102,7 @@ plain = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(plain, st.sampled_from(PROTOCOLS))
 @settings(deadline=None, max_examples=150)
 def test_any_plain_value_comes_back(value: Any, protocol: int):

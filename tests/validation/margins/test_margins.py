@@ -98,6 +98,7 @@ def test_a_factor_that_cannot_matter_costs_nothing(worlds: Worlds) -> None:
     assert same.worst.tolist() == [PUSH] and 0 < same.held[JOINT].mean() < 1
 
 
+@pytest.mark.slow
 def test_trials_depend_neither_on_other_grasps_nor_on_threads_nor_on_other_draws(worlds: Worlds) -> None:
     draws, motion, trials = draw(Factors(), 8), pressing(1.0, 1.5), (JOINT, "friction")
     together = margins(worlds, motion, draws, trials=trials, threads=2)

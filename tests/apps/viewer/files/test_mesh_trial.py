@@ -38,6 +38,7 @@ def multiplied(count: int) -> bytes:
     return scene.export(file_type="glb")
 
 
+@pytest.mark.slow
 def test_triangles_of_all_meshes_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ball = BALL.export(file_type="stl")
     monkeypatch.setattr(mesh_trial, "MAX_FACES", 2 * len(BALL.faces))

@@ -127,7 +127,7 @@ def test_stages_come_from_the_refinement_or_the_file_while_the_pose_is_theirs(pr
     works[1] = replace(works[1], pose=moved, outcome=outcome)
     found = grasp_sets(collection, works)
     np.testing.assert_allclose(found.q, [works[2].pose.q, moved.q, moved.q])
-    generated = closing_motion(replace(group.scene.select([0]), q=moved.q[None])).q[0]
+    generated = closing_motion(replace(group.scene.select(np.array([0])), q=moved.q[None])).q[0]
     for stage, at in ((found.pregrasp, 0), (found.squeeze, -1)):
         np.testing.assert_allclose(stage.q[0], stages[at].q[2])
         np.testing.assert_allclose(stage.q[1], generated[at], atol=1e-9)

@@ -261,6 +261,7 @@ def test_a_picture_comes_as_the_browser_drew_it_on_white(shown: Shown, monkeypat
     assert shown.told(bad=True)
 
 
+@pytest.mark.slow
 def test_a_gif_has_the_frames_of_the_recording_and_the_view_stays(shown: Shown):
     """A browser that is only written down: it draws the number of the frame that it is shown."""
     made = shown.controller
