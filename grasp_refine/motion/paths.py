@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from grasp_refine.collision.culling import motion
-from grasp_refine.core.se3 import exp_so3, log_so3, transform
+from grasp_refine.core.se3 import distances, exp_so3, log_so3, transform
 from grasp_refine.core.short_repr import brief
 from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
@@ -54,8 +54,7 @@ class HandPath:
             spheres: Their bounding spheres, centre and radius, link frames.
             spacing: Distance in metres.
         """
-        R = self.T_world_root[:, :3, :3]
-        turns = np.linalg.norm(log_so3(R[:-1].mT @ R[1:]), axis=1)
+        _, turns = distances(self.T_world_root[:-1], self.T_world_root[1:])
         # Links move on arcs; the distance of their ends says little of a long one.
         arcs = self._divided(np.maximum(np.abs(np.diff(self.q, axis=0)).max(axis=1, initial=0.0), turns) / MAX_ARC_RAD)
         T = chain(arcs.T_world_root, arcs.q).T_world_link

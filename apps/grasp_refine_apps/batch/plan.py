@@ -163,8 +163,15 @@ class Planner:
             check_known(read.grasps.hand, path)
         named = inputs.hand or read.grasps.hand
         hand, digest = digests.hand(named, inputs, loader.on_message)
-        of_job = partial(ShardTask, self.batch, job.name, job.inputs, source=digests.file(path), hand=(named, digest))
-        of_job = partial(of_job, task_digest=task_digest(loader, digests))
+        of_job = partial(
+            ShardTask,
+            self.batch,
+            job.name,
+            job.inputs,
+            source=digests.file(path),
+            hand=(named, digest),
+            task_digest=task_digest(loader, digests),
+        )
         for name, where in loader.named_objects(read.grasps, path).items():
             of_object = partial(of_job, object=name, object_digest=digests.object(where), object_source=where)
             rows = choose_rows(read.grasps.object, object_name=name, index=None)
@@ -184,6 +191,7 @@ class Planner:
         hand, digest = digests.hand(inputs.hand, inputs, loader.on_message)
         where = chosen_object(inputs.object, loader.on_message)
         name = where.asset.name if where.asset is not None else Path(str(where.source)).stem
+        object_digest, of_task = digests.object(where), task_digest(loader, digests)
         for number, start in enumerate(range(0, count, self.size)):
             size, nothing = min(self.size, count - start), np.zeros(0, dtype=np.int64)
             task = ShardTask(
@@ -193,9 +201,9 @@ class Planner:
                 source={"sampled": f"{SAMPLE}{size}", "draw": number, "hand": digest},
                 hand=(inputs.hand, digest),
                 object=name,
-                object_digest=digests.object(where),
+                object_digest=object_digest,
                 object_source=where,
-                task_digest=task_digest(loader, digests),
+                task_digest=of_task,
                 scales=(inputs.scale * (1.0 if where.asset is None else where.asset.scale),),
                 rows=nothing,
                 index=nothing,

@@ -108,9 +108,11 @@ def included(path: Path) -> tuple[Path, ...]:
             # Relative to the outermost file, or to the one that names it.
             for place in (path.parent, file.parent, *(path.parent / folder for folder in sorted(folders))):
                 inner = place / element.get("file", "")
-                if is_file(inner) and inner.suffix.lower() not in MJCF_SUFFIXES:
+                if not is_file(inner):
+                    continue
+                if inner.suffix.lower() not in MJCF_SUFFIXES:
                     raise HandError(f"{file}: <{element.tag}> names {inner.name}, which is no MJCF by its suffix")
-                if is_file(inner) and not any(inner.samefile(other) for other in found):
+                if not any(inner.samefile(other) for other in found):
                     found.append(inner)
     return tuple(found)
 
