@@ -81,6 +81,27 @@ def until(true: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:
     return value
 
 
+def act(gesture: Callable[[], object], done: Callable[[], Any], what: str, patience_s: float = 5.0) -> Any:
+    """Repeat a gesture until `done` returns a true value, which is returned: a panel that moves or is replaced while a
+    person points at it takes no notice.
+
+    Args:
+        gesture: What a person does.
+        done: As `true` of `until`.
+        what: As there.
+        patience_s: Time in seconds after which a gesture that nothing followed is repeated.
+    """
+
+    def tried() -> Any:
+        gesture()
+        end = time.monotonic() + patience_s
+        while not (value := done()) and time.monotonic() < end:
+            time.sleep(0.03)
+        return value
+
+    return until(tried, what)
+
+
 def matrix(numbers: Sequence[float]) -> np.ndarray:
     """A matrix of three.js, which stores columns."""
     return np.array(numbers, dtype=float).reshape(4, 4).T

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from browser import ViserPage, until
+from browser import ViserPage, act, until
 from grasp_refine.problem.problem import Problem
 from grasp_refine_apps.viewer.drawing.shapes import LinkPoses
 from grasp_refine_apps.viewer.model.columns import STATUS
@@ -124,8 +124,7 @@ def test_a_grasp_is_seen_refined_scrubbed_and_reloaded(viewer: Viewer, page: Vis
     page.wait_for_text(f"contact error {1e3 * made.state.outcome['contact_error_m'][0, 1]:.2f} mm")
     assert page.visible("/grasp/ghost/20")
     until(lambda: page.value("Iteration") == str(len(trace) - 1), "the timeline at the end")
-    page.drag_slider("Iteration", 0.98, 0.5, 0.0)
-    until(lambda: made.state.frame == 0, "the first iteration")
+    act(lambda: page.drag_slider("Iteration", 0.98, 0.5, 0.0), lambda: made.state.frame == 0, "the first iteration")
     wait_for_pose(viewer, page, came)
     page.wait_for_text(f"contact error {1e3 * made.state.outcome['contact_error_m'][0, 0]:.2f} mm")
     page.enter("Iteration", 3)
@@ -211,16 +210,15 @@ def test_clicks_on_the_table_sort_and_open(viewer: Viewer, page: ViserPage) -> N
     page.tab("Browse")
     quality = made.state.collection.columns["quality_after"].values
     for descending in (True, False):
-        page.page.locator(".gr-table th", has_text="Quality").click()
-        until(lambda d=descending: made.state.listing == Listing("quality_after", d), "a sorted list")
+        head = page.page.locator(".gr-table th", has_text="Quality")
+        act(head.click, lambda d=descending: made.state.listing == Listing("quality_after", d), "a sorted list")
     order = np.argsort(quality, kind="stable").tolist()
     rows = page.page.locator(".gr-table tbody tr")
     first = page.page.locator(".gr-table tbody tr td:first-child")
     until(lambda: first.all_text_contents() == [str(row) for row in order], "rows in this order")
     for _ in range(2):
         # A row is opened again after another way of leaving it.
-        rows.nth(3).click()
-        until(lambda: made.state.number == order[3], "the grasp of the row")
+        act(rows.nth(3).click, lambda: made.state.number == order[3], "the grasp of the row")
         made.grasps.show(order[1])
         until(lambda: page.page.locator(".gr-open td").first.inner_text() == str(order[1]), "its row is marked")
 
@@ -229,29 +227,29 @@ def test_a_brush_over_a_histogram_filters_the_list_and_a_click_lists_all(viewer:
     page.tab("Browse")
     page.folder("Sort and filter")
     chart = page.page.locator("svg[data-brush]")
-    chart.wait_for(state="visible")
-    chart.scroll_into_view_if_needed()
-    box = chart.bounding_box()
-    y = box["y"] + box["height"] / 2
-    page.page.mouse.move(box["x"] + 0.5 * box["width"], y)
-    page.page.mouse.down()
-    page.page.mouse.move(box["x"] + box["width"], y, steps=4)
-    page.page.mouse.up()
-    ((key, low, high),) = until(lambda: viewer.controller.state.listing.ranges, "a range of the measure")
+
+    def brush() -> None:
+        chart.scroll_into_view_if_needed()
+        box = chart.bounding_box()
+        y = box["y"] + box["height"] / 2
+        page.page.mouse.move(box["x"] + 0.5 * box["width"], y)
+        page.page.mouse.down()
+        page.page.mouse.move(box["x"] + box["width"], y, steps=4)
+        page.page.mouse.up()
+
+    ((key, low, high),) = act(brush, lambda: viewer.controller.state.listing.ranges, "a range of the measure")
     values = viewer.controller.state.collection.columns[key].values
     middle = (np.nanmin(values) + np.nanmax(values)) / 2
     assert low == pytest.approx(middle, abs=0.02 * np.ptp(values)) and high == pytest.approx(np.nanmax(values))
 
-    def click() -> bool:
+    def click() -> None:
         chart.hover()
         page.page.mouse.down()
         # The server may replace the histogram between both halves of a click, and while it does there is none.
         chart.evaluate("svg => svg.replaceWith(svg.cloneNode(true))")
         page.page.mouse.up()
-        page.page.wait_for_timeout(500)
-        return not viewer.controller.state.listing.ranges
 
-    until(click, "all of them")
+    act(click, lambda: not viewer.controller.state.listing.ranges, "all of them")
     page.folder("Sort and filter")
 
 
@@ -274,15 +272,9 @@ def test_a_link_ends_where_two_clicks_in_the_scene_said(viewer: Viewer, page: Vi
     # A place on the thumb that the camera sees and that can touch, and one on the mug above it, both clear of edges.
     side = page.pose("/grasp/contacts/link/3")[:3, 3] + (0.0015, 0.0067, 0.0097)
     wanted = page.pose("/grasp/contacts/object/3")[:3, 3] + (-0.0062, 0.0007, 0.0182)
-
-    def clicked(place: np.ndarray, done: Callable[[], object]) -> bool:
-        page.click_point(place)
-        page.page.wait_for_timeout(500)
-        return bool(done())
-
-    until(lambda: clicked(side, lambda: made.state.picked), "a click on the thumb")
+    act(lambda: page.click_point(side), lambda: made.state.picked, "a click on the thumb")
     assert made.state.picked[0] == THUMB_LINK
-    until(lambda: clicked(wanted, lambda: made.state.targets), "a click on the mug")
+    act(lambda: page.click_point(wanted), lambda: made.state.targets, "a click on the mug")
     (target,) = made.state.targets
     assert np.linalg.norm(target.point_object - wanted) < 0.003
     made.targets.set_picking(False)
@@ -324,14 +316,8 @@ def test_a_mesh_is_uploaded_and_names_in_files_run_no_scripts(viewer: Viewer, pa
     page.wait_for_text("text.obj")
     until(lambda: made.state.notice is not None and made.state.notice.bad, "a refusal")
 
-    def opened() -> bool:
-        """Upload again where the refused file was not put away yet."""
-        page.upload(upload, tmp_path / "ball.obj")
-        with contextlib.suppress(AssertionError):
-            until(lambda: made.state.scene.object.name == "ball", "the ball", 20.0)
-        return made.state.scene.object.name == "ball"
-
-    until(opened, "the ball")
+    ball = tmp_path / "ball.obj"
+    act(lambda: page.upload(upload, ball), lambda: made.state.scene.object.name == "ball", "the ball", 30.0)
     made.grasps.reopen(0)
     evil = '<img src=x onerror="window.evil=1">"\'><script>window.evil=1</script>{window.evil=1}'
     collection = made.state.collection
