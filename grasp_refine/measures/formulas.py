@@ -154,16 +154,25 @@ def wrench_residual(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     return grasp_forces(points, grasps.object, T[:, :3, :3]).residual
 
 
+def room_share(metres: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """Return the share (N,) of the quality that is left to grasps with a link so deep, or so far from where it may be.
+
+    Up to `COSTLY_M[0]` that costs nothing, from `COSTLY_M[1]` on all.
+    """
+    least, most = COSTLY_M
+    return np.clip((most - metres) / (most - least), 0.0, 1.0)
+
+
 def quality_value(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return `Quality.value` (N,), less where links are in a body of the scene or touch where they should not.
 
-    Up to `COSTLY_M[0]` that costs nothing, from `COSTLY_M[1]` on the quality is 0; NaN where it is not `known`.
+    See `room_share`; NaN where a grasp is not `known`.
     """
-    value, (least, most) = np.where(grasps.known, grasps.quality.value, np.nan), COSTLY_M
+    value = np.where(grasps.known, grasps.quality.value, np.nan)
     wrong = [] if grasps.scene_depths is None else [grasps.scene_depths.depth]
     wrong += [] if grasps.regions is None else [region_miss(grasps)]
     for metres in wrong:
-        value = value * np.clip((most - metres) / (most - least), 0.0, 1.0)
+        value = value * room_share(metres)
     return value
 
 

@@ -41,6 +41,12 @@ class Config:
     """Bounds on the movement of a grasp from its start."""
     starts: int = 6
     """Number of starts from which, without targets, Levenberg-Marquardt tries a grasp that may not hold."""
+    prefer: Literal["closest", "balanced", "strongest"] = "closest"
+    """Choice among grasps: the closest one to the input that is good enough, by `Displacement`; the closest one that
+    also withstands strong pushes; or the strongest one, however far it is."""
+    confidence: float = 0.95
+    """Quality, the probability of holding, from which an input grasp is good enough with `prefer` "closest": only its
+    contacts are closed. Grasps that have to move keep a reserve, see `force_closure_search.MOVED_SHARE`."""
     margin: float = 0.0
     """Contact margin in metres: the gap that contact links should keep from the object."""
     clearance: float | None = None
@@ -88,6 +94,8 @@ class Config:
         for name in ("margin", *optional, "pressure", "tolerance", "seed"):
             if not 0 <= getattr(self, name) < inf:
                 raise GraspRefineError(f"{name} must be at least 0 and finite, got {getattr(self, name):g}")
+        if not 0.0 < self.confidence < 1.0:
+            raise GraspRefineError(f"confidence must be above 0 and below 1, got {self.confidence:g}")
         if not self.seconds > 0.0:
             raise GraspRefineError(f"seconds must be above 0, got {self.seconds:g}")
         if not self.solver.needs_autograd and (self.dtype, self.device) != ("float64", "cpu"):

@@ -13,7 +13,7 @@ from random import Random
 
 import numpy as np
 
-from fuzz.mutations import changed_value
+from fuzz.mutations import LARGEST_INPUT, changed_value
 from fuzz.reader import Reader, plain
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.grasps.formats.reading import reading
@@ -137,6 +137,9 @@ def _changed(random: Random, data: bytes) -> np.ndarray:
             warnings.simplefilter("ignore")
             array = np.load(io.BytesIO(data), allow_pickle=False)
     except Exception:  # whatever a damaged array raises
+        array = np.zeros(3)
+    if array.nbytes > LARGEST_INPUT or array.dtype.itemsize > LARGEST_INPUT:
+        # Packed files of zeros may hold arrays that double without end.
         array = np.zeros(3)
     if array.dtype.kind == "U" and array.shape == () and str(array).startswith("{") and random.random() < 0.8:
         try:

@@ -37,7 +37,6 @@ from grasp_refine.refinement.force_closure_search import (
     START_ROTATION_RAD,
     START_TRANSLATION_M,
     YIELDING_WEIGHT,
-    Attempt,
     Search,
     judge,
     most_iterations,
@@ -46,20 +45,21 @@ from grasp_refine.refinement.grasp_problem import GraspProblem, sample_noise
 from grasp_refine.refinement.iteration_state import IterationState
 from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
 from grasp_refine.refinement.refine import Refinement, refine
-from grasp_refine.refinement.solvers.iterate import Minimum, Point, limited
+from grasp_refine.refinement.solvers.iterate import Point, limited
 from grasp_refine.refinement.solvers.levenberg_marquardt import LevenbergMarquardt
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_patches import patch_misses
 from grasp_refine.scene.contact_selection import ContactSelection
 from grasp_refine.scene.environment import Environment, EnvironmentBody
-from grasp_refine.scene.goal import Goal, goal_of
+from grasp_refine.scene.goal import goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.plane import Plane
 from grasp_refine.scene.scene import Scene
 from grasp_refine.scene.task import Task
+from search_attempts import attempts
 
-CONFIG = Config(starts=3, solver=LevenbergMarquardt(iterations=15))
+CONFIG = Config(starts=3, prefer="strongest", solver=LevenbergMarquardt(iterations=15))
 STILL = replace(CONFIG, solver=LevenbergMarquardt(iterations=0))
 """Settings under which no grasp moves."""
 
@@ -159,7 +159,8 @@ def test_all_work_is_counted(scene: Scene, prepared: HandObject, iterated: tuple
     assert found.queries.sum() <= queries and (found.cpu_s > 0).all()
     assert (found.iterations <= most_iterations(CONFIG)).all()
     assert most_iterations(CONFIG) == 15 + 3 * (15 + 15 + 15)
-    assert most_iterations(Config(starts=2)) == 40 + 2 * (25 + 15 + 40)
+    assert most_iterations(Config(starts=2, prefer="strongest")) == 40 + 2 * (25 + 15 + 40)
+    assert most_iterations(Config(starts=2)) == 40 + (2 + 2) * (25 + 15 + 40)
     # Of a phase without iterations: one evaluation, after the selection.
     search = search_of(scene, prepared, STILL)
     every, point = np.arange(4), Point(scene.T_world_root, scene.q)
@@ -269,7 +270,8 @@ def test_the_score_is_the_sum_of_its_parts_on_a_linkage_gripper(tmp_path: Path) 
     }
     for name, part in parts.items():
         assert np.isfinite(part).all() and part.max() > 0.02, name
-    found, pinches = judge(prepared, frames, clearance)
+    found, pinches, value = judge(prepared, frames, clearance)
+    np.testing.assert_array_equal(value, quality(*of, witness, clearance).value)
     np.testing.assert_allclose(found, sum(parts.values()), rtol=1e-9)
     assert (judge(prepared, frames)[0] > found + 0.01).all(), "gaps on purpose are no shortcoming"
     # Two fingers are at best so good that their score is what other hands need not be tried again for.
@@ -283,23 +285,12 @@ def test_without_forces_the_score_is_infinite_and_three_contacts_are_no_pinch(
     T = held.T_world_root.copy()
     T[0, 0, 3] += 1.0
     frames = prepared.chain(T, held.q)
-    found, pinches = judge(prepared, frames)
-    assert np.isinf(found[0]) and np.isfinite(found[1:]).all()
+    found, pinches, value = judge(prepared, frames)
+    assert np.isinf(found[0]) and np.isfinite(found[1:]).all() and value[0] == 0.0 and (value[1:] > 0.0).all()
     near = query(prepared.pairs, frames.T_world_link, np.tile(np.eye(4), (4, len(scene.links), 1, 1)))
     number = CONTACTS.choose(scene.hand, scene.links, near).sum(axis=1)
     np.testing.assert_array_equal(pinches, number <= 2)
     assert not pinches.all()
-
-
-def attempts(prepared: HandObject, scores: list[float], pinches: list[bool], mark: float) -> Attempt:
-    """Attempts at as many grasps, whose joint values are a mark."""
-    count, n, L = len(scores), len(prepared.hand.joint_names), len(prepared.chain.links)
-    none = np.zeros(count)
-    point = Point(np.tile(np.eye(4), (count, 1, 1)), np.full((count, n), mark))
-    status = np.full(count, Status.STALLED)
-    minimum = Minimum(point, np.zeros((count, 2)), status, none.astype(int), none.astype(int), none, none)
-    goal = replace(Goal.nothing(count, L), direction=None)
-    return Attempt(minimum, goal, np.array(scores), np.array(pinches))
 
 
 def test_an_attempt_counts_where_it_is_better_and_pinches_stay_unless_it_is_much_better(
