@@ -13,6 +13,7 @@ from grasp_refine.closing.motion import closing_motion
 from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, load_grasps, match_joints
 from grasp_refine.hands.hand import Hand, load_hand
+from grasp_refine.measures.change import Change
 from grasp_refine.measures.measures import RECORDED
 from grasp_refine.objects.object import load_object
 from grasp_refine.refinement.config import Config
@@ -117,6 +118,7 @@ def plain_outcome(
         hand_pose_before=pose,
         q_before=q,
         status=np.full(count, Status.CONVERGED),
+        change=np.full(count, Change.KEPT.value),
         measures=values,
         contact_gap=np.zeros((count, links)),
         target_point_link=nowhere,

@@ -14,7 +14,7 @@ from grasp_refine.hands.chain import Chain
 from grasp_refine.hands.hand import Hand
 from grasp_refine.hands.inverse_kinematics import ArmKinematics
 from grasp_refine.hands.self_collision import self_penetration, touching_pairs
-from grasp_refine.measures.geometry import Geometry, Movement, worst_over_links
+from grasp_refine.measures.geometry import Geometry, Movement, mean_over_links, worst_over_links
 from grasp_refine.objects.object import Object
 from grasp_refine.objects.region import ContactRegions
 from grasp_refine.scene.contact_patches import PatchMisses, patch_misses
@@ -103,6 +103,12 @@ class MeasuredRefinement:
     """Wall time, seconds."""
     movement: Movement
     """Movement of the base link and the joints."""
+    displacement: Float[np.ndarray, " N"]
+    """`Displacement` of the hand, metres."""
+    contacts_moved: Float[np.ndarray, " N"]
+    """Mean distance by which the contacts of kept links moved on the object, metres; NaN without kept links."""
+    links_kept: Float[np.ndarray, " N"]
+    """Share of the contact links of the input grasp that are kept; NaN where it has none."""
 
     def __len__(self) -> int:
         """Return the number of grasps."""
@@ -127,10 +133,7 @@ def contact_error(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
 
 def contact_error_mean(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:
     """Return the mean contact error (N,) of the links that should touch, metres; NaN where none should."""
-    errors = grasps.geometry.contact_error
-    known = ~np.isnan(errors)
-    count = known.sum(axis=1)
-    return np.where(count > 0, np.where(known, errors, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+    return mean_over_links(grasps.geometry.contact_error)
 
 
 def region_miss(grasps: MeasuredGrasps) -> Float[np.ndarray, " N"]:

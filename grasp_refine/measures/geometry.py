@@ -134,6 +134,13 @@ def worst_over_links(values: np.ndarray) -> np.ndarray:
     return np.fmax.reduce(values, axis=-1)
 
 
+def mean_over_links(values: np.ndarray) -> np.ndarray:
+    """Return the mean of the values (..., L) of a measure per link; NaN where no link has one."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=-1)
+    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
+
+
 def movement(
     T_before: np.ndarray, q_before: np.ndarray, T_after: np.ndarray, q_after: np.ndarray, slides: np.ndarray
 ) -> Movement:

@@ -157,6 +157,62 @@ def _refinement(
     return Measure(name, title, hint, unit, formula, better, of_grasps=False, compared=False, validated=False)
 
 
+MOVEMENTS = (
+    _refinement(
+        "displacement_m",
+        "displacement",
+        "root mean square displacement of the hand's surface from the input grasp",
+        METRE,
+        lambda of: of.displacement,
+        "lower",
+    ),
+    _refinement(
+        "contacts_moved_m",
+        "contacts moved",
+        "movement of the input grasp's contact points on the object, mean over the links that touch before and after",
+        METRE,
+        lambda of: of.contacts_moved,
+        "lower",
+    ),
+    _refinement(
+        "links_kept",
+        "links kept",
+        "share of the contact links of the input grasp that still are contact links",
+        SHARE,
+        lambda of: of.links_kept,
+        "higher",
+    ),
+    _refinement(
+        "moved_palm_m",
+        "hand moved",
+        "distance of its base link from the input grasp",
+        METRE,
+        lambda of: of.movement.palm_m,
+    ),
+    _refinement(
+        "moved_palm_rad",
+        "hand turned",
+        "rotation of its base link from the input grasp",
+        RADIAN,
+        lambda of: of.movement.palm_rad,
+    ),
+    _refinement(
+        "moved_joints_rad",
+        "joints moved",
+        "the joint that turned most",
+        RADIAN,
+        lambda of: of.movement.joints_rad,
+    ),
+    _refinement(
+        "moved_slides_m",
+        "slides moved",
+        "the joint that slid most, of hands that have some",
+        METRE,
+        lambda of: of.movement.slides_m,
+    ),
+)
+"""Measures of the change of a grasp by its refinement."""
+
 _OURS = (
     _refinement("starts", "starts", "number of starts of the refinement", COUNT, lambda of: of.starts),
     _refinement("iterations", "iterations", "of all starts together", COUNT, lambda of: of.iterations, "lower"),
@@ -242,34 +298,7 @@ _OURS = (
         lambda of: np.where(np.isfinite(of.loss), of.loss, np.nan),
         "lower",
     ),
-    _refinement(
-        "moved_palm_m",
-        "hand moved",
-        "distance of its base link from the input grasp",
-        METRE,
-        lambda of: of.movement.palm_m,
-    ),
-    _refinement(
-        "moved_palm_rad",
-        "hand turned",
-        "rotation of its base link from the input grasp",
-        RADIAN,
-        lambda of: of.movement.palm_rad,
-    ),
-    _refinement(
-        "moved_joints_rad",
-        "joints moved",
-        "the joint that turned most",
-        RADIAN,
-        lambda of: of.movement.joints_rad,
-    ),
-    _refinement(
-        "moved_slides_m",
-        "slides moved",
-        "the joint that slid most, of hands that have some",
-        METRE,
-        lambda of: of.movement.slides_m,
-    ),
+    *MOVEMENTS,
     Measure(
         name="arm_dexterity_m",
         title="arm dexterity",
@@ -291,7 +320,8 @@ _OURS = (
 )
 RESERVED = frozenset(
     {
-        *("schema", "hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q", "status", "provenance"),
+        *("schema", "hand", "base_link", "joint_names", "object", "scale", "hand_pose", "q", "status", "change"),
+        "provenance",
         *("pregrasp_pose", "pregrasp_q", "squeeze_pose", "squeeze_q", "forces"),
         *("target_link", "target_point_link", "target_point_object", "contact_links", "contact_gaps", "contact_link"),
         *("contact_point_link", "contact_point_object", "contact_normal", "contact_distance"),
@@ -335,11 +365,6 @@ COMPARED = MEASURES.view(
     lambda every: (measure for measure in every if measure.recorded and measure.compared and measure.shown)
 )
 """Measures that people see before and after refinement."""
-
-MOVEMENTS = MEASURES.view(
-    lambda every: (measure for measure in every if measure.name.startswith("moved_") and not measure.of_grasps)
-)
-"""Recorded measures of the distance by which refinement moved a grasp."""
 
 VALIDATED = MEASURES.view(
     lambda every: sorted(

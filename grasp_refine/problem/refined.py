@@ -62,6 +62,11 @@ class RefinedGrasps:
         return labels(Status, self.outcome.status)
 
     @property
+    def change(self) -> np.ndarray:
+        """Change of each grasp (N,), a `Change` in words; empty where it was not refined at all."""
+        return self.outcome.change
+
+    @property
     def quality(self) -> np.ndarray:
         """Estimated quality (N, 2) before and after, from 0 to 1; NaN where there are no contacts."""
         return self.outcome.quality
@@ -106,9 +111,10 @@ class RefinedGrasps:
     def columns(self) -> dict[str, np.ndarray]:
         """Return one column (N,) per number or name of the grasps, as for `pandas.DataFrame(refined.columns())`.
 
-        They are the columns of `after`, the status, and all measures by their names in result files, in SI units.
+        They are the columns of `after`, the texts on the refinement (status, change), and all measures, SI units, by
+        their names in result files.
         """
-        return {**self.after.columns(), "status": self.status, **self.outcome.entries()}
+        return {**self.after.columns(), **self.outcome.texts(), **self.outcome.entries()}
 
     def as_problem(self) -> Problem:
         """Return the refined grasps as a problem on the same objects, with their targets, pregrasps and squeezes."""

@@ -41,7 +41,8 @@ def run_document(
         cpu_s: CPU time of the whole command in seconds.
         profile: Time by stage; None: not measured.
     """
-    values, forces = outcome.entries(), None if outcome.forces is None else outcome.forces.flat()
+    values, texts = outcome.entries(), outcome.texts()
+    forces = None if outcome.forces is None else outcome.forces.flat()
     return {
         "schema": SCHEMA,
         "command": "run",
@@ -66,7 +67,7 @@ def run_document(
                 "index": outcome.index[i],
                 "row": outcome.row[i],
                 "object": outcome.object[i],
-                "status": Status(outcome.status[i]).label,
+                **{name: values[i] for name, values in texts.items()},
                 "advice": text,
                 **measure_entries(values, i),
                 "forces": None if forces is None else forces.of_grasp(i),

@@ -11,14 +11,16 @@ from grasp_refine.closing.motion import Motion
 from grasp_refine.core.array_records import join, take
 from grasp_refine.core.profiling import stage
 from grasp_refine.core.se3 import inverse, pose_from_transform, transform_from_pose, transform_points
-from grasp_refine.core.short_repr import brief
+from grasp_refine.core.short_repr import brief, labels
 from grasp_refine.forces.squeeze_forces import SqueezeForces
+from grasp_refine.hands.displacement import Displacement
 from grasp_refine.hands.palm import palm_poses
+from grasp_refine.measures.change import changes, contacts_moved, links_kept
 from grasp_refine.measures.formulas import COSTLY_M, MeasuredGrasps, MeasuredRefinement
-from grasp_refine.measures.geometry import contact_errors, measure, movement
+from grasp_refine.measures.geometry import Geometry, contact_errors, measure, movement
 from grasp_refine.measures.measures import MEASURES, RECORDED
 from grasp_refine.refinement.refine import Refinement
-from grasp_refine.refinement.solvers.status import UNUSABLE
+from grasp_refine.refinement.solvers.status import UNUSABLE, Status
 from grasp_refine.results.weakness import weaknesses
 from grasp_refine.scene.contact_links import contact_gaps
 from grasp_refine.scene.contact_selection import ContactSelection
@@ -47,6 +49,8 @@ class Outcome:
     """Joint values (N, n) before refinement."""
     status: np.ndarray
     """A `Status` (N,)."""
+    change: np.ndarray
+    """A `Change` (N,) as text; empty for grasps that were not refined at all."""
     measures: Mapping[str, np.ndarray]
     """Name of a measure of `RECORDED` -> its values (N, 2) before and after, or (N,) after alone; SI units."""
     contact_gap: np.ndarray
@@ -115,6 +119,10 @@ class Outcome:
         """Quality before and after (N, 2), from 0 to 1; NaN where a grasp is not finite, or has no contacts."""
         return self["quality"]
 
+    def texts(self) -> dict[str, np.ndarray]:
+        """Return the texts (N,) on the refinement, as result files have them: status and change."""
+        return {"status": labels(Status, self.status), "change": self.change}
+
     def entries(self) -> dict[str, np.ndarray]:
         """Return the measures as result files have them: `Measure.entries` -> values (N,), SI units."""
         return {
@@ -175,13 +183,8 @@ def compare(
     errors = contact_errors(geometry.distance, geometry.witness, geometry.T_world_link, gaps, *targets)
     geometry = replace(geometry, contact_error=errors)
     grasps = MeasuredGrasps(scene.hand, scene.object, scene.links, T, q, geometry, scene.environment, scene.regions)
-    hand, own = scene.hand, ~scene.hand.arm_joints
-    T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
-    moved = MeasuredRefinement(
-        **{name: getattr(refinement, name) for name in ("starts", "iterations", "queries", "cpu_s", "wall_s")},
-        loss=refinement.loss[:, 1],
-        movement=movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own]),
-    )
+    touching = ~np.isnan(gaps[:count]), refinement.touching
+    moved = _measured(before, refinement, T_after, q_after, geometry, touching)
     measures = {}
     for each in RECORDED:
         values = each.values(grasps if each.of_grasps else moved)
@@ -189,14 +192,14 @@ def compare(
             values = np.stack([values[:count], values[count:]], axis=1) if each.compared else values[count:]
         measures[each.name] = values
     witness = geometry.witness.rows(slice(count, None))
-    touching = refinement.touching & witness.valid
+    contacts = refinement.touching & witness.valid
     T_link = geometry.T_world_link[count:]
     # As given, also where that is no valid pose.
     with np.errstate(all="ignore"):
         pose_before, pose_after = (pose_from_transform(one.T_world_root) for one in (scene, refinement))
 
     def at_contacts(values: np.ndarray) -> np.ndarray:
-        return np.where(touching.reshape(touching.shape + (1,) * (values.ndim - 2)), values, np.nan)
+        return np.where(contacts.reshape(contacts.shape + (1,) * (values.ndim - 2)), values, np.nan)
 
     return Outcome(
         object=np.full(count, name),
@@ -208,6 +211,7 @@ def compare(
         hand_pose_before=pose_before,
         q_before=scene.q,
         status=refinement.status,
+        change=np.where(np.isin(refinement.status, UNUSABLE), "", changes(*touching, moved.contacts_moved)),
         measures=measures,
         contact_gap=gap_after,
         target_point_link=refinement.target_link,
@@ -220,6 +224,40 @@ def compare(
         stage_q=motion.q,
         weakness=np.array(_weaknesses(grasps)[count:], dtype=np.str_),
         forces=motion.forces,
+    )
+
+
+def _measured(
+    before: Scene,
+    refinement: Refinement,
+    T_after: np.ndarray,
+    q_after: np.ndarray,
+    geometry: Geometry,
+    touching: tuple[np.ndarray, np.ndarray],
+) -> MeasuredRefinement:
+    """Return effort and movement of a refinement.
+
+    Args:
+        before: Input grasps; NaN where they have no valid pose.
+        refinement: Refined grasps.
+        T_after: Their poses (N, 4, 4), NaN like `before`.
+        q_after: Their joint values (N, n).
+        geometry: Geometry of the input grasps and of the refined ones (2 N).
+        touching: Contact links (N, L) before and after.
+    """
+    hand, own, count = before.hand, ~before.hand.arm_joints, len(q_after)
+    T_palm = palm_poses(hand, before.T_world_root, before.q), palm_poses(hand, T_after, q_after)
+    T_link, witness = geometry.T_world_link, geometry.witness.rows(slice(count))
+    with np.errstate(invalid="ignore"):
+        displacement = Displacement.of(hand).between(before.T_world_root, before.q, T_after, q_after)
+        contacts = contacts_moved(touching[0] & touching[1], witness, T_link[:count], T_link[count:])
+    return MeasuredRefinement(
+        **{name: getattr(refinement, name) for name in ("starts", "iterations", "queries", "cpu_s", "wall_s")},
+        loss=refinement.loss[:, 1],
+        movement=movement(T_palm[0], before.q[:, own], T_palm[1], q_after[:, own], hand.slides[own]),
+        displacement=displacement,
+        contacts_moved=contacts,
+        links_kept=links_kept(*touching),
     )
 
 

@@ -18,7 +18,6 @@ from grasp_refine.grasps.formats.folders import UNUSUAL
 from grasp_refine.grasps.grasp_set import OTHER_STAGES, ContactLinks, GraspSet, Stage, Targets, save_npz
 from grasp_refine.grasps.provenance import read_provenance
 from grasp_refine.hands.hand import Hand
-from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.validation.trials import Reason, Trials
 
@@ -88,7 +87,7 @@ def save_results(
         forces_point                        (C, 3)     contact point on the object, object frame, metres
         forces_normal                       (C, 3)     unit normal into the object, object frame
         forces_vector                       (C, 3)     planned force of the link on the object, object frame, newtons
-        status                              (N,)       status of the refinement
+        status, change                      (N,)       status of the refinement, and what it changed
         quality_before, quality_after, ...  (N,)       `Measure.entries` of each of `RECORDED`, SI units
         provenance                          ()         JSON: versions, seed, config, source, hand, objects, index, row
 
@@ -126,7 +125,7 @@ def save_results(
 
 
 def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.ndarray]:
-    """Return the entries of a result file beside the grasps: poses before, contacts, forces, status and measures.
+    """Return the entries of a result file beside the grasps: poses before, contacts, forces, texts and measures.
 
     Args:
         links: Links of the hand with collision geometry, as in `Scene.links`.
@@ -142,7 +141,7 @@ def result_entries(links: tuple[str, ...], outcome: Outcome) -> dict[str, np.nda
         "contact_normal": outcome.contact_normal[:, touching],
         "contact_distance": outcome.contact_distance[:, touching],
         **({} if outcome.forces is None else outcome.forces.flat().entries()),
-        "status": labels(Status, outcome.status),
+        **outcome.texts(),
         **outcome.entries(),
     }
 

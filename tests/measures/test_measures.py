@@ -47,9 +47,18 @@ def test_measures_of_a_refinement_are_each_its_own():
         **{name: np.array([value]) for name, value in cost.items()},
         loss=np.array([8.0]),
         movement=movement(T[:1], q[:1], T[1:], q[1:], np.array([False, True])),
+        displacement=np.array([0.3]),
+        contacts_moved=np.array([0.4]),
+        links_kept=np.array([0.5]),
     )
     found = {one.name: one.formula(measured).item() for one in RECORDED if not one.of_grasps}
-    moved = {"moved_palm_m": 0.25, "moved_palm_rad": np.pi / 2, "moved_joints_rad": 0.0, "moved_slides_m": 0.5}
+    moved = {"displacement_m": 0.3, "contacts_moved_m": 0.4, "links_kept": 0.5}
+    moved |= {
+        "moved_palm_m": 0.25,
+        "moved_palm_rad": np.pi / 2,
+        "moved_joints_rad": 0.0,
+        "moved_slides_m": 0.5,
+    }
     assert found == pytest.approx({**cost, "loss_m2": 8.0, **moved}) and [one.name for one in MOVEMENTS] == list(moved)
     measured.loss[0] = np.inf
     assert np.isnan(MEASURES["loss_m2"].formula(measured)).all()

@@ -61,6 +61,7 @@ def grasp_entries(shard: Shard) -> Iterator[dict[str, Any]]:
             "job": provenance["batch"]["job"],
             "object": values["object"] if isinstance(values["object"], str) else values["object"][i],
             "status": status,
+            "change": values["change"][i],
             "advice": provenance["advice"][i],
             "forces": None if forces is None else forces.of_grasp(i),
             **measure_entries(values, i),

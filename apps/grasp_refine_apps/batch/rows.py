@@ -50,6 +50,7 @@ def column_kinds() -> dict[str, Kind]:
         "source": "text",
         "row": "whole",
         "status": "text",
+        "change": "text",
         **_kinds(measure for measure in RECORDED if measure.unit != SECOND),
         **dict.fromkeys(HELD, "flag"),
         "reason_after": "text",
@@ -127,6 +128,7 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
+        "change": file.per_row("change", file.text("change") if "change" in file.entries else np.array(""), n),
         **{column: numbers_of(file, entry, n) for column, entry in number_entries().items()},
     }
     for side in SIDES:

@@ -14,6 +14,7 @@ import pytest
 from batch_rows import made_up_rows, shard
 from grasp_refine.core.errors import GraspFileError, GraspRefineError
 from grasp_refine.core.names import from_cell
+from grasp_refine.measures.change import Change
 from grasp_refine.measures.measures import RECORDED
 from grasp_refine.results.verdict import HOLDS
 from grasp_refine_apps.batch import index as module
@@ -53,6 +54,8 @@ def test_rows_are_what_the_result_file_says(batch: tuple[Path, list[Shard]]):
         for name in (entry for measure in RECORDED for entry in measure.entries.values()):
             np.testing.assert_array_equal(rows[0][name], file[name])
         np.testing.assert_array_equal(rows[0]["status"], file["status"])
+        np.testing.assert_array_equal(rows[0]["change"], file["change"])
+        assert set(file["change"]) <= {*Change} and len(set(file["displacement_m"])) > 1
         np.testing.assert_array_equal(rows[0]["scale"], file["scale"])
     first = len(rows[0])
     for one, number, begin in ((rows[0], 0, 0), (rows[1], 1, first)):
@@ -73,13 +76,14 @@ def test_a_grasp_is_good_by_its_own_quality(tmp_path: Path):
 
 
 def test_what_an_older_file_lacks_is_null(tmp_path: Path):
-    path = save_example_results(tmp_path / "r.npz", 3)
+    path, lacks = save_example_results(tmp_path / "r.npz", 3), ("queries", "moved_palm_m", "cpu_s", "wall_s", "change")
     with np.load(path) as file:
-        kept = {name: file[name] for name in file.files if name not in ("queries", "moved_palm_m", "cpu_s", "wall_s")}
+        kept = {name: file[name] for name in file.files if name not in lacks}
     np.savez(path, **kept)
     rows = read_rows(shard(0, path), tmp_path)
-    for column in ("queries", "moved_palm_m", "cpu_s", "wall_s", "held_before", "held_after"):
+    for column in (*lacks[:-1], "held_before", "held_after"):
         assert np.isnan(rows[column]).all()
+    assert rows["change"].tolist() == ["", "", ""]
 
 
 def test_simulation_is_read_and_held_is_no_reason(tmp_path: Path):
