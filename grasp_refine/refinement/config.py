@@ -40,7 +40,7 @@ class Config:
     max_move: MaxMove = field(default_factory=MaxMove)
     """Bounds on the movement of a grasp from its start."""
     starts: int = 6
-    """Number of starts from which, without targets, Levenberg-Marquardt tries a grasp that may not hold."""
+    """Number of starts from which Levenberg-Marquardt tries a grasp that may not hold."""
     prefer: Literal["closest", "balanced", "strongest"] = "closest"
     """Choice among grasps: the closest one to the input that is good enough, by `Displacement`; the closest one that
     also withstands strong pushes; or the strongest one, however far it is."""
@@ -110,5 +110,5 @@ class Config:
 
     @property
     def holds(self) -> bool:
-        """Whether grasps without targets should hold the object, and not only touch it."""
-        return not self.solver.needs_autograd and self.weights.wrench > 0.0
+        """Whether grasps should hold the object, and not only touch it."""
+        return not (self.solver.needs_autograd or self.nearest) and self.weights.wrench > 0.0

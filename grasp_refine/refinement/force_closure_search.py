@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from grasp_refine.collision.query import query
-from grasp_refine.core.array_records import join, take
-from grasp_refine.core.se3 import exp_so3, matvec
+from grasp_refine.core.array_records import choose, join, take
+from grasp_refine.core.se3 import exp_so3, matvec, transform_points
 from grasp_refine.forces.equilibrium import mode_residual
 from grasp_refine.forces.quality import DEEP, quality
 from grasp_refine.forces.squeeze import CONTACTS, contacts, pressure_shortfall
@@ -31,17 +31,19 @@ from grasp_refine.refinement.gap_closing import close_gaps
 from grasp_refine.refinement.grasp_problem import GraspProblem
 from grasp_refine.refinement.iteration_state import IterationCallback, with_callback
 from grasp_refine.refinement.pinches import BEST_SCORE, pinch_score
-from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, limited, minimise
+from grasp_refine.refinement.solvers.iterate import Minimum, Point, Progress, Solver, limited, minimise
 from grasp_refine.refinement.solvers.status import UNUSABLE, Status
+from grasp_refine.refinement.terms.contact import contact_gap
 from grasp_refine.refinement.terms.weights import Weights
 from grasp_refine.scene.contact_patches import patch_misses
-from grasp_refine.scene.contact_selection import ContactSelection
+from grasp_refine.scene.contact_selection import ContactSelection, link_groups
 from grasp_refine.scene.goal import Goal, goal_of
 from grasp_refine.scene.hand_object import HandObject
 from grasp_refine.scene.scene import Scene
 
 GOOD_SCORE = 0.1
-"""Score, with two fingers `BEST_SCORE` more, up to which a grasp is good enough unless the closest one is preferred."""
+"""Score, with two fingers `BEST_SCORE` more, up to which a grasp is good enough where its quality does not decide: with
+two fingers, whose forces hardly say what holds (`pinches`), or unless the closest grasp is preferred."""
 
 MOVED_SHARE = 0.2
 """Share of the probability of failing that `Config.confidence` allows, for grasps that are moved to make them hold:
@@ -62,6 +64,9 @@ SHORTFALL_WEIGHT = 0.2
 
 YIELDING_WEIGHT = 0.5
 """Score of a grasp all of whose pressure turns a finger of a linkage, at the lever of `infeasible_torques`."""
+
+RELEASE_GAP_M = 5e-4
+"""Gap in metres, when nothing closes it any more, from which on a link need not touch."""
 
 MISS_SCALE_M = 0.0025
 """Distance in metres of a contact from where it should be that costs a score of 1."""
@@ -179,12 +184,21 @@ def judge(
     return score, np.isfinite(points.point[..., 0]).sum(axis=1) <= 2, np.nan_to_num(found.value)
 
 
-def most_iterations(config: Config) -> int:
-    """Return the largest number of iterations of a grasp, over all its starts."""
+def target_miss(scene: Scene, T_link: Float[np.ndarray, "N L 4 4"]) -> Float[np.ndarray, " N"]:
+    """Return the largest distance (N,) in metres of a target on a link from the target on the object; 0 without any."""
+    assert scene.target_link is not None and scene.target_object is not None
+    miss = np.linalg.norm(transform_points(T_link, scene.target_link) - scene.target_object, axis=-1)
+    return np.nan_to_num(miss).max(axis=1)
+
+
+def most_iterations(config: Config, *, aimed: bool = False) -> int:
+    """Return the largest number of iterations of a grasp, over all its starts; `aimed`: links have targets."""
     most = config.solver.iterations
+    if not config.holds:
+        return most
     each = sum(min(phase.iterations, most) for phase in PHASES)
     held_back = 0 if config.prefer == "strongest" else len(STAYS) - 1
-    return min(CLOSE.iterations, most) + (config.starts + held_back) * each
+    return (most if aimed else 0) + min(CLOSE.iterations, most) + (config.starts + held_back) * each
 
 
 def search(
@@ -194,29 +208,34 @@ def search(
     status: np.ndarray,
     progress: Progress | None = None,
     on_iteration: IterationCallback | None = None,
+    *,
+    reached: Minimum | None = None,
 ) -> SearchResult:
     """Refine grasps towards force closure.
 
     Args:
-        scene: Hand, object and grasps; without targets.
+        scene: Hand, object and grasps.
         prepared: Geometry of the hand and the object.
         config: Settings, for Levenberg-Marquardt.
         status: Grasps (N,) with another status than RUNNING are left out.
         progress: As for `minimise`.
         on_iteration: Called after each iteration of all attempts.
+        reached: Grasps (N,) whose links are at their targets; attempts begin there. None: there are no targets.
     """
-    search = Search(scene, prepared, config, status, progress, on_iteration)
+    search = Search(scene, prepared, config, status, progress, on_iteration, reached)
     rows = np.flatnonzero(status == Status.RUNNING)
-    closed = search.attempt(rows, search.initial(rows), (CLOSE,))
+    if search.by_quality:
+        search.good_inputs[rows] = search.judge(rows, search.initial(rows))[2] >= config.confidence
+    closed = search.attempt(rows, take(search.start, rows), (CLOSE,))
     search.touching[rows] = closed.goal.touching
     search.take(rows, closed)
     for stay in STAYS if search.nearest else (0.0,):
         rows = search.unsatisfied(rows)
         phases = tuple(replace(phase, stay=stay if phase.balance else 0.0) for phase in PHASES)
-        search.take(rows, search.attempt(rows, search.initial(rows), phases))
+        search.take(rows, search.attempt(rows, take(search.start, rows), phases))
     search.starts[status == Status.RUNNING] = 1
-    if search.nearest:
-        rows = rows[search.best.quality[rows] < config.confidence] if config.prefer == "closest" else rows
+    if search.by_quality:
+        rows = rows[search.best.quality[rows] < config.confidence]
     while len(rows := search.unsatisfied(rows[search.starts[rows] < config.starts])):
         # The result of a grasp does not depend on how many starts are tried at once: the first good one counts.
         first = search.starts[rows]
@@ -243,6 +262,7 @@ class Search:
         status: np.ndarray,
         progress: Progress | None,
         on_iteration: IterationCallback | None,
+        reached: Minimum | None = None,
     ) -> None:
         """Begin with the input grasps, without an attempt; arguments are as for `search`."""
         N, L = len(scene.q), len(scene.links)
@@ -259,6 +279,11 @@ class Search:
         self.ticks = 0
         self.touching = np.zeros((N, L), dtype=bool)
         """Links (N, L) that touch in the input grasps."""
+        if reached is not None:
+            self.iterations, self.queries = reached.iterations.copy(), reached.queries.copy()
+            self.cpu, self.wall = reached.cpu_s.copy(), reached.wall_s.copy()
+        self.start = Point(scene.T_world_root, self.q) if reached is None else reached.point
+        """Grasps from which attempts begin."""
         point = Point(scene.T_world_root.copy(), self.q.copy())
         minimum = Minimum(
             point, np.full((N, 2), np.nan), status.copy(), self.iterations, self.queries, self.cpu, self.wall
@@ -267,8 +292,12 @@ class Search:
         no, none = np.zeros(N, dtype=bool), np.zeros(N)
         self.best = Attempt(minimum, goal, np.full(N, np.inf), no, none, no, np.full(N, np.inf))
         self.displacement = Displacement.of(scene.hand)
+        self.good_inputs = np.zeros(N, dtype=bool)
+        """True where the input grasp (N,) is good enough as it is."""
         self.nearest = config.prefer != "strongest"
         """Whether, of two attempts that are good enough, the nearer one counts."""
+        self.by_quality = config.prefer == "closest" and not scene.hand.has_two_fingers
+        """Whether quality decides which attempt is good enough; False: the score."""
 
     def initial(self, rows: np.ndarray) -> Point:
         """Return the input grasps."""
@@ -279,7 +308,7 @@ class Search:
         noise, variables = self.free.sample_noise(member, number), self.free.variables
         if self.nearest:
             noise = noise * np.minimum(number / FULL_START, 1.0)[:, None]
-        initial = self.initial(member)
+        initial = take(self.start, member)
         T = self.prepared.chain(initial.T, initial.q).T_world_link
         touching = self.touching[member][..., None]
         middle = np.where(touching, T[..., :3, 3], 0.0).sum(axis=1) / np.maximum(touching.sum(axis=1), 1)
@@ -312,11 +341,25 @@ class Search:
 
     def attempt(self, rows: np.ndarray, start: Point, phases: tuple[Phase, ...]) -> Attempt:
         """Return the grasps `rows` from some starts, through some phases."""
-        scene, prepared = self._scene(rows), self.prepared
+        scene = self._scene(rows)
         point = self.free.project(rows, start)
         for phase in phases:
             found, goal = self._run_phase(phase, scene, rows, point)
             point = found.point
+        score, pinches, value = self.judge(rows, point)
+        usable = ~np.isin(found.status, UNUSABLE)
+        score, value = np.where(usable, score, np.inf), np.where(usable, value, 0.0)
+        allowed = (1.0 - self.config.confidence) * np.where(
+            self.good_inputs[rows] & (phases == (CLOSE,)), 1.0, MOVED_SHARE
+        )
+        enough = value >= 1.0 - allowed if self.by_quality else score <= self.good
+        first = self.initial(rows)
+        displacement = self.displacement.between(first.T, first.q, point.T, point.q)
+        return Attempt(found, goal, score, pinches, value, enough, displacement)
+
+    def judge(self, rows: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `judge` of the grasps `rows` at some points, with what is in the way and where links should touch."""
+        scene, prepared = self._scene(rows), self.prepared
         known = self.free.evaluate(rows, point, None)
         score, pinches, value = judge(prepared, known.frames, self.clearance)
         depth = self.free.other_depth(known)
@@ -325,23 +368,19 @@ class Search:
             bodies_and_witness = prepared.bodies, prepared.object.body, known.frames.T_world_link, known.witness
             miss = patch_misses(scene.regions, *bodies_and_witness).miss.max(axis=1)
             score, value = score + miss / MISS_SCALE_M, value * room_share(miss)
-        usable = ~np.isin(found.status, UNUSABLE)
-        score, value = np.where(usable, score, np.inf), np.where(usable, value, 0.0)
-        confidence = self.config.confidence
-        if phases != (CLOSE,):
-            confidence = 1.0 - MOVED_SHARE * (1.0 - confidence)
-        enough = value >= confidence if self.config.prefer == "closest" else score <= self.good
-        first = self.initial(rows)
-        displacement = self.displacement.between(first.T, first.q, point.T, point.q)
-        return Attempt(found, goal, score, pinches, value, enough, displacement)
+        if scene.target_link is not None:
+            miss = target_miss(scene, known.T_link)
+            score, value = score + miss / MISS_SCALE_M, value * room_share(miss)
+        return score, pinches, value
 
     def _run_phase(self, phase: Phase, scene: Scene, rows: np.ndarray, start: Point) -> tuple[Minimum, Goal]:
         """Return the grasps `rows` of the scene after a phase, and its goal."""
         config, prepared = self.config, self.prepared
         wall, cpu = time.perf_counter(), time.process_time()
         now = replace(scene, T_world_root=start.T, q=start.q)
-        goal = goal_of(now, phase.touching(config.contact_selection), prepared)
+        goal = goal_of(now, phase.touching(config.contact_selection), prepared, others=True)
         problem = GraspProblem(scene, goal, replace(config, weights=phase.weights(config.weights)), prepared)
+        problem.restarts = False  # an attempt ends near its start
         solver = limited(config.solver, iterations=phase.iterations, last_patience=phase.patience)
         status = np.where(goal.touching.any(axis=1), Status.RUNNING, Status.NO_TARGET)
         # Several starts of a grasp share the CPU time that it has left.
@@ -357,12 +396,56 @@ class Search:
             progress=self._report,
             on_iteration=with_callback(self.on_iteration, goal, phase.name, rows),
         )
+        if not phase.balance:
+            found, goal = self._release(problem, found, solver, left)
         share = 1.0 / max(len(rows), 1)
         np.add.at(self.iterations, rows, found.iterations)
         np.add.at(self.queries, rows, found.queries + goal.queries)
         np.add.at(self.cpu, rows, (time.process_time() - cpu) * share)
         np.add.at(self.wall, rows, (time.perf_counter() - wall) * share)
         return found, goal
+
+    def _release(
+        self, problem: GraspProblem, found: Minimum, solver: Solver, seconds: np.ndarray
+    ) -> tuple[Minimum, Goal]:
+        """Return the grasps of a problem with their gaps closed, and its goal, without links that cannot touch.
+
+        Of grasps whose links cannot all touch, the link that is farthest from touching need not, as long as links of
+        two fingers, or of a finger and the palm, do.
+        """
+        goal, setup = problem.goal, problem.setup
+        left = np.flatnonzero(np.isin(found.status, (Status.STALLED, Status.BUDGET)) & (goal.touching.sum(axis=1) > 2))
+        if not len(left):
+            return found, goal
+        witness = problem.evaluate(left, take(found.point, left), None).witness
+        gap = np.abs(contact_gap(witness, setup.anywhere[left], setup.margin + setup.clearance))
+        worst, at = gap.argmax(axis=1), np.arange(len(left))
+        touching = goal.touching[left]
+        touching[at, worst] = False
+        group = np.unique(link_groups(self.scene.hand, self.scene.links), return_inverse=True)[1]
+        groups = np.stack([touching[:, group == one].any(axis=1) for one in range(group.max() + 1)]).sum(axis=0)
+        freed = (gap[at, worst] > RELEASE_GAP_M) & (groups >= 2)
+        if not freed.any():
+            return found, goal
+        all_touching = goal.touching.copy()
+        all_touching[left[freed]] = touching[freed]
+        goal = replace(goal, touching=all_touching)
+        again = GraspProblem(problem.scene, goal, problem.config, self.prepared)
+        again.restarts = False
+        status = found.status.copy()
+        status[left[freed]] = Status.RUNNING
+        more = close_gaps(
+            again, found.point, solver, self.config.tolerance, status=status, seconds=seconds, progress=self._report
+        )
+        rows = np.isin(np.arange(len(status)), left[freed])
+        return replace(
+            found,
+            point=choose(rows, more.point, found.point),
+            loss=np.where(rows[:, None], np.stack([found.loss[:, 0], more.loss[:, 1]], axis=1), found.loss),
+            status=more.status,
+            iterations=found.iterations + more.iterations,
+            queries=found.queries + more.queries,
+        ), goal
 
     def _report(self, finished: int, iteration: int, loss: float) -> None:
         """Report progress; which grasps are good is known after an attempt only."""
@@ -371,9 +454,7 @@ class Search:
             self.progress(int(self.best.enough.sum()), self.ticks, loss)
 
     def _scene(self, rows: np.ndarray) -> Scene:
-        scene = self.scene
-        direction = None if scene.direction is None else scene.direction[rows]
-        return replace(scene, T_world_root=scene.T_world_root[rows], q=self.q[rows], direction=direction)
+        return replace(self.scene, q=self.q).select(rows)
 
     def result(self) -> SearchResult:
         """Return the best attempts with the cost of all; losses are of the last phase."""

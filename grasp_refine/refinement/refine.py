@@ -126,8 +126,14 @@ def refine(
         # Jaws first close on the object; the hand moves by the remaining gap.
         closed = close_hands(scene, prepared, gap=-JAW_DEPTH_M)
         scene = replace(scene, q=closed.q)
-    if config.holds and scene.target_link is None and not config.nearest:
-        held = search(scene, prepared, config, status, progress, on_iteration)
+    if config.holds:
+        reached = None
+        if scene.target_link is not None:
+            # Links first reach their targets from wherever they are; then other links touch, and forces balance.
+            aims = goal_of(scene, config.contact_selection, prepared)
+            ready = np.where(aims.touching.any(axis=1) | (status != Status.RUNNING), status, Status.NO_TARGET)
+            reached = _solve(scene, prepared, aims, config, ready, progress, on_iteration)
+        held = search(scene, prepared, config, status, progress, on_iteration, reached=reached)
         goal, found, starts = held.goal, held.minimum, held.starts
     else:
         goal = goal_of(scene, config.contact_selection, prepared, nearest=config.nearest)
@@ -179,6 +185,7 @@ def _solve(
     initial = Point(scene.T_world_root, np.clip(scene.q, scene.hand.lower, scene.hand.upper))
     settings: dict[str, Any] = {"seconds": config.seconds, "progress": progress}
     settings["on_iteration"] = with_callback(on_iteration, goal, SINGLE_STAGE)
+    config = replace(config, weights=replace(config.weights, wrench=0.0))
     if config.solver.needs_autograd:
         # With pytorch-kinematics, which takes a second to load.
         from grasp_refine.refinement.objective import Objective

@@ -21,7 +21,6 @@ from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simul
 from grasp_refine.results.verdict import (
     REGION_ADVICE,
     estimate_line,
-    made_to_hold,
     should_hold,
     slip_advice,
     status_advice,
@@ -66,7 +65,7 @@ def grasp_table(
         simulated: The same grasps in simulation; None: not simulated.
         verbose: Whether all grasps are listed.
     """
-    holds, held = made_to_hold(outcome, config), None if simulated is None else simulated.held
+    holds, held = config.holds, None if simulated is None else simulated.held
 
     def of_object(name: str, rows: np.ndarray) -> Table:
         part = None if held is None else held[rows]

@@ -33,11 +33,6 @@ def should_hold(quality: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.nan_to_num(quality) >= HOLDS
 
 
-def made_to_hold(outcome: Outcome, config: Config) -> bool:
-    """Return True if the refinement was to make grasps hold, and not only to touch, or to reach targets."""
-    return config.holds and not outcome.aimed.any()
-
-
 def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
     """Return True where a grasp touches the object outside of the regions, before and after (N, 2)."""
     return outcome.usable[:, None] & (outcome["region_miss_m"] > COSTLY_M[0])
@@ -45,15 +40,13 @@ def touches_outside(outcome: Outcome) -> Bool[np.ndarray, "N 2"]:
 
 def slip_advice(outcome: Outcome, config: Config) -> str:
     """Return advice on grasps that may slip."""
-    if made_to_hold(outcome, config):
+    if config.holds:
         ways = ["more `starts`"]
         if config.max_move != MaxMove():
             ways.append("a wider `max_move`")
         if isfinite(config.seconds):
             ways.append("more `seconds`")
         return f"try {', '.join(ways)}, or other grasps"
-    if outcome.aimed.any():
-        return "links touch at the targets; without targets, forces are balanced too"
     if not config.solver.needs_autograd:
         return "only their geometry was refined, forces were not balanced"
     return f"forces are balanced with `solver` levenberg-marquardt only, {type(config.solver).__name__.lower()} cannot"
@@ -63,7 +56,7 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
     """Return advice on a refinement with this status; empty when there is nothing to do."""
     if status == Status.BUDGET and isfinite(config.seconds):
         return "the time or the iterations ran out while the loss still fell: raise `seconds`, or refine it again"
-    if status == Status.BUDGET and made_to_hold(outcome, config) and config.solver.iterations >= CLOSE.iterations:
+    if status == Status.BUDGET and config.holds and config.solver.iterations >= CLOSE.iterations:
         return "gaps were still closing when the iterations of a start ran out: refine the result again"
     if status == Status.STALLED and config.max_move != MaxMove():
         return f"{status.advice}; it may be `max_move` that stops it"
@@ -72,7 +65,7 @@ def status_advice(status: Status, outcome: Outcome, config: Config) -> str:
 
 def advice(outcome: Outcome, config: Config) -> list[str]:
     """Return advice on each of N grasps."""
-    slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & made_to_hold(outcome, config)
+    slips = outcome.usable & ~should_hold(outcome.quality[:, 1]) & config.holds
     outside = touches_outside(outcome)[:, 1]
     texts = []
     for status, slip, miss, weakness in zip(outcome.status, slips, outside, outcome.weakness.tolist(), strict=True):

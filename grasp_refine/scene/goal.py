@@ -47,7 +47,12 @@ class Goal:
 
 
 def goal_of(
-    scene: Scene, touching: ContactSelection, prepared: HandObject | None = None, *, nearest: bool = False
+    scene: Scene,
+    touching: ContactSelection,
+    prepared: HandObject | None = None,
+    *,
+    nearest: bool = False,
+    others: bool = False,
 ) -> Goal:
     """Return the goal of a scene: its targets if it has any, else that the links near the object touch it.
 
@@ -57,6 +62,7 @@ def goal_of(
         prepared: Geometry of the hand and the object; None: built here.
         nearest: Without targets, these links should touch at their present witness points, not just anywhere;
             links that are not near but have a target normal get no target.
+        others: Beside targets, the links near the object that have none should touch as well.
     """
     prepared = prepared or HandObject.of(scene)
     if scene.target_link is not None and scene.target_object is not None:
@@ -64,8 +70,12 @@ def goal_of(
         # A point on one side only is no target.
         missing = np.logical_or(*(np.isnan(target).any(axis=-1, keepdims=True) for target in targets))
         target_link, target_object = (np.where(missing, np.nan, target) for target in targets)
-        none, off = np.zeros(len(scene.q), dtype=np.int64), _off_surface(prepared, target_link, target_object)
-        return Goal(_with_directions(~missing[..., 0], scene), target_link, target_object, none, off, scene.direction)
+        chosen, queries = _with_directions(~missing[..., 0], scene), np.zeros(len(scene.q), dtype=np.int64)
+        if others:
+            near = goal_of(replace(scene, target_link=None, target_object=None), touching, prepared)
+            chosen, queries = chosen | near.touching, near.queries
+        off = _off_surface(prepared, target_link, target_object)
+        return Goal(chosen, target_link, target_object, queries, off, scene.direction)
     witness, T = _at_start(scene, prepared, touching)
     chosen = ~np.isnan(contact_gaps(replace(scene, contact_gap=None), witness, touching))
     target_link, target_object = np.full((2, *chosen.shape, 3), np.nan)

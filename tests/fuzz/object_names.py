@@ -55,5 +55,12 @@ def read_list(path: Path) -> Hashable:
     return tuple(type(one.source).__name__ for one in found)
 
 
-READER = Reader("object", seeds, read, change, (b"box:", b"sphere:", b"cylinder:", b"mug", b"."))
+READER = Reader(
+    "object",
+    seeds,
+    read,
+    change,
+    (b"box:", b"sphere:", b"cylinder:", b"mug", b"."),
+    beyond=lambda path: True,  # `load_object` opens the folder that its caller names
+)
 LIST_READER = Reader("objects.toml", lambda: [("objects.toml", toml(LISTED))], read_list, changed_toml(), WORDS)

@@ -86,10 +86,11 @@ def test_refined_grasps_on_an_arm_touch_as_without_it_and_the_base_stands_still(
     scene: Scene, hand: Hand, box: Object, grasps: GraspSet, whole: Hand
 ) -> None:
     """The base has the same bits; both converge, with the arm's joints within their limits."""
-    free = refine(Scene(hand, box, grasps.hand_pose, grasps.q), Config(starts=2))
-    found = refine(scene, Config(starts=2))
+    config = Config(weights=Weights(wrench=0.0))
+    free = refine(Scene(hand, box, grasps.hand_pose, grasps.q), config)
+    found = refine(scene, config)
     np.testing.assert_array_equal(found.T_world_root, scene.T_world_root)
-    assert found.loss[:, 1].max() < 1e-5 and free.loss[:, 1].max() < 1e-5
+    assert found.loss[:, 1].max() < 2e-5 and free.loss[:, 1].max() < 2e-5
     assert not np.isin(found.status, UNUSABLE).any()
     assert (found.q >= whole.lower).all() and (found.q <= whole.upper).all()
     assert found.touching[:, :4].sum() == free.touching[:, :4].sum()
@@ -240,7 +241,7 @@ def test_starts_of_the_search_move_the_palm_and_the_fingers_alone(sliding: Scene
     """The arm brings the palm to where a free hand would start; its joints have no noise of their own."""
     hand, rows = sliding.hand, np.arange(4)
     prepared = HandObject.of(sliding)
-    search = Search(sliding, prepared, Config(), np.full(4, Status.RUNNING), None, None)
+    search = Search(sliding, prepared, Config(prefer="strongest"), np.full(4, Status.RUNNING), None, None)
     search.touching[:, :2] = True
     middle = prepared.chain(sliding.T_world_root, sliding.q).T_world_link[:, :2, :3, 3].mean(axis=1)
     found = search.perturb(rows, np.ones(4, dtype=int))

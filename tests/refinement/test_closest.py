@@ -47,11 +47,12 @@ def test_an_input_that_is_good_enough_has_its_contacts_closed_and_nothing_else(
 ) -> None:
     """The bar is the quality of the closed grasps themselves: half of them reach it."""
     every = np.arange(6)
-    closed = search_of(scene, prepared, CONFIG)
-    closed = closed.attempt(every, closed.initial(every), (CLOSE,))
-    bar = float(np.median(closed.quality))
+    some = search_of(scene, prepared, CONFIG)
+    closed = some.attempt(every, some.initial(every), (CLOSE,))
+    good = np.minimum(closed.quality, some.judge(every, some.initial(every))[2])
+    bar = float(np.median(good))
     found = search(scene, prepared, replace(CONFIG, confidence=bar), RUNNING.copy())
-    kept = closed.quality >= bar
+    kept = good >= bar
     assert 0 < kept.sum() < 6
     np.testing.assert_allclose(found.minimum.point.q[kept], closed.minimum.point.q[kept], atol=1e-9)
     np.testing.assert_allclose(found.minimum.point.T[kept], closed.minimum.point.T[kept], atol=1e-9)

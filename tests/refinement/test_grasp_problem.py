@@ -116,18 +116,6 @@ def test_the_squares_of_the_rows_are_the_loss_less_the_misses_along_the_normals(
     assert J.shape == (*residual.shape, 6 + 16) and np.isfinite(J).all()
 
 
-def test_with_given_targets_forces_need_not_balance(examples: Scene) -> None:
-    """Targets say where contacts are."""
-    scene = aimed_at(examples, 3, 24)
-    found = [
-        GraspProblem(scene, goal_of(scene, ContactSelection()), Config(weights=weights)).evaluate(
-            every(scene), point_of(scene), None
-        )
-        for weights in (Weights(), NO_FORCES)
-    ]
-    np.testing.assert_array_equal(found[0].loss, found[1].loss)
-
-
 # the loss
 
 

@@ -115,7 +115,7 @@ def test_links_that_are_near_come_to_touch_and_nothing_penetrates(scene: Scene, 
 
 def test_given_targets_are_reached_again(aimed: Scene) -> None:
     with Stopwatch() as whole:
-        found = refine(aimed)
+        found = refine(aimed, GEOMETRY)
     with Stopwatch() as selection:
         goal_of(aimed, ContactSelection())
     assert found.queries.sum() == whole.queries - selection.queries
@@ -256,10 +256,10 @@ def test_grasps_that_begin_beyond_their_limits_end_within_them(scene: Scene, nam
 
 def test_a_grasp_that_is_there_already_is_left_alone(aimed: Scene) -> None:
     """Inverse kinematics once integrate it before it was looked at."""
-    first = refine(aimed)
+    first = refine(aimed, GEOMETRY)
     there = np.flatnonzero(first.status == Status.CONVERGED)
     scene = replace(aimed.select(list(there)), T_world_root=first.T_world_root[there], q=first.q[there])
-    found = refine(scene)
+    found = refine(scene, GEOMETRY)
     assert (found.status == Status.CONVERGED).all() and not found.iterations.any()
     np.testing.assert_array_equal(found.T_world_root, scene.T_world_root)
     np.testing.assert_array_equal(found.q, scene.q)

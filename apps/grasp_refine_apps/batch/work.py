@@ -88,7 +88,7 @@ class ShardWork:
 
     def _most(self) -> int:
         """Maximum iterations of a grasp, for the progress."""
-        return most_iterations(self.config) if self.config.holds else self.config.solver.iterations
+        return most_iterations(self.config)
 
     def _save(self, shard: Shard, refined: RefinedGrasps) -> None:
         task = shard.task

@@ -128,9 +128,8 @@ class Run:
             problem = loader.prepare(problem)
             for note in problem.notes:
                 reporter.note(note)
-            held = config.holds and not _aimed(problem, config)
-            most = most_iterations(config) if held else config.solver.iterations
-            reporter.start(problem.hand.name, len(problem), most, config.starts if held else 0)
+            most = most_iterations(config, aimed=problem.aimed)
+            reporter.start(problem.hand.name, len(problem), most, config.starts if config.holds else 0)
             objects = {name: {"config": described, "stamp": stamp} for name, stamp in stamps.items()}
 
             def write(refined: RefinedGrasps) -> None:
@@ -228,13 +227,11 @@ class Run:
         """
         touching = config.contact_selection
         touching.named(problem.hand, links_of(problem.hand))
-        if touching != ContactSelection() and problem.aimed:
+        if touching != ContactSelection() and problem.aimed and not config.holds:
             raise GraspRefineError(
-                "--contacts, --reach and --other-link-distance are for grasps without targets: the targets choose the "
-                "contact links"
+                "--contacts, --reach and --other-link-distance have no effect here: without force balance, the targets "
+                "alone choose the contact links"
             )
-        if _aimed(problem, config):
-            self.settings.check_aimed()
 
     def _stamps(self, problem: Problem, spec: ProblemSpec, refine: Any) -> dict[str, str]:
         """Object name -> hash of everything that its refined grasps depend on, apart from the simulation."""
@@ -306,8 +303,3 @@ def _floats(problem: Problem) -> bool:
     """Return whether an object of a problem has nothing around it."""
     scenes = [group.scene for group in problem.groups]
     return any(scene.table is None and scene.environment is None for scene in scenes)
-
-
-def _aimed(problem: Problem, config: Config) -> bool:
-    """Return True if links have targets."""
-    return config.nearest or problem.aimed

@@ -73,7 +73,8 @@ class Settings:
             "refinement",
             "Aim and effort of the refinement.",
             (
-                *("geometry_only", "starts", "max_move", "contacts", "reach", "other_link_distance"),
+                *("prefer", "confidence", "geometry_only", "starts", "max_move"),
+                *("contacts", "reach", "other_link_distance"),
                 *("margin", "clearance", "pressure", "seconds", "iterations", "tolerance", "seed", "solver"),
             ),
         ),
@@ -102,8 +103,14 @@ class Settings:
     ] = None
     """Maximum iterations per grasp or, in the search for force closure, per phase of a start, which has 15 to 40."""
     starts: int = Config.starts
-    """Without targets: maximum number of starts for a grasp that may still slip, each nearby, until one should hold;
-    the best one counts. More starts find more grasps that hold, farther from the input grasps."""
+    """Maximum number of starts for a grasp that may still slip, each nearby, until one should hold. More starts find
+    more grasps that hold, farther from the input grasps."""
+    prefer: Literal["closest", "balanced", "strongest"] = Config.prefer
+    """Choice among grasps that hold: the closest one to the input grasp; the closest one that also withstands strong
+    pushes; or the strongest one, however far it is."""
+    confidence: float = Config.confidence
+    """Quality (probability of holding) from which --prefer closest leaves an input grasp as it is and only closes its
+    contacts. Higher: more grasps are moved, and more of them hold."""
     max_move: Annotated[
         DisallowNone[tuple[float, ...] | None], THREE, arg(help_behavior_hint="(default: no limit)")
     ] = None
@@ -130,9 +137,9 @@ class Settings:
     """Newtons with which all contacts together press when the hand squeezes, as far as its actuators can. More carries
     heavier objects, and loses more objects in soft contacts."""
     reach: float = ContactSelection.reach
-    """Without targets, contact links (fingertips) within this distance (metres) of the object should touch it."""
+    """Contact links (fingertips) within this distance (metres) of the object should touch it."""
     other_link_distance: float = ContactSelection.other_link_distance
-    """Without targets, all other links within this distance (metres) of the object should touch it."""
+    """All other links within this distance (metres) of the object should touch it."""
     contacts: Annotated[
         tuple[str, ...], arg(metavar="LINK|FINGER [...]", help_behavior_hint="(default: links within reach)")
     ] = ()
@@ -195,7 +202,7 @@ class Settings:
         if self.seconds == 0:
             raise GraspRefineError("--seconds must be above 0, got 0")
         if nearest and self.solver == "levenberg-marquardt":
-            self.check_aimed()
+            self._check_nearest()
         solver, derivative, neighborhood = (
             getattr(self, _field(name)) for name in (self.solver, self.derivative, self.neighborhood)
         )
@@ -214,6 +221,8 @@ class Settings:
             scales=self.scales,
             max_move=MaxMove() if self.max_move is None else MaxMove(*self.max_move),
             starts=self.starts,
+            prefer=self.prefer,
+            confidence=self.confidence,
             margin=self.margin,
             clearance=self.clearance,
             pressure=self.pressure,
@@ -225,14 +234,14 @@ class Settings:
             device=self.device,
         )
 
-    def check_aimed(self) -> None:
-        """Refuse options that have no effect on links with targets.
+    def _check_nearest(self) -> None:
+        """Refuse options that have no effect on links that touch where they are nearest.
 
         Raises:
             GraspRefineError: names the option.
         """
         for name in FORCE_CLOSURE_FIELDS:
-            self._check_default(name, "only for grasps without targets: here the targets determine the contacts")
+            self._check_default(name, "no effect with `--targets nearest`: links touch at their nearest points")
 
     def unused(self) -> Iterator[tuple[str, str]]:
         """Yield the names of the fields without effect given the others, such as "weights.wrench", each with why."""
@@ -256,10 +265,13 @@ class Settings:
                 for name in ("adaptive.samples", "adaptive.minimum", "fixed.samples", "fixed.minimum"):
                     yield name, "only with --contact-kinematics.sampled: without it, all samples around count"
         if self.geometry_only:
-            for name in ("starts", "weights.wrench"):
+            for name in ("starts", "prefer", "confidence", "weights.wrench"):
                 yield name, "no effect with --geometry-only: leave one of them out"
+        if self.prefer != "closest":
+            yield "confidence", f"only with --prefer closest; it is {self.prefer}"
         if self.weights.wrench == 0:
-            yield "starts", "only for grasps that should hold: with --weights.wrench 0 it has no effect"
+            for name in ("starts", "prefer", "confidence"):
+                yield name, "only for grasps that should hold: with --weights.wrench 0 it has no effect"
         if self.weights.stay_near == 0:
             yield "scales", "only with --weights.stay-near, which is 0"
 
@@ -271,7 +283,7 @@ class Settings:
             raise GraspRefineError(f"{f'{option} {value}' if isinstance(value, str) else option}: {reason}")
 
 
-FORCE_CLOSURE_FIELDS = ("geometry_only", "starts", "weights.wrench")
+FORCE_CLOSURE_FIELDS = ("geometry_only", "starts", "prefer", "confidence", "weights.wrench")
 """Fields of the search for force closure."""
 
 

@@ -49,7 +49,7 @@ class Weights:
     """Weight of the movement from the initial grasp, in units of `Scales`, in m^2."""
     wrench: Annotated[float, Wrench] = 1.6e-3
     """Weight of the wrench that the best contact forces leave unbalanced, per unit of total pressure, in m^2; with
-    levenberg-marquardt and without targets only."""
+    levenberg-marquardt only."""
     direction: Annotated[float, Direction] = 1e-3
     """Weight of contact normals that differ from target normals (1 - their cosine is half the square), in m^2."""
 

@@ -35,8 +35,8 @@ class Wrench(Term):
 
     @staticmethod
     def applies(setup: Setup) -> bool:
-        """Return whether there are contacts, and no targets: these say where contacts are."""
-        return bool(setup.goal.touching.any()) and not setup.goal.aimed.any()
+        """Return whether there are contacts."""
+        return bool(setup.goal.touching.any())
 
     def complete(self, state: State, rejected: np.ndarray, self_witness: Callable[[np.ndarray], Witness]) -> State:
         """Return the state with the best contact forces, warm-started from its own; none where it is rejected."""

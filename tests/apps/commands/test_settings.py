@@ -23,6 +23,7 @@ from grasp_refine_apps.commands.simulation_options import Robustness, Simulation
 FIRST_ORDER = Settings(solver="descent")
 OPTIONS: dict[str, tuple[Settings, Any]] = {
     "solver": (Settings(), "descent"), "iterations": (Settings(), 7), "starts": (Settings(), 3),
+    "prefer": (Settings(), "balanced"), "confidence": (Settings(), 0.9),
     "max_move": (Settings(), (0.1, 0.2, inf)), "seconds": (Settings(), 2.0), "geometry_only": (Settings(), True),
     "tolerance": (Settings(), 1e-9), "margin": (Settings(), 1e-3), "clearance": (Settings(), 2e-3),
     "pressure": (Settings(), 9.0), "reach": (Settings(), 0.05), "other_link_distance": (Settings(), 0.03),

@@ -73,8 +73,7 @@ def refine_grasp(
         scene = replace(scene, contact_gap=counted.gap[None])
     config.contact_selection.named(scene.hand, scene.links)
     recorder = Recorder(prepared, pose, targets, config.margin, counted)
-    searches = config.holds and not targets
-    max_count = most_iterations(config) if searches else config.solver.iterations
+    max_count = most_iterations(config, aimed=bool(targets))
     last, count = -np.inf, 0
 
     def on_iteration(state: IterationState) -> None:
