@@ -14,6 +14,7 @@ from grasp_refine.measures.measures import RECORDED, SIDES
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.term import Term
+from grasp_refine.results.changed import Changed
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.profile import Profile, profile_entry
 from grasp_refine.results.simulated import SimulatedGrasps, simulation_entry
@@ -56,6 +57,7 @@ def run_document(
             "converged": int((outcome.status == Status.CONVERGED).sum()),
             "good_before": int(should_hold(outcome.quality[:, 0]).sum()),
             "good_after": int(should_hold(outcome.quality[:, 1]).sum()),
+            **Changed.of(outcome, refined.confidence).entry(),
             "success_before": None if simulated is None else int(simulated.before.success.sum()),
             "success_after": None if simulated is None else int(simulated.after.success.sum()),
             "wall_s": wall_s,

@@ -16,6 +16,7 @@ from grasp_refine.core.plurals import count_text, whole
 from grasp_refine.measures.measures import COMPARED, MEASURES, QUALITY, Measure
 from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.changed import Changed
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps, closings_line, simulation_lines
 from grasp_refine.results.verdict import (
@@ -73,7 +74,7 @@ def grasp_table(
 
     parts, count = by_object(outcome.object, of_object), len(set(outcome.object.tolist()))
     if count > 1:
-        total = _table(f"all {count} objects: {count_text(len(outcome), 'grasp')}", "", _joint_keys(outcome))
+        total = _table(f"all {count} objects: {count_text(len(outcome), 'grasp')}", "")
         _add_summary(total, outcome)
         parts += [total, ""]
     lines = [_converged(outcome, config), _holding(outcome, config, held)]
@@ -81,6 +82,7 @@ def grasp_table(
     if simulated is not None:
         lines = [simulation_lines(simulated, outcome.quality), *lines]
     parts += [line for part in (*lines, _misplaced(outcome)) for line in part]
+    parts += Changed.of(outcome, config.confidence).lines()
     return Group(*parts, *_summary_lines(outcome), *([] if simulated is None else [closings_line(simulated)]))
 
 
@@ -91,12 +93,11 @@ def _object_table(outcome: Outcome, what: str, holds: bool, held: np.ndarray | N
     good = np.zeros(len(outcome)) if held is None else held[:, 1]
     worst_first = np.lexsort((-np.nan_to_num(badness), good, outcome.usable))
     shown, title = listed(worst_first, f"{what}: {count_text(len(outcome), 'grasp')}", verbose)
-    last = " held in\n simulation" if held is not None else "\n estimate" if holds else "\n status"
-    table = _table(title, last, _joint_keys(outcome))
-    columns = {key: outcome[key] for key in (*_TABLE_KEYS, *_joint_keys(outcome))}
-    for i in shown:
-        verdict = Text(" ").append(_verdict(outcome, int(i), holds, held))
-        table.add_row(str(outcome.index[i]), *_cells({key: columns[key][i] for key in columns}), verdict)
+    last = "held in\nsimulation" if held is not None else "\nestimate" if holds else "\nstatus"
+    table = _table(title, last)
+    for i in shown.tolist():
+        values = {key: outcome[key][i] for key in _TABLE_KEYS}
+        table.add_row(str(outcome.index[i]), *_cells(values, outcome.change[i]), _verdict(outcome, i, holds, held))
     if len(outcome) > 1:
         table.add_section()
         _add_summary(table, outcome)
@@ -129,43 +130,26 @@ def plain_table(title: str = "", between: int = 1) -> Table:
     )
 
 
-def _joint_keys(outcome: Outcome) -> tuple[str, ...]:
-    """Return the key of the joint movement that is shown: of prismatic joints where the hand has no others."""
-    return tuple(key for key in _JOINT_HEADS if np.isfinite(outcome[key]).any())[:1] or ("moved_joints_rad",)
-
-
-_JOINT_HEADS = {"moved_joints_rad": "joints\ndeg", "moved_slides_m": "slides\nmm"}
-"""Key of the movement of joints -> head of its column."""
-
-
-def _table(title: str, last: str, joints: tuple[str, ...]) -> Table:
+def _table(title: str, last: str) -> Table:
     table = plain_table(title, between=0)
     table.add_column("\n grasp", justify="right", no_wrap=True)
-    table.add_column("contact error\nmm, worst", justify="center", no_wrap=True)
-    table.add_column("penetration\nmm, worst", justify="center", no_wrap=True)
-    table.add_column("palm moved\nmm   deg", justify="right", no_wrap=True)
-    for key in joints:
-        table.add_column(_JOINT_HEADS[key], justify="right", no_wrap=True)
+    table.add_column("contact\nerror, mm", justify="right", no_wrap=True)
+    table.add_column("penetration\nmm", justify="right", no_wrap=True)
+    table.add_column("moved\nmm", justify="right", no_wrap=True)
+    table.add_column("\nchange", no_wrap=True)
     table.add_column("\nquality", justify="center", no_wrap=True)
     table.add_column(last, no_wrap=True)
     return table
 
 
-_TABLE_KEYS = ("contact_error_m", "penetration_m", "moved_palm_m", "moved_palm_rad", "quality")
-"""Keys of the measures in the columns of the table, besides `_joint_keys`; 80 columns of text hold no more."""
+_TABLE_KEYS = ("contact_error_m", "penetration_m", "displacement_m", "quality")
+"""Keys of the measures in the columns of the table; 80 columns of text hold no more."""
 
 
-def _cells(values: Mapping[str, Any]) -> list[RenderableType]:
-    """Return the cells of a row, given the values of the measures `_TABLE_KEYS`, and then `_joint_keys`."""
-    error, depth, metres, radians, quality = (values[key] * MEASURES[key].unit.factor for key in _TABLE_KEYS)
-    joints = [number_text(values[key] * MEASURES[key].unit.factor, 1) for key in values if key in _JOINT_HEADS]
-    return [
-        _change(error),
-        _change(depth),
-        f"{number_text(metres, 1):>5} {number_text(radians, 1):>5}",
-        *joints,
-        _graded(quality),
-    ]
+def _cells(values: Mapping[str, Any], change: str = "") -> list[RenderableType]:
+    """Return the cells of a row, given the values of the measures `_TABLE_KEYS` and the change of the grasp."""
+    error, depth, moved, quality = (values[key] * MEASURES[key].unit.factor for key in _TABLE_KEYS)
+    return [_both(error), _both(depth), number_text(moved, 1), change, _graded(quality)]
 
 
 def _verdict(outcome: Outcome, i: int, holds: bool, held: np.ndarray | None) -> Text:
@@ -186,7 +170,7 @@ def _add_summary(table: Table, outcome: Outcome) -> None:
     """Add rows of medians and of worst values."""
     for word in ("median", "worst"):
         values = {}
-        for key in (*_TABLE_KEYS, *_joint_keys(outcome)):
+        for key in _TABLE_KEYS:
             worst = np.min if MEASURES[key].better == "higher" else np.max
             values[key] = _over(np.median if word == "median" else worst, outcome[key])
         table.add_row(word, *_cells(values), style="bold" if word == "median" else "")
@@ -299,9 +283,10 @@ def numbers_text(objects: np.ndarray, index: np.ndarray, which: np.ndarray) -> s
     return "; ".join(parts)
 
 
-def _change(values: np.ndarray) -> str:
-    before, after = (number_text(value, 2 if value < 99.995 else 1) for value in values)
-    return f"{before:>5} → {after:<4}"
+def _both(values: np.ndarray) -> str:
+    """Return a value before and after."""
+    before, after = (number_text(value, int(value < 99.995) + int(value < 999.95)) for value in values)
+    return f"{before} → {after:<4}"
 
 
 def _graded(values: np.ndarray) -> Text:

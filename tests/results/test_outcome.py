@@ -79,11 +79,14 @@ def test_a_document_has_si_units_and_null_for_nan():
     assert read["config"] == {"a": "b"}
     assert read["totals"] == {
         "n": 2, "converged": 1, "good_before": 1, "good_after": 0, "success_before": None, "success_after": None,
+        "changes": {"kept": 2, "contacts moved": 0, "other links": 0, "other grasp": 0},
+        "good_inputs": 1, "good_inputs_moved": 1, "good_inputs_displacement_median_m": 0.007,
         "wall_s": 1.5, "cpu_s": 2.0,
     }  # fmt: skip
     first, second = read["grasps"]
     assert (first["index"], first["row"], first["status"], first["starts"]) == (0, 100, "converged", 2)
     assert "may slip" in first["advice"] and "`starts`" in first["advice"]
+    assert (first["change"], first["displacement_m"], first["links_kept"]) == ("kept", 0.007, 1.0)
     assert second["advice"] == Status.NO_TARGET.advice
     assert first["quality"] == {"before": 0.4, "after": 0.85} and second["quality"] == {"before": 0.97, "after": None}
     assert second["contact_error_m"] == {"before": 0.01, "after": 0.001}

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from grasp_refine.measures.change import Change
 from grasp_refine.refinement.refine import Config
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.refinement.terms.weights import Weights
+from grasp_refine.results.changed import Changed
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.simulated import SimulatedGrasps
 from grasp_refine.results.table import grasp_table
@@ -57,21 +59,22 @@ def text(
 # The table
 
 
-def test_the_table_speaks_millimetres_and_degrees():
+def test_the_table_speaks_millimetres_and_says_what_changed():
     lines = text(error_in_millimetres(3))
     assert_names(lines[0], "claw", "mug", "3 grasps")
     (row,) = [line for line in lines if line.split()[:1] == ["2"]]
-    assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970 should hold"
+    assert " ".join(row.split()) == "2 20.00 → 2.00 2.00 → 0.10 7.0 kept 0.400 → 0.970 should hold"
     (median,) = [line for line in lines if line.startswith("median")]
-    assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.970"
+    assert " ".join(median.split()) == "median 10.00 → 1.00 2.00 → 0.10 7.0 0.400 → 0.970"
     lower = text(with_quality(error_in_millimetres(3), g1=0.5))
     (worst,) = [line for line in lower if line.split()[:1] == ["worst"]]
-    assert " ".join(worst.split()) == "worst 20.00 → 2.00 2.00 → 0.10 4.0 5.0 6.0 0.400 → 0.500"
+    assert " ".join(worst.split()) == "worst 20.00 → 2.00 2.00 → 0.10 7.0 0.400 → 0.500"
     for line, named in zip(
-        lines[-7:],
+        lines[-8:],
         (
             (f"quality {BAR}", "0 → 3 of 3", "`validate`"),
             ("3 of 3", "converged"),
+            ("change: 3 kept",),
             ("wrench residual", "3 of 3", "mean 0.200 → 0.050"),
             ("contact error", "2 of 2", "mean 10.000 → 1.000 mm"),
             ("penetration", "3 of 3", "mean 2.000 → 0.100 mm"),
@@ -156,12 +159,33 @@ def test_the_worst_of_many_did_not_hold():
 def test_the_table_loses_nothing_at_80_columns(width: int):
     outcome = with_status(error_in_millimetres(5), g0=Status.NOT_FINITE, g1=Status.NO_TARGET)
     outcome = with_measures(
-        outcome, contact_error_m=outcome["contact_error_m"] * 40, penetration_m=outcome["penetration_m"] * 50
+        outcome,
+        contact_error_m=outcome["contact_error_m"] * 40,
+        penetration_m=outcome["penetration_m"] * 50,
+        displacement_m=np.full(5, 0.1234),
     )
+    outcome = replace(outcome, change=np.full(5, Change.MOVED.value))
     lines = text(outcome, width=width)
     assert max(map(len, lines)) <= width
     assert not any("…" in line for line in lines)
-    assert any("1600.0 → 160.0" in line for line in lines)
+    assert any("1600 → 160.0" in line for line in lines)
+
+
+def test_good_inputs_that_moved_are_counted():
+    """From the confidence on, farther than 5 mm, of grasps that were refined."""
+    outcome = error_in_millimetres(7)
+    quality = np.stack([np.array([0.94, 0.95, 0.96, 1.0, 0.99, 1.0, np.nan]), np.full(7, 0.97)], axis=1)
+    displacement = 1e-3 * np.array([90.0, 2.0, 5.0, 5.4, 8.0, 90.0, 90.0])
+    change = np.array(["kept", "kept", "contacts moved", "other links", "kept", "", "other grasp"])
+    outcome = replace(with_measures(outcome, quality=quality, displacement_m=displacement), change=change)
+    changed = Changed.of(outcome, Config(confidence=0.95).confidence)
+    assert (changed.good, changed.moved, changed.median_m) == (4, 2, pytest.approx(5.2e-3))
+    lines = text(outcome)
+    at = lines.index("change: 3 kept, 1 contacts moved, 1 other links, 1 other grasp")
+    assert_names(lines[at + 1], "4 input grasps", "0.95", "2 moved by over 5 mm", "median 5.2 mm")
+    assert_names(text(outcome, Config(confidence=0.97))[at + 1], "2 input grasps", "0.97", "2 moved")
+    assert Changed.of(outcome, 0.999).good == 1
+    assert [line for line in text(error_in_millimetres(2)) if "input grasp" in line] == []
 
 
 def test_of_many_grasps_the_worst_are_listed():

@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from grasp_refine.measures.measures import RECORDED, SIDES
+from grasp_refine.measures.change import MOVED_M
+from grasp_refine.measures.measures import METRE, RECORDED, SIDES
+from grasp_refine.refinement.config import Config
 from grasp_refine.refinement.solvers.status import UNUSABLE as NEVER_REFINED
 from grasp_refine.refinement.solvers.status import Status
+from grasp_refine.results.changed import Changed, good_inputs
 from grasp_refine.results.verdict import Agreement
 from grasp_refine_apps.batch.histogram import Histogram
 from grasp_refine_apps.batch.rows import Rows
@@ -106,6 +109,24 @@ class Tally:
         return self.simulated - self.held[1] if self.simulated else self.count - int(self.good[1])
 
 
+@dataclass(eq=False)
+class GoodInputs:
+    """Displacements of the refined grasps whose input was good enough."""
+
+    confidence: float
+    """Quality from which an input grasp is good enough, as `Config.confidence`."""
+    moved: int = 0
+    """Number of grasps with a displacement above `MOVED_M`."""
+    displacement: Histogram = field(default_factory=lambda: Histogram.of(METRE))
+    """Distribution of the displacements."""
+
+    def add(self, rows: Rows) -> None:
+        """Count grasps."""
+        values = rows["displacement_m"][good_inputs(rows["change"] != "", rows["quality_before"], self.confidence)]
+        self.moved += int((values > MOVED_M).sum())
+        self.displacement.add(values)
+
+
 @dataclass(frozen=True, eq=False)
 class Statistics:
     """Statistics that grow by `add`; the same rows in the same order give the same numbers to the last bit."""
@@ -114,6 +135,10 @@ class Statistics:
     """Tally of all grasps."""
     statuses: Counter[str]
     """Counts of the statuses of refinement."""
+    changes: Counter[str]
+    """Counts of the changes of grasps."""
+    good_inputs: GoodInputs
+    """Displacements of the grasps that were good enough before."""
     reasons: Counter[str]
     """Counts of the reasons why refined grasps did not hold in simulation."""
     distributions: Mapping[str, Histogram]
@@ -125,10 +150,11 @@ class Statistics:
     _worst: Worst = field(default_factory=Worst)
 
     @staticmethod
-    def empty() -> Statistics:
-        """Return the statistics of no grasps."""
+    def empty(confidence: float = Config.confidence) -> Statistics:
+        """Return the statistics of no grasps; `confidence` is that of `Config`."""
         distributions = {entry: Histogram.of(one.unit) for one in RECORDED for entry in one.entries.values()}
-        return Statistics(Tally(), Counter(), Counter(), distributions, {}, Tally())
+        good = GoodInputs(confidence)
+        return Statistics(Tally(), Counter(), Counter(), good, Counter(), distributions, {}, Tally())
 
     def add(self, rows: Rows) -> None:
         """Count the grasps of a result file."""
@@ -136,6 +162,8 @@ class Statistics:
             return
         self.all.add(rows)
         self.statuses.update(rows["status"].tolist())
+        self.changes.update(rows["change"].tolist())
+        self.good_inputs.add(rows)
         self.reasons.update(filter(None, rows["reason_after"].tolist()))
         usable = ~np.isin(rows["status"], UNUSABLE)
         for name, histogram in self.distributions.items():
@@ -172,6 +200,13 @@ class Statistics:
         """Numbers of grasps that held in simulation before and after; None: none was simulated."""
         return self.all.held if self.all.simulated else None
 
+    @property
+    def changed(self) -> Changed:
+        """Changes of the grasps, counted."""
+        good = self.good_inputs
+        median = good.displacement.quantile(0.5)
+        return Changed(self.changes, good.confidence, good.displacement.count, good.moved, median)
+
     def totals(self) -> dict[str, Any]:
         """Counts of the JSON summary."""
         before, after = self.held or (None, None)
@@ -179,6 +214,7 @@ class Statistics:
             "n": self.all.count,
             "converged": self.all.converged,
             **{f"good_{side}": int(count) for side, count in zip(SIDES, self.all.good, strict=True)},
+            **self.changed.entry(),
             "success_before": before,
             "success_after": after,
         }

@@ -33,7 +33,8 @@ def batch_table(document: Mapping[str, Any], statistics: Statistics) -> Renderab
     """
     parts: list[RenderableType] = []
     if statistics.all.count:
-        parts += [_table(statistics), "", *verdict_lines(document, statistics), *_unusable(statistics)]
+        parts += [_table(statistics), "", *verdict_lines(document, statistics)]
+        parts += [*statistics.changed.lines(), *_unusable(statistics)]
     parts += _failures(document.get("failed", []))
     parts += _account(document.get("totals", {}), document.get("failed", []))
     return Group(*parts)

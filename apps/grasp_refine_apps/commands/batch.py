@@ -39,6 +39,7 @@ from grasp_refine_apps.batch.progress import Progress
 from grasp_refine_apps.batch.record import State, clean, state_of
 from grasp_refine_apps.batch.session import Session
 from grasp_refine_apps.batch.shard import Shard
+from grasp_refine_apps.batch.statistics import Statistics
 from grasp_refine_apps.batch.table import batch_table
 from grasp_refine_apps.batch.words import grasps, mebibytes
 from grasp_refine_apps.batch.work import ShardWork, unusable_objects
@@ -167,7 +168,7 @@ class Batch:
                 states = {shard.number: State.MISSING if self.sharding.again else state_of(shard) for shard in shards}
                 _report_states(shards, states, progress)
             complete = {number for number, state in states.items() if state is State.COMPLETE}
-            session = Session(shards, plan.refused, complete)
+            session = Session(shards, plan.refused, complete, statistics=Statistics.empty(config.confidence))
             self._run_shards(
                 ShardWork(config, self.validation.validate, described, self.output.profile), session, console
             )

@@ -87,6 +87,9 @@ def test_counts_are_as_in_the_rows():
             reason_after=np.array(["", "", "moved", "", "penetrates", "moved"]),
             quality_after=[0.9, 0.8, 0.7, 0.6, np.nan, np.nan],
             penetration_m_after=[0, 1e-3, 2e-3, 0, 5e-3, np.nan],
+            change=np.array(["kept", "contacts moved", "kept", "other grasp", "", ""]),
+            quality_before=[0.95, 0.96, 0.94, 1.0, 1.0, np.nan],
+            displacement_m=[1e-3, 6e-3, 0.1, 20e-3, 0.1, 0.1],
         ),
         made_up_rows(2, 1, object="bottle", held_before=[1, 1], held_after=[1, 0], good_before=0, good_after=1),
     )
@@ -96,6 +99,8 @@ def test_counts_are_as_in_the_rows():
     assert found.statuses == {"converged": 4, "stalled": 1, "budget": 1, "no target": 1, "not finite": 1}
     assert found.totals() == {
         "n": 8, "converged": 4, "good_before": 1, "good_after": 5, "success_before": 3, "success_after": 4,
+        "changes": {"kept": 2, "contacts moved": 1, "other links": 0, "other grasp": 1},
+        "good_inputs": 3, "good_inputs_moved": 2, "good_inputs_displacement_median_m": pytest.approx(6e-3, rel=0.13),
     }  # fmt: skip
     pairs, rest = found.by_pair()
     assert [(pair, tally.count, tally.failures) for pair, tally in pairs] == [
