@@ -26,6 +26,9 @@ from grasp_refine.validation.margins.limits import Limits
 from grasp_refine.validation.margins.margins import Margins
 from grasp_refine.validation.trials import Reason, Trials
 
+CHANGES = (Change.KEPT, Change.MOVED, Change.LINKS)
+"""What the refinement of grasp i changed: entry i modulo 3."""
+
 STATUSES = (Status.CONVERGED, Status.CONVERGED, Status.STALLED, Status.BUDGET)
 """How grasp i ended: entry i modulo 4."""
 
@@ -50,7 +53,8 @@ def made_up(grasps: GraspSet, hand: Hand, q: np.ndarray) -> Outcome:
     """An outcome of N grasps, each moved by up to 1 cm from where it came from.
 
     After refinement, grasp i of N has the quality (7 i mod N)/N, a contact error of i um and a penetration of i/N mm;
-    before, half the quality, 1 mm more error and 2 mm more penetration. The status of grasp i is entry i of `STATUSES`.
+    before, half the quality, 1 mm more error and 2 mm more penetration. Status and change of grasp i are entries i of
+    `STATUSES` and `CHANGES`.
     """
     count, number = len(grasps), np.arange(len(grasps))
     quality, error, penetration = 7 * number % count / count, number * 1e-6, number / count * 1e-3
@@ -85,6 +89,7 @@ def made_up(grasps: GraspSet, hand: Hand, q: np.ndarray) -> Outcome:
         hand_pose_before=before,
         q_before=np.clip(q - 0.1, hand.lower, hand.upper),
         status=np.resize(np.array(STATUSES), count),
+        change=np.resize(np.array(CHANGES), count),
     )
 
 

@@ -157,23 +157,25 @@ def _refinement(
     return Measure(name, title, hint, unit, formula, better, of_grasps=False, compared=False, validated=False)
 
 
+DISPLACEMENT = _refinement(
+    "displacement_m",
+    "displacement",
+    "root mean square displacement of the hand's surface from the input grasp",
+    METRE,
+    lambda of: of.displacement,
+    "lower",
+)
+CONTACTS_MOVED = _refinement(
+    "contacts_moved_m",
+    "contacts moved",
+    "movement of the input grasp's contact points on the object, mean over the links that touch before and after",
+    METRE,
+    lambda of: of.contacts_moved,
+    "lower",
+)
 MOVEMENTS = (
-    _refinement(
-        "displacement_m",
-        "displacement",
-        "root mean square displacement of the hand's surface from the input grasp",
-        METRE,
-        lambda of: of.displacement,
-        "lower",
-    ),
-    _refinement(
-        "contacts_moved_m",
-        "contacts moved",
-        "movement of the input grasp's contact points on the object, mean over the links that touch before and after",
-        METRE,
-        lambda of: of.contacts_moved,
-        "lower",
-    ),
+    DISPLACEMENT,
+    CONTACTS_MOVED,
     _refinement(
         "links_kept",
         "links kept",

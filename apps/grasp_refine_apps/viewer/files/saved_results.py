@@ -21,7 +21,7 @@ from grasp_refine.results.result_files import result_entries
 from grasp_refine.scene.task_file import TASK, task_entry
 from grasp_refine_apps.viewer.files.saving import Saved
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import STATUS, numeric_columns
+from grasp_refine_apps.viewer.model.columns import OF_REFINEMENT, numeric_columns
 from grasp_refine_apps.viewer.model.work import Work
 
 
@@ -62,7 +62,7 @@ def entries_of(collection: Collection, works: Mapping[int, Work]) -> dict[str, n
         others = np.setdiff1d(np.arange(len(numbers)), rows)
         found["hand_pose_before"][others] = pose_from_transform(collection.T_initial[numbers[others]])
         found["q_before"][others] = collection.q_initial[numbers[others]]
-    for column in (*numeric_columns(), STATUS):
+    for column in (*numeric_columns(), *OF_REFINEMENT):
         known = collection.columns.get(column.key)
         if known is not None and known.known[numbers].any():
             found[column.key] = known.values[numbers]

@@ -18,7 +18,15 @@ from grasp_refine.problem.problem import Group, Problem
 from grasp_refine.problem.refined import RefinedGrasps
 from grasp_refine.scene.scene import Scene
 from grasp_refine.validation.trials import Reason
-from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS, Column, numeric_columns
+from grasp_refine_apps.viewer.model.columns import (
+    FAILED_TEXT,
+    HELD,
+    HELD_TEXT,
+    OF_REFINEMENT,
+    REASON,
+    Column,
+    numeric_columns,
+)
 from grasp_refine_apps.viewer.model.counted import Counted
 from grasp_refine_apps.viewer.model.marks import Mark, Marks, marks_path
 from grasp_refine_apps.viewer.model.names import shortened
@@ -81,7 +89,7 @@ class Collection:
             q = np.where(refined[:, None], found.q[rows], q)
             columns = {
                 column.key: column.with_values(found.columns[column.key][rows])
-                for column in (*numeric_columns(), STATUS)
+                for column in (*numeric_columns(), *OF_REFINEMENT)
             }
             columns = {key: column for key, column in columns.items() if column.known.any()}
         marks = tuple(Marks.read(marks_path(path)) for path in files) or (Marks(None),)
@@ -89,12 +97,13 @@ class Collection:
 
     @staticmethod
     def of_refined(refined: RefinedGrasps) -> Collection:
-        """Return refined grasps with what they were before, their measures and statuses, as of their result file."""
+        """Return refined grasps with what they were before, their measures and texts, as of their result file."""
         collection, outcome = Collection.of(refined.as_problem()), refined.outcome
         T, q = transform_from_pose(outcome.hand_pose_before), outcome.q_before
         known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(q).all(axis=1)
-        recorded = {**outcome.entries(), STATUS.key: refined.status}
-        columns = [one.with_values(recorded[one.key]) for one in (*numeric_columns(), STATUS) if one.key in recorded]
+        recorded = {**outcome.entries(), **outcome.texts()}
+        every = (*numeric_columns(), *OF_REFINEMENT)
+        columns = [one.with_values(recorded[one.key]) for one in every if one.key in recorded]
         return replace(
             collection,
             T_initial=np.where(known[:, None, None], T, collection.T_initial),

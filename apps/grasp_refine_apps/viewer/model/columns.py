@@ -100,6 +100,10 @@ def measured_columns() -> dict[str, str]:
 
 STATUS = Column("status", "Status", "how the refinement ended", np.zeros(0, dtype=str))
 """The column of how refinements ended."""
+CHANGE = Column("change", "Change", "what the refinement changed", np.zeros(0, dtype=str))
+"""The column of changes by refinement, a `Change` each."""
+OF_REFINEMENT = (STATUS, CHANGE)
+"""The columns of texts that result files have."""
 HELD = Column("held", "Simulation", "whether the grasp held in MuJoCo", np.zeros(0, dtype=str))
 """The column of verdicts of the simulation."""
 REASON = Column("reason", "Reason", "why it did not hold", np.zeros(0, dtype=str))

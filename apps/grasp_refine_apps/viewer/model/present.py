@@ -6,10 +6,8 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from grasp_refine.core.short_repr import labels
-from grasp_refine.refinement.solvers.status import Status
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import HERE, STATUS, Column, numeric_columns
+from grasp_refine_apps.viewer.model.columns import HERE, OF_REFINEMENT, Column, numeric_columns
 from grasp_refine_apps.viewer.model.state import State
 from grasp_refine_apps.viewer.model.work import Work, Works
 
@@ -56,7 +54,7 @@ def _made(works: Works) -> dict[int, Work]:
 
 
 def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Column]:
-    """Columns of measures and status, replaced for moved grasps."""
+    """Columns of measures and texts, replaced for moved grasps."""
     entries = {
         number: {} if work.outcome is None else {key: float(v[0]) for key, v in work.outcome.entries().items()}
         for number, work in works.items()
@@ -71,15 +69,15 @@ def _measures(collection: Collection, works: Mapping[int, Work]) -> dict[str, Co
         for number, found in entries.items():
             values[number] = found.get(column.key, np.nan)
         columns[column.key] = column.with_values(values)
-    status = {
-        number: "" if work.outcome is None else str(labels(Status, work.outcome.status)[0])
-        for number, work in works.items()
-    }
-    if STATUS.key in collection.columns or any(status.values()):
-        before = collection.columns.get(STATUS.key)
-        columns[STATUS.key] = STATUS.with_values(
-            _texts(len(collection), status, None if before is None else before.values)
-        )
+    for column in OF_REFINEMENT:
+        texts = {
+            number: "" if work.outcome is None else str(work.outcome.texts()[column.key][0])
+            for number, work in works.items()
+        }
+        before = collection.columns.get(column.key)
+        if before is not None or any(texts.values()):
+            found = _texts(len(collection), texts, None if before is None else before.values)
+            columns[column.key] = column.with_values(found)
     return columns
 
 

@@ -13,7 +13,7 @@ from grasp_refine.core.se3 import transform_from_pose
 from grasp_refine.grasps.grasp_set import GraspSet, Stage, load_grasps, match_joints
 from grasp_refine.grasps.poses import unit_poses
 from grasp_refine.problem.problem import Problem
-from grasp_refine_apps.viewer.model.columns import STATUS, numeric_columns
+from grasp_refine_apps.viewer.model.columns import OF_REFINEMENT, numeric_columns
 
 BEFORE = ("hand_pose_before", "q_before")
 """Entries of result files that hold poses and joint values before refinement."""
@@ -77,11 +77,12 @@ def row_files(problem: Problem) -> tuple[Path, ...]:
 
 def _columns(file: NpzFile, count: int) -> dict[str, np.ndarray]:
     """Read the measures of one file; each has a value for each of its rows, known or not."""
-    columns = {column.key: np.full(count, np.nan) for column in numeric_columns()} | {STATUS.key: np.full(count, "")}
+    texts = {column.key: np.full(count, "") for column in OF_REFINEMENT}
+    columns = {column.key: np.full(count, np.nan) for column in numeric_columns()} | texts
     # In files without provenance, entries of these names may mean anything.
     if "provenance" in file.entries:
         for key in set(columns) & set(file.entries):
-            value = file.text(key) if key == STATUS.key else file.numbers(key, allowed="nan")
+            value = file.text(key) if key in texts else file.numbers(key, allowed="nan")
             columns[key] = file.per_row(key, value, count)
     return columns
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from grasp_refine.measures.measures import COMPARED, Measure
+from grasp_refine.measures.measures import COMPARED, DISPLACEMENT, Measure
 from grasp_refine_apps.viewer.jobs.controller import Controller
 from grasp_refine_apps.viewer.jobs.measuring import unmeasured
 from grasp_refine_apps.viewer.model.choice import CHOICES, chosen
 from grasp_refine_apps.viewer.model.collection import Collection
-from grasp_refine_apps.viewer.model.columns import FAILED_TEXT, HELD, HELD_TEXT, REASON, STATUS
+from grasp_refine_apps.viewer.model.columns import CHANGE, FAILED_TEXT, HELD, HELD_TEXT, OF_REFINEMENT, REASON, STATUS
 from grasp_refine_apps.viewer.model.listing import (
     MARK,
     NO_MARK,
@@ -112,6 +112,7 @@ class BrowsePanel:
             self.filters: dict[str, Any] = {
                 "object": gui.add_dropdown("Object", (ALL,), hint="List grasps of this object only"),
                 "status": gui.add_dropdown("Status", (ALL,), hint="Status of the refinement"),
+                "change": gui.add_dropdown("Change", (ALL,), hint="What the refinement changed"),
                 "held": gui.add_dropdown("Simulation", (ALL, HELD_TEXT, FAILED_TEXT), hint="Verdict of MuJoCo"),
                 "mark": gui.add_dropdown("Marked", (ALL, *MARKS, NO_MARK), hint="Your mark of the grasps"),
             }
@@ -319,11 +320,10 @@ class BrowsePanel:
         if self.key.options != tuple(keys):
             self.key.options = tuple(keys)
         chosen = next((label for label, key in keys.items() if key == self._listing.key), IN_FILE)
-        status = collection.columns.get(STATUS.key)
-        choices = {
-            "object": (ALL, *dict.fromkeys(collection.objects.tolist())),
-            "status": (ALL,) if status is None else (ALL, *np.unique(status.values[status.known]).tolist()),
-        }
+        choices = {"object": (ALL, *dict.fromkeys(collection.objects.tolist()))}
+        for key in (STATUS.key, CHANGE.key):
+            column = collection.columns.get(key)
+            choices[key] = (ALL,) if column is None else (ALL, *np.unique(column.values[column.known]).tolist())
         for name, options in choices.items():
             if self.filters[name].options != options:
                 self.filters[name].options = options
@@ -338,12 +338,15 @@ class BrowsePanel:
 
 
 def metrics_html(collection: Collection, number: int, work: Work | None = None) -> str:
-    """Return name, status, verdict and measures of a grasp as HTML; of a refined one, before and after."""
+    """Return name, status, change, verdict and measures of a grasp as HTML; of a refined one, before and after."""
     done = "" if work is None else here_text(work)
     heading = [f"<b>{escape(collection.label(number))}</b> {escape(done or 'as in its file')}"]
-    status, held, reason = (collection.columns.get(column.key) for column in (STATUS, HELD, REASON))
-    if status is not None and status.known[number]:
-        heading.append(escape(status.text(number)))
+    held, reason = (collection.columns.get(column.key) for column in (HELD, REASON))
+    texts = [column.text(number) for one in OF_REFINEMENT if (column := collection.columns.get(one.key)) is not None]
+    heading += [escape(text) for text in texts if text]
+    moved = collection.columns.get(DISPLACEMENT.name)
+    if moved is not None and moved.known[number]:
+        heading.append(f"{DISPLACEMENT.title} {moved.text(number)} {moved.unit}")
     if held is not None and held.known[number]:
         why = f" ({reason.text(number)})" if reason is not None and reason.known[number] else ""
         failed = held.values[number] == FAILED_TEXT

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from grasp_refine.core.plurals import count_text
-from grasp_refine.measures.measures import COMPARED
+from grasp_refine.measures.measures import COMPARED, CONTACTS_MOVED, DISPLACEMENT
 from grasp_refine.refinement.solvers.status import Status
 from grasp_refine.results.outcome import Outcome
 from grasp_refine.results.table import measure_text
@@ -133,6 +133,8 @@ def outcome_text(outcome: Outcome) -> str:
     tries = f" from {starts} starts" if (starts := outcome["starts"][0]) > 1 else ""
     head = f"**{status.label.capitalize()}** after {count_text(count, 'iteration')}{tries}, {seconds:.1f} s"
     if outcome.usable[0]:
+        moved = (f"{one.title} {measure_text(one, outcome[one.name][0])} mm" for one in (DISPLACEMENT, CONTACTS_MOVED))
+        head += f"\n\nChange: **{outcome.change[0]}** ({', '.join(moved)})"
         verdict = "should hold" if should_hold(outcome.quality[:, 1])[0] else "may slip"
         head += f"\n\nBy its quality, an estimate, it **{verdict}** (from {HOLDS:.3f} on); **Validate** simulates"
     advice = f"\n\n{plain(status.advice)}" if status.advice else ""

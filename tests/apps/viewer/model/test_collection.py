@@ -22,7 +22,7 @@ from grasp_refine_apps.viewer.model.marks import marks_path
 from grasp_refine_apps.viewer.model.pose import Pose
 from grasp_refine_apps.viewer.model.present import present
 from grasp_refine_apps.viewer.model.state import State
-from made_results import STATUSES, save_example_results
+from made_results import CHANGES, STATUSES, save_example_results
 from open_viewer import made_trial
 from refusals import refused
 
@@ -75,6 +75,7 @@ def test_a_result_file_says_where_grasps_were_and_what_they_are_worth(results: P
     assert np.allclose(columns["quality_before"].values, columns["quality_after"].values / 2)
     assert columns["penetration_m_after"].text(10) == "0.50"
     assert columns["status"].values.tolist() == [STATUSES[i % 4].label for i in range(20)]
+    assert columns["change"].values.tolist() == [CHANGES[i % 3].value for i in range(20)]
     # Contacts have distances in such a file, too: that is no measure of a grasp.
     assert "contact_distance_m_after" not in columns
 
@@ -85,7 +86,8 @@ def test_refined_grasps_in_memory_are_shown_as_their_result_file(tmp_path: Path)
     refined = refine_problem(load_problem(ProblemSpec(grasps=EXAMPLE, index=(2, 0))), config)
     (path,) = refined.save(tmp_path / "refined.npz")
     saved, shown = opened(path), Collection.of_refined(refined)
-    assert list(shown.columns) == list(saved.columns) and {"status", "quality_before"} <= set(shown.columns)
+    assert list(shown.columns) == list(saved.columns)
+    assert {"status", "change", "quality_before", "displacement_m"} <= set(shown.columns)
     for key, column in saved.columns.items():
         np.testing.assert_array_equal(shown.columns[key].values, column.values)
     for i in range(2):

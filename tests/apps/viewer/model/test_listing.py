@@ -47,6 +47,8 @@ def collection(tmp_path_factory: pytest.TempPathFactory) -> Collection:
         (Listing("no such column", descending=True), [0, 1, 2, 3, 4, 5, 6, 7]),
         (Listing(held="held"), [1, 2]),
         (Listing(status="converged", held="failed"), [0]),
+        (Listing(change="kept"), [0, 3, 6]),
+        (Listing("change", descending=True, status="converged"), [5, 0, 1, 4]),
         (Listing(mark="bad"), [5]),
         (Listing("quality_after", mark=NO_MARK), [0, 7, 6, 4, 3, 1]),
         (Listing(object="mug"), [0, 1, 2, 3, 4, 5, 6, 7]),
@@ -68,7 +70,7 @@ def test_sorting_and_filters_work_together(collection: Collection, listing: List
 def test_filters_of_what_nobody_knows_find_nothing(collection: Collection) -> None:
     unknown = replace(collection, columns={})
     assert not len(Listing(held="held").numbers(unknown))
-    assert not len(Listing(status="converged").numbers(unknown))
+    assert not len(Listing(status="converged").numbers(unknown)) and not len(Listing(change="kept").numbers(unknown))
 
 
 def test_a_column_is_sorted_best_first_at_first(collection: Collection) -> None:

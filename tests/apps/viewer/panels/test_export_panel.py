@@ -179,6 +179,7 @@ def test_many_are_saved_together_as_they_stand(shown: Shown):
             np.testing.assert_allclose(reopened.columns[key].values[2], value[0])
     assert {"quality_before", "quality_after", "contact_error_m_after"} <= reopened.columns.keys()
     assert reopened.columns["status"].values.tolist() == ["", "", labels(Status, outcome.status)[0]]
+    assert reopened.columns["change"].values.tolist() == ["", "", outcome.change[0]] != ["", "", ""]
     np.testing.assert_array_equal(reopened.recorded(2).gap, outcome.contact_gap[0])
     np.testing.assert_allclose(reopened.initial(2)[1], hand.rest)
     with np.load(path) as entries:

@@ -193,6 +193,7 @@ def test_the_outcome_is_reported_with_advice(shown: Shown):
     status = Status(outcome.status[0])
     assert_names(head, f"**{status.label.capitalize()}**", f"{outcome['iterations'][0]} iterations")
     assert plain(status.advice) in outcome_text(outcome)
+    assert f"**{outcome.change[0]}** (displacement {1e3 * outcome['displacement_m'][0]:.2f} mm" in outcome_text(outcome)
     for measure in COMPARED:
         # Measures of scenes, regions and arms are left out where there is none.
         without = measure.name in ("scene_penetration_m", "region_miss_m", "arm_dexterity_m")
