@@ -23,6 +23,8 @@ COMPARISONS: dict[str, Callable[[Any, float], Any]] = {
 """Comparisons of conditions."""
 CONDITION = re.compile(r"\s*([^<>=\s]+)\s*(>=|<=|=|>|<)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*")
 """Condition on values: their name, a comparison and a number."""
+TEXT_CONDITION = re.compile(r"\s*([^<>=\s]+)\s*=\s*(.*\S)\s*")
+"""Condition on texts: their name, = and a text."""
 
 
 def choose_rows(
@@ -54,22 +56,27 @@ def choose_rows(
     return rows[np.asarray(index, dtype=int)]
 
 
-def rows_where(values: Mapping[str, Float[np.ndarray, " N"]], condition: str) -> Int[np.ndarray, " chosen"]:
-    """Return the rows whose value fulfils a condition such as "success=1" or "confidence>=0.5".
+def rows_where(values: Mapping[str, Shaped[np.ndarray, " N"]], condition: str) -> Int[np.ndarray, " chosen"]:
+    """Return the rows whose value fulfils a condition such as "success=1", "confidence>=0.5" or "change=kept".
 
-    A grasp without the value, NaN, fulfils none.
+    A grasp without the value, NaN or an empty text, fulfils none.
 
     Args:
-        values: Values of all grasps (N,), by name.
-        condition: Name, comparison and number.
+        values: Numbers or texts of all grasps (N,), by name.
+        condition: Name, comparison and number; or name, = and text.
 
     Raises:
         GraspFileError: the condition is none, or the grasps have no such values.
     """
+    texts = {name: each for name, each in values.items() if each.dtype.kind == "U"}
+    equal = TEXT_CONDITION.fullmatch(condition)
+    if equal is not None and equal[1] in texts:
+        return np.flatnonzero(texts[equal[1]] == equal[2])
     found = CONDITION.fullmatch(condition)
-    if found is None:
+    if found is None or found[1] in texts:
         raise GraspFileError(
-            f"a condition is NAME, one of {', '.join(COMPARISONS)}, and a number, as in success=1; got '{condition}'"
+            f"a condition is NAME, one of {', '.join(COMPARISONS)}, and a number, as in success=1, "
+            f"or a text, as in change=kept; got '{condition}'"
         )
     name, sign, number = found.groups()
     if name not in values:

@@ -1,4 +1,4 @@
-"""Numbers that result files have of each grasp: measures, and whether it held in simulation."""
+"""Values that result files have of each grasp: measures, whether it held in simulation, and words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import RECORDED, SIDES
@@ -15,16 +15,21 @@ HELD = {f"held_{side}": f"simulation_{side}" for side in SIDES}
 """Name of a verdict -> its entry in the files of simulated grasps."""
 
 
+TEXTS = ("status", "change")
+"""Entries of texts on the refinement of each grasp."""
+
+
 def number_entries() -> dict[str, str]:
     """Return name of a number -> its entry in result files, which may lack it."""
     return {entry: entry for measure in RECORDED for entry in measure.entries.values()} | HELD
 
 
-def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
-    """Return the numbers of the grasps of all files, in their order, SI units; NaN where a file lacks one.
+def result_values(files: Sequence[Path]) -> dict[str, Shaped[np.ndarray, " N"]]:
+    """Return the numbers and `TEXTS` of the grasps of all files, in their order, SI units.
 
-    Names are as in `number_entries`, of values after refinement without that side: "quality",
-    "penetration_m", "held", but "quality_before". Grasp files without results have none.
+    Names of numbers are as in `number_entries`, of values after refinement without that side: "quality",
+    "penetration_m", "held", but "quality_before". Where a file lacks one it is NaN, or an empty text; grasp files
+    without results have none.
 
     Args:
         files: Grasp files of our format.
@@ -33,12 +38,24 @@ def result_numbers(files: Sequence[Path]) -> dict[str, Float[np.ndarray, " N"]]:
         GraspFileError: one is damaged.
     """
     entries, found = number_entries(), {}
-    loaded = [load_npz(path, only=("hand_pose", *entries.values())) for path in files]
+    loaded = [load_npz(path, only=("hand_pose", *entries.values(), *TEXTS)) for path in files]
     for name, entry in entries.items():
         if any(entry in file.entries for file in loaded):
             parts = [numbers_of(file, entry, len(file.entries["hand_pose"])) for file in loaded]
             found[name.replace("_after", "")] = np.concatenate(parts)
+    for name in TEXTS:
+        if any(name in file.entries for file in loaded):
+            found[name] = np.concatenate([texts_of(file, name, len(file.entries["hand_pose"])) for file in loaded])
     return found
+
+
+def texts_of(file: NpzFile, entry: str, count: int) -> Shaped[np.ndarray, " count"]:
+    """Return a text of each of the `count` grasps of a result file; empty where it has no such entry.
+
+    Raises:
+        GraspFileError: it is damaged.
+    """
+    return file.per_row(entry, file.text(entry) if entry in file.entries else np.array(""), count)
 
 
 def numbers_of(file: NpzFile, entry: str, count: int) -> Float[np.ndarray, " count"]:

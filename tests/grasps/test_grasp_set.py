@@ -483,16 +483,20 @@ NAN = np.nan
         ("a<2", [0]),
         (" a = 2.0 ", [1, 3]),
         ("a>-9", [0, 1, 3, 4]),
+        ("word=kept", [0, 4]),
+        (" word = contacts moved ", [1]),
+        ("word=keptt", []),
     ],
 )
 def test_conditions_hold_for_rows_with_the_value(condition: str, rows: list[int]):
-    assert rows_where({"a": np.array([-1.0, 2.0, NAN, 2.0, 3.0])}, condition).tolist() == rows
+    word = np.array(["kept", "contacts moved", "", "other links", "kept"])
+    assert rows_where({"a": np.array([-1.0, 2.0, NAN, 2.0, 3.0]), "word": word}, condition).tolist() == rows
 
 
-@pytest.mark.parametrize("condition", ["a", "a=", "a==1", "b=1", "a=x", "a=1 2"])
+@pytest.mark.parametrize("condition", ["a", "a=", "a==1", "b=1", "a=x", "a=1 2", "word>kept", "word>1", "word="])
 def test_other_conditions_are_refused(condition: str):
     with expected(GraspFileError, condition.strip().partition("=")[0]):
-        rows_where({"a": np.zeros(2)}, condition)
+        rows_where({"a": np.zeros(2), "word": np.array(["1", "kept"])}, condition)
 
 
 def test_best_rows_are_the_largest_values_of_each_object_and_never_nan():

@@ -49,6 +49,7 @@ def page(document: Mapping[str, Any], statistics: Statistics, pictures: Sequence
         subtitle=_subtitle(document, statistics),
         tiles=_tiles(totals, statistics, failed),
         agreement=[side.line(f"{name.title()}, ") for name, side in zip(SIDES, statistics.all.agreement, strict=True)],
+        changed=[line.plain for line in statistics.changed.lines()],
         bar=BAR,
         notes=list(_notes(totals, failed)),
         simulated=statistics.held is not None,

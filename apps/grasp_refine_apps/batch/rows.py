@@ -13,7 +13,7 @@ import numpy as np
 from grasp_refine.core.names import is_valid
 from grasp_refine.core.npz_files import NpzFile, load_npz
 from grasp_refine.measures.measures import COUNT, QUALITY, RECORDED, SECOND, SIDES, Measure
-from grasp_refine.results.result_numbers import HELD, number_entries, numbers_of
+from grasp_refine.results.result_numbers import HELD, number_entries, numbers_of, texts_of
 from grasp_refine.results.verdict import should_hold
 from grasp_refine.validation.trials import Reason
 from grasp_refine_apps.batch.shard import Shard
@@ -128,13 +128,12 @@ def read_rows(shard: Shard, out: Path) -> Rows:
         "source": each(str(source.get("path") or source.get("sampled") or ""), str),
         "row": each([np.nan if row is None else row for row in place]),
         "status": status,
-        "change": file.per_row("change", file.text("change") if "change" in file.entries else np.array(""), n),
+        "change": texts_of(file, "change", n),
         **{column: numbers_of(file, entry, n) for column, entry in number_entries().items()},
     }
     for side in SIDES:
         columns[f"good_{side}"] = should_hold(columns[f"quality_{side}"]).astype(float)
-    reason = file.text("simulation_reason_after") if "simulation_reason_after" in file.entries else np.array("")
-    reason = file.per_row("simulation_reason_after", reason, n)
+    reason = texts_of(file, "simulation_reason_after", n)
     columns["reason_after"] = np.where(reason == Reason.HELD.label, "", reason)
     return Rows({name: columns[name] for name in column_kinds()}, tuple(map(str, look)), str(batch.get("stamp")))
 

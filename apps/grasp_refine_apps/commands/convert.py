@@ -29,7 +29,7 @@ from grasp_refine.grasps.rows import best_rows, rows_where
 from grasp_refine.hands.files.source import check_known, is_known
 from grasp_refine.hands.hand import Hand, load_hand
 from grasp_refine.measures.measures import QUALITY
-from grasp_refine.results.result_numbers import result_numbers
+from grasp_refine.results.result_numbers import result_values
 from grasp_refine.scene.convention_check import joint_notes, position_notes, refuse_conventions
 from grasp_refine_apps.commands.format_names import FormatName
 from grasp_refine_apps.commands.options import NOTHING_USABLE, OptionalFile, Overwrite, check_numbers
@@ -69,7 +69,8 @@ class Convert:
     """URDF of the hand, if it ships without one."""
     where: Annotated[tuple[str, ...], arg(metavar="CONDITION [...]", help_behavior_hint="(default: all)")] = ()
     """Only grasps that fulfil all of these conditions, on labels (success=1, energy<2) or, of refined grasps, on
-    measures (quality>=0.9, penetration_m<0.001) and whether they held in simulation (held=1)."""
+    measures (quality>=0.9, penetration_m<0.001), whether they held in simulation (held=1), and what changed
+    ("change=contacts moved")."""
     best: Annotated[DisallowNone[int | None], arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Of these, only the N refined grasps of each object of highest quality."""
     as_is: Annotated[bool, arg(help_behavior_hint="")] = False
@@ -174,7 +175,7 @@ class Convert:
             )
         if not self.where and self.best is None:
             return rows
-        measured = result_numbers(read.files) if read.format == OURS else {}
+        measured = result_values(read.files) if read.format == OURS else {}
         values = {**measured, **read.grasps.labels}
         for number, condition in enumerate(self.where, start=1):
             rows = np.intersect1d(rows, rows_where(values, condition))

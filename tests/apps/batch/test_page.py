@@ -95,6 +95,8 @@ def test_counts_are_as_in_the_statistics():
             good_before=np.arange(8) < 1, good_after=np.arange(8) < 6,
             held_before=np.arange(8) < 2, held_after=np.arange(8) < 5,
             reason_after=np.array([""] * 5 + ["moved", "moved", "rotated"]),
+            change=np.array(["kept"] * 6 + ["other links"] * 2), quality_before=np.linspace(0.3, 1.0, 8),
+            displacement_m=0.012,
         )
     )  # fmt: skip
     html = page(document(), found, ())
@@ -107,6 +109,7 @@ def test_counts_are_as_in_the_statistics():
     ]
     assert agreement == [["1", "8", "1", "7"], ["6", "8", "1", "0", "2"]], "before and after"
     assert "moved 2 25.0 % rotated 1 12.5 %" in said
+    assert "change: 6 kept, 2 other links." in said and "1 input grasp of quality 0.95 or more: 1 moved" in said
     assert "converged 5 62.5 % stalled 2 25.0 %" in said
     assert f"no target 1 12.5 % {Status.NO_TARGET.advice}" in said
     assert "refine.starts 6" in said and "sets 8 2 2" in said and "refine-grasp batch sets" in said

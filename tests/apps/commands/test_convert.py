@@ -97,6 +97,7 @@ def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.C
         "quality_after": np.array([0.2, 0.99, 0.95, 0.91, 0.95]),
         "penetration_m_after": np.array([0.0, 2e-3, 0.0, 0.0, 1e-4]),
         "simulation_after": np.array([True, False, True, True, False]),
+        "change": np.array(["kept", "contacts moved", "other grasp", "kept", ""]),
     }
     save_npz(Path("results/one.npz"), grasps.arrays() | results)
     save_npz(Path("results/two.npz"), grasps.select([1]).arrays() | {"quality_after": np.array([0.5])})
@@ -107,7 +108,9 @@ def test_measures_and_verdicts_choose_refined_grasps(file: Path, capfd: pytest.C
         ("results/one.npz", ["--where", "quality_before>0.5"], [0]),
         ("results/one.npz", ["--best", "1"], [1, 2]),
         ("results/one.npz", ["--where", "held=1", "--best", "1"], [2, 3]),
+        ("results/one.npz", ["--where", "change=contacts moved"], [1]),
         # Of two files, the second not simulated.
+        ("results", ["--where", "change=kept", "held=1"], [0, 3]),
         ("results", ["--where", "held=0"], [1, 4]),
         ("results", ["--where", "quality<0.6", "--best", "9"], [0, 5]),
     ):
